@@ -1,0 +1,74 @@
+"""A camera (or its simulator, or a recording) and its correction, in one namespace.
+
+An argument left empty leaves the matter to the parameter file and to the node's own default.
+
+    ros2 launch rim_camera_ros camera.launch.py source:=playback recording:=/path/to/bag
+"""
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+PACKAGE = "rim_camera_ros"
+
+
+def generate_launch_description() -> LaunchDescription:
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("namespace", default_value="camera", description="namespace of both nodes"),
+            DeclareLaunchArgument(
+                "source",
+                default_value="",
+                choices=["", "simulator", "playback"],
+                description="where the images come from",
+            ),
+            DeclareLaunchArgument("scene", default_value="", description="scene file of the simulator"),
+            DeclareLaunchArgument("recording", default_value="", description="bag that playback replays"),
+            DeclareLaunchArgument(
+                "driver_parameters", default_value="", description="parameter file (YAML) of the driver"
+            ),
+            DeclareLaunchArgument("camera", default_value="", description="camera file of the driver"),
+            DeclareLaunchArgument(
+                "correction_camera", default_value="", description="camera file the correction uses"
+            ),
+            DeclareLaunchArgument("frame_id", default_value="", description="optical frame of the images"),
+            OpaqueFunction(function=start_nodes),
+        ]
+    )
+
+
+def start_nodes(context: LaunchContext) -> list[Node]:
+    def value(argument: str) -> str:
+        return LaunchConfiguration(argument).perform(context)
+
+    def given(**arguments: str) -> dict[str, ParameterValue]:
+        """Node parameters from the launch arguments that are not empty; always text, also "2024"."""
+        return {
+            parameter: ParameterValue(value(argument), value_type=str)
+            for parameter, argument in arguments.items()
+            if value(argument)
+        }
+
+    file = value("driver_parameters")
+    driver = given(
+        source="source", scene="scene", recording="recording", camera="camera", frame_id="frame_id"
+    )
+    correction = given(camera="correction_camera")
+    return [
+        Node(
+            package=PACKAGE,
+            executable="driver_node",
+            namespace=value("namespace"),
+            parameters=[entry for entry in (file, driver) if entry],
+            output="screen",
+        ),
+        Node(
+            package=PACKAGE,
+            executable="correction_node",
+            namespace=value("namespace"),
+            parameters=[entry for entry in (correction,) if entry],
+            output="screen",
+        ),
+    ]

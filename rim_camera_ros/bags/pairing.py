@@ -1,0 +1,311 @@
+"""Frames out of messages: images and settings of one exposure by stamp, poses and temperatures by time."""
+
+from __future__ import annotations
+
+import bisect
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from numpy.typing import NDArray
+
+from rim_camera_ros.bags import messages
+from rim_camera_ros.bags.topics import is_swissranger_intensity
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.frame import Intrinsics, Pose, RawFrame, Settings
+
+#: What a stamp that is not after the one before means: bad input, or one more to count.
+Backwards = Literal["error", "count"]
+
+#: Stamps that may wait for the rest of their messages, and bytes of image data they may hold.
+PENDING_STAMPS = 64
+PENDING_BYTES = 128 << 20
+
+_IMAGES = ("distance", "amplitude")
+_LONGEST_HISTORY = 20_000
+
+
+class History:
+    """Values by stamp, of which those that can still be asked for are kept."""
+
+    def __init__(self) -> None:
+        self._stamps: list[int] = []
+        self._values: list[Any] = []
+
+    def add(self, stamp: int, value: Any) -> None:
+        """Add a value; of two with one stamp the later one holds."""
+        place = bisect.bisect_right(self._stamps, stamp)
+        self._stamps.insert(place, stamp)
+        self._values.insert(place, value)
+        if len(self._stamps) > _LONGEST_HISTORY:
+            del self._stamps[0], self._values[0]
+
+    def latest(self, stamp: int) -> tuple[int, Any] | None:
+        """Return stamp and value of the last one at or before ``stamp``."""
+        place = bisect.bisect_right(self._stamps, stamp) - 1
+        return (self._stamps[place], self._values[place]) if place >= 0 else None
+
+    def forget(self, stamp: int) -> None:
+        """Forget the values that no stamp from this one on can ask for."""
+        place = bisect.bisect_right(self._stamps, stamp) - 1
+        if place > 0:
+            del self._stamps[:place], self._values[:place]
+
+
+@dataclass(slots=True, eq=False)
+class _Exposure:
+    stamp: int
+    images: dict[str, NDArray[Any]] = field(default_factory=dict)
+    others: dict[str, Any] = field(default_factory=dict)
+    size: int = 0
+
+    def has(self, role: str) -> bool:
+        return role in self.images or role in self.others
+
+
+class Pairing:
+    """Makes frames of decoded messages, in the order of the distance images.
+
+    ``routes``: topic to (role, surface). ``say`` takes sentences on what is assumed. ``skipped`` counts
+    what did not become a frame, by reason. At most `PENDING_STAMPS` stamps and `PENDING_BYTES` bytes
+    wait. With poses or temperatures in the recording a frame waits that long for those that were
+    recorded after its images, so their order in the recording does not matter within it.
+    """
+
+    def __init__(
+        self, routes: Mapping[str, tuple[str, str]], on_backwards: Backwards, say: Callable[[str], None]
+    ) -> None:
+        self.skipped: Counter[str] = Counter()
+        self._routes = routes
+        self._backwards = on_backwards
+        self._say = say
+        roles = {role for role, _ in routes.values()}
+        self._expected = tuple(role for role in ("camera_info", "frame_info") if role in roles)
+        self._waits = bool(roles & {"temperature", "ambient", "reference", "truth"})
+        self._pending: dict[int, _Exposure] = {}
+        self._order: deque[_Exposure] = deque()
+        self._bytes = 0
+        self._last: int | None = None
+        self._layout: dict[str, tuple[tuple[int, ...], str]] = {}
+        self._sides: dict[str, History] = {}
+        self._poses: dict[str, History] = {}
+        self._pose_frames: dict[str, str] = {}
+        self._frame_id = ""
+        self._intrinsics: Intrinsics | None = None
+
+    def add(self, topic: str, message: Any) -> list[RawFrame]:
+        """Take a message and return the frames that are ready.
+
+        Raises InputError for a message that is wrong, a size that changes and, if so chosen, a stamp
+        that does not advance.
+        """
+        role, surface = self._routes[topic]
+        stamp = messages.stamp_of(message)
+        place = f"topic {topic} at {messages.stamp_text(stamp)}"
+        if role == "truth":
+            self._pose_frames.setdefault(surface, message.header.frame_id)
+            self._poses.setdefault(surface, History()).add(stamp, messages.pose_from(message, place))
+            return []
+        if role in ("temperature", "ambient", "reference"):
+            read = messages.range_from if role == "reference" else messages.temperature_from
+            self._sides.setdefault(role, History()).add(stamp, read(message))
+            return []
+        try:
+            value = self._value(role, topic, message, place, stamp)
+        except InputError:
+            self._abandon(stamp)
+            raise
+        frames: list[RawFrame] = []
+        exposure = self._exposure(role, stamp, place, frames)
+        if exposure is not None:
+            if role in _IMAGES:
+                exposure.images[role] = value
+                exposure.size += value.nbytes
+                self._bytes += value.nbytes
+            else:
+                exposure.others[role] = value
+        self._release(frames)
+        return frames
+
+    def flush(self) -> list[RawFrame]:
+        """Return the frames that still wait, at the end of the recording."""
+        frames: list[RawFrame] = []
+        while self._order:
+            self._emit(frames)
+        while self._pending:
+            self._drop(next(iter(self._pending)))
+        return frames
+
+    def _value(self, role: str, topic: str, message: Any, place: str, stamp: int) -> Any:
+        if role == "frame_info":
+            return messages.settings_from(message, place)
+        if role == "camera_info":
+            intrinsics, reason = messages.intrinsics_from(message, place)
+            if reason:
+                self._say(reason)
+            return intrinsics
+        image = self._image(role, topic, message, place)
+        partner = _IMAGES[role == "distance"]
+        exposure = self._pending.get(stamp)
+        other = exposure.images.get(partner) if exposure is not None else None
+        if other is not None and other.shape != image.shape:
+            raise InputError(
+                f"the {role} is {_size(image.shape)}, the {partner} {_size(other.shape)}",
+                place=place,
+                remedy="--topic amplitude=name of the image that belongs to the distance",
+            )
+        return image
+
+    def _image(self, role: str, topic: str, message: Any, place: str) -> NDArray[Any]:
+        eight = role == "amplitude" and is_swissranger_intensity(topic)
+        image = messages.image_array(message, role=role, place=place, mono8_amplitude=eight)
+        if eight and message.encoding in ("mono8", "8UC1"):
+            self._say(f"{topic} is mono8: one step is 256 counts")
+        if role == "distance" and not self._frame_id:
+            self._frame_id = message.header.frame_id
+        layout = (image.shape, str(message.encoding))
+        before = self._layout.setdefault(role, layout)
+        if layout != before:
+            raise InputError(
+                f"the image is {_size(layout[0])} {layout[1]}, before it was {_size(before[0])} {before[1]}",
+                place=place,
+                remedy="split the recording where the camera's mode was changed",
+            )
+        return image
+
+    def _abandon(self, stamp: int) -> None:
+        """Take back an exposure of which one message is wrong: it must not become half a frame."""
+        exposure = self._pending.pop(stamp, None)
+        if exposure is not None and exposure in self._order:
+            self._order.remove(exposure)
+
+    def _exposure(self, role: str, stamp: int, place: str, frames: list[RawFrame]) -> _Exposure | None:
+        """Return what is being collected for a stamp, None for a message that is not needed."""
+        exposure = self._pending.get(stamp)
+        if exposure is not None and exposure.has(role):
+            if self._backwards == "count" and len(exposure.images) == 2:
+                frames += self.flush()  # a short loop: its next round has come
+                exposure = None
+            elif role != "distance" or self._backwards == "count":
+                self.skipped[f"{role} twice with one stamp"] += 1
+                return None
+        if role == "distance":
+            if self._last is not None and stamp <= self._last:
+                if self._backwards == "error":
+                    raise InputError(
+                        f"the stamp is not after the one before, {messages.stamp_text(self._last)}",
+                        place=place,
+                        remedy="a looped or stampless recording: record one pass, stamped by the driver",
+                    )
+                self.skipped["stamps that run backwards"] += 1
+            self._last = stamp
+        if exposure is None:
+            exposure = self._pending[stamp] = _Exposure(stamp)
+        if role == "distance":
+            self._order.append(exposure)
+        return exposure
+
+    def _release(self, frames: list[RawFrame]) -> None:
+        if not self._waits:
+            while self._order and self._complete(self._order[0]):
+                self._emit(frames)
+        while len(self._pending) > PENDING_STAMPS or (self._bytes > PENDING_BYTES and len(self._pending) > 1):
+            oldest = next(iter(self._pending.values()))
+            if "distance" in oldest.images:
+                while self._emit(frames) is not oldest:
+                    pass
+            else:
+                self._drop(oldest.stamp)
+
+    def _complete(self, exposure: _Exposure) -> bool:
+        return len(exposure.images) == 2 and all(role in exposure.others for role in self._expected)
+
+    def _drop(self, stamp: int) -> None:
+        exposure = self._pending.pop(stamp)
+        self._bytes -= exposure.size
+        what = "amplitude" if "amplitude" in exposure.images else " and ".join(exposure.others)
+        self.skipped[f"{what} without distance"] += 1
+
+    def _emit(self, frames: list[RawFrame]) -> _Exposure:
+        """Take the first exposure that waits and make a frame of it if it has both images."""
+        exposure = self._order.popleft()
+        del self._pending[exposure.stamp]
+        self._bytes -= exposure.size
+        if "amplitude" in exposure.images:
+            frames.append(self._frame(exposure))
+        else:
+            self.skipped["distance without amplitude"] += 1
+        return exposure
+
+    def _frame(self, exposure: _Exposure) -> RawFrame:
+        stamp, others = exposure.stamp, exposure.others
+        for role in self._expected:
+            if role not in others:
+                self.skipped[f"{role} missing beside a frame"] += 1
+        settings, device = others.get("frame_info", (None, ""))
+        intrinsics = others.get("camera_info", self._intrinsics)
+        if intrinsics is not None:
+            self._intrinsics = intrinsics = self._fitting(intrinsics, exposure)
+        truth: dict[str, Pose] = {}
+        pose_stamps: dict[str, int] = {}
+        for surface, history in self._poses.items():
+            found = history.latest(stamp)
+            if found is not None:
+                pose_stamps[surface], truth[surface] = found
+                self._compare_frames(surface)
+        settings = self._with_sides(settings, stamp)
+        if self._pending:
+            earliest = min(self._pending)
+            for history in (*self._poses.values(), *self._sides.values()):
+                history.forget(min(earliest, stamp))
+        return RawFrame(
+            stamp=stamp,
+            distance=exposure.images["distance"],
+            amplitude=exposure.images["amplitude"],
+            settings=settings,
+            truth=truth,
+            pose_stamps=pose_stamps,
+            intrinsics=intrinsics,
+            device=device,
+        )
+
+    def _with_sides(self, settings: Settings | None, stamp: int) -> Settings:
+        sides = {
+            role: found[1] for role, one in self._sides.items() if (found := one.latest(stamp)) is not None
+        }
+        if settings is None:
+            settings = Settings(extra={})
+        if not sides:
+            return settings
+        return Settings(
+            integration_time=settings.integration_time,
+            modulation_frequency=settings.modulation_frequency,
+            uptime=settings.uptime,
+            body_temperature=sides.get("temperature"),
+            ambient_temperature=sides.get("ambient"),
+            reference_distance=sides.get("reference"),
+            extra=settings.extra,
+        )
+
+    def _fitting(self, intrinsics: Intrinsics, exposure: _Exposure) -> Intrinsics | None:
+        shape = exposure.images["distance"].shape
+        if (intrinsics.height, intrinsics.width) == shape:
+            return intrinsics
+        self._say(
+            f"camera_info is for {intrinsics.width} x {intrinsics.height} pixels, the images are"
+            f" {_size(shape)}: it is not used"
+        )
+        return None
+
+    def _compare_frames(self, surface: str) -> None:
+        given = self._pose_frames.pop(surface, "").lstrip("/")
+        images = self._frame_id.lstrip("/")
+        if given and images and given != images:
+            self._say(
+                f"the poses of {surface} are in the frame {given}, taken for that of the images, {images}"
+            )
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return f"{shape[1]} x {shape[0]}"

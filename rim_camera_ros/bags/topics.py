@@ -1,0 +1,262 @@
+"""Roles of topics, their names in a namespace, and how the names in a recording are found."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from rim_camera_ros.errors import InputError, nearest_name
+
+DEFAULT_NAMESPACE = "/camera"
+
+#: Placeholder of the surface's name in the topic of the role ``truth``.
+SURFACE = "<surface>"
+
+IMAGE = "sensor_msgs/msg/Image"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+TEMPERATURE = "sensor_msgs/msg/Temperature"
+RANGE = "sensor_msgs/msg/Range"
+POSE = "geometry_msgs/msg/PoseStamped"
+CLOUD = "sensor_msgs/msg/PointCloud2"
+
+#: Role: (name below the namespace, or an absolute one; message type).
+ROLES: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "distance": ("distance/image_raw", IMAGE),
+        "amplitude": ("amplitude/image_raw", IMAGE),
+        "camera_info": ("camera_info", CAMERA_INFO),
+        "frame_info": ("frame_info", DIAGNOSTICS),
+        "temperature": ("temperature", TEMPERATURE),
+        "ambient": ("ambient_temperature", TEMPERATURE),
+        "reference": ("reference", RANGE),
+        "truth": (f"/ground_truth/{SURFACE}/pose", POSE),
+        "points": ("points", CLOUD),
+        "sigma": ("sigma/image", IMAGE),
+        "flags": ("flags/image", IMAGE),
+        "corrected_distance": ("distance/image", IMAGE),
+        "depth": ("depth/image_raw", IMAGE),
+    }
+)
+
+#: Roles that make up or accompany a raw frame.
+RAW_ROLES = (
+    "distance",
+    "amplitude",
+    "camera_info",
+    "frame_info",
+    "temperature",
+    "ambient",
+    "reference",
+    "truth",
+)
+
+#: Names below the namespace that ROS 1 SwissRanger drivers use, best first.
+SWISSRANGER_DISTANCE = "distance/image_raw16"
+SWISSRANGER_AMPLITUDE = ("intensity/image_raw16", "intensity/image_raw")
+
+_NAME = re.compile(r"/[A-Za-z0-9_~{}]+(/[A-Za-z0-9_~{}]+)*")
+_LISTED = 12
+
+
+def _clean_name(name: str, place: str) -> str:
+    text = name.strip()
+    if text and not text.startswith("/"):
+        text = "/" + text
+    if not _NAME.fullmatch(text.replace(SURFACE, "s")):
+        raise InputError(
+            f"'{name}' is not a topic name",
+            place=place,
+            remedy="letters, digits and _ between slashes, for example /camera/distance/image_raw",
+        )
+    return text
+
+
+def _clean_role(role: str, place: str) -> str:
+    text = role.strip().replace(" ", "_")
+    if text not in ROLES:
+        raise InputError(f"no role '{role}'", place=place, remedy=nearest_name(text, ROLES))
+    return text
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Topic names by role: a namespace and what deviates from its default names.
+
+    ``overrides`` maps roles (see `ROLES`) to topic names; the name for ``truth`` holds the
+    placeholder ``<surface>``.
+
+    Raises InputError for an unknown role, a malformed name or one topic in two roles.
+    """
+
+    namespace: str = DEFAULT_NAMESPACE
+    overrides: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        namespace = self.namespace.strip().rstrip("/")
+        if namespace:
+            namespace = _clean_name(namespace, "namespace")
+        overrides: dict[str, str] = {}
+        for given, name in self.overrides.items():
+            place = f"--topic {given}={name}"
+            role = _clean_role(given, place)
+            overrides[role] = _clean_name(name, place)
+            if (role == "truth") != (SURFACE in overrides[role]):
+                raise InputError(
+                    f"{SURFACE} stands for the surface's name and belongs in the topic of the role truth",
+                    place=place,
+                    remedy=f"for example --topic truth=/ground_truth/{SURFACE}/pose",
+                )
+        object.__setattr__(self, "namespace", namespace)
+        object.__setattr__(self, "overrides", overrides)
+        users: dict[str, str] = {}
+        for role in ROLES:
+            other = users.setdefault(self[role], role)
+            if other != role:
+                raise InputError(f"{self[role]} is both {other} and {role}", place="--topic")
+
+    def __hash__(self) -> int:
+        return hash((self.namespace, tuple(sorted(self.overrides.items()))))
+
+    def __getitem__(self, role: str) -> str:
+        """Return the topic name of a role; KeyError for an unknown one."""
+        if role in self.overrides:
+            return self.overrides[role]
+        name = ROLES[role][0]
+        return name if name.startswith("/") else f"{self.namespace}/{name}"
+
+    @classmethod
+    def parse(cls, options: Iterable[str], namespace: str = DEFAULT_NAMESPACE) -> Topics:
+        """Make topics from ``role=name`` options as given on a command line.
+
+        Raises InputError for an option without ``=``, a repeated or unknown role, a malformed name.
+        """
+        overrides: dict[str, str] = {}
+        for option in options:
+            place = f"--topic {option}"
+            role, equals, name = option.partition("=")
+            if not equals:
+                raise InputError("no '=' in it", place=place, remedy="--topic role=name")
+            role = _clean_role(role, place)
+            if role in overrides:
+                raise InputError(f"the role {role} is given twice", place=place)
+            overrides[role] = name
+        return cls(namespace, overrides)
+
+    @property
+    def automatic(self) -> bool:
+        """Whether the namespace may be detected: nothing says where the distance is."""
+        return self.namespace == DEFAULT_NAMESPACE and "distance" not in self.overrides
+
+    def truth(self, surface: str) -> str:
+        """Return the topic of one surface's pose."""
+        return self["truth"].replace(SURFACE, surface)
+
+    def surface_of(self, topic: str) -> str | None:
+        """Return the surface whose pose the topic carries, None for another topic."""
+        before, _, after = self["truth"].partition(SURFACE)
+        if not (topic.startswith(before) and topic.endswith(after)):
+            return None
+        surface = topic[len(before) : len(topic) - len(after)]
+        return surface if surface and "/" not in surface else None
+
+    def info_beside(self, role: str) -> str:
+        """Return the camera_info topic that image_transport pairs with the role's image."""
+        return self[role].rpartition("/")[0] + "/camera_info"
+
+
+def listed(names: Collection[str]) -> str:
+    """Return topic names as a sentence lists them, a dozen at most."""
+    names = sorted(names)
+    if not names:
+        return "none"
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return ", ".join(names[:_LISTED]) + more
+
+
+def resolve(topics: Topics, types: Mapping[str, str]) -> tuple[Topics, list[str]]:
+    """Fit topics to what a recording holds (topic: message type).
+
+    Returns the topics and sentences that say what was assumed. When nothing fits, the topics come
+    back as they are; `require_images` then says what is missing.
+    Raises InputError when more than one namespace holds distance images.
+    """
+    assumptions: list[str] = []
+    if topics.automatic:
+        topics = _with_namespace(topics, types, assumptions)
+    overrides = dict(topics.overrides)
+    base = topics.namespace
+    if "distance" not in overrides and f"{base}/{SWISSRANGER_DISTANCE}" in types:
+        overrides["distance"] = f"{base}/{SWISSRANGER_DISTANCE}"
+        assumptions.append(f"{overrides['distance']} is the distance, as a ROS 1 SwissRanger driver names it")
+    if "amplitude" not in overrides and topics["amplitude"] not in types:
+        found = [name for one in SWISSRANGER_AMPLITUDE if (name := f"{base}/{one}") in types]
+        if found:
+            overrides["amplitude"] = found[0]
+            eight = ", 256 counts each if it is mono8" if is_swissranger_intensity(found[0]) else ""
+            assumptions.append(f"{found[0]} is the amplitude{eight}, as a ROS 1 SwissRanger driver names it")
+    topics = Topics(topics.namespace, overrides)
+    if "camera_info" not in overrides and topics["camera_info"] not in types:
+        beside = topics.info_beside("distance")
+        if beside in types and beside not in overrides.values():
+            topics = Topics(topics.namespace, {**overrides, "camera_info": beside})
+    return topics, assumptions
+
+
+def is_swissranger_intensity(topic: str) -> bool:
+    """Whether a mono8 image of that name holds amplitudes of 256 counts each."""
+    return topic.endswith("/" + SWISSRANGER_AMPLITUDE[1])
+
+
+def _with_namespace(topics: Topics, types: Mapping[str, str], assumptions: list[str]) -> Topics:
+    suffixes = tuple("/" + one for one in (ROLES["distance"][0], SWISSRANGER_DISTANCE))
+    found = {
+        name.removesuffix(suffix)
+        for name, kind in types.items()
+        for suffix in suffixes
+        if kind == IMAGE and name.endswith(suffix)
+    }
+    if topics.namespace in found or not found:
+        return topics
+    if len(found) > 1:
+        raise InputError(
+            f"{len(found)} namespaces hold distance images: {listed([one or '/' for one in found])}",
+            remedy=f"choose one: --topic distance={min(found)}{suffixes[0]} and so on",
+        )
+    namespace = found.pop()
+    assumptions.append(f"the topics are those of the namespace {namespace or '/'}")
+    return Topics(namespace, topics.overrides)
+
+
+def require_images(topics: Topics, types: Mapping[str, str]) -> None:
+    """Check that a recording (topic: message type) holds what a raw frame needs.
+
+    Raises InputError that names the missing topic, the topics there are and the remedy, or a topic
+    whose message type is not that of its role.
+    """
+    for role in RAW_ROLES[:-1]:
+        name, expected = topics[role], ROLES[role][1]
+        if name in types:
+            if types[name] != expected:
+                raise InputError(
+                    f"its type is {types[name]}, the role {role} needs {expected}",
+                    place=f"topic {name}",
+                    remedy=f"--topic {role}=name",
+                )
+        elif role in ("distance", "amplitude") or role in topics.overrides:
+            raise _missing(role, topics, types)
+
+
+def _missing(role: str, topics: Topics, types: Mapping[str, str]) -> InputError:
+    other = {"distance": "amplitude", "amplitude": "distance"}.get(role)
+    without = f"{other} without {role}: " if other and topics[other] in types else ""
+    kind = ROLES[role][1]
+    same = [name for name, one in types.items() if one == kind]
+    short = kind.replace("/msg/", "/")
+    there = f"topics of type {short}: {listed(same)}" if same else f"no {short}; topics: {listed(types)}"
+    return InputError(
+        f"{without}no topic {topics[role]}; {there}",
+        remedy=f"name it with --topic {role}=name",
+    )

@@ -1,0 +1,176 @@
+"""The camera: sensor, optics, radiometry, noise, and the effects that its file switches on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.frame import Intrinsics, Settings
+from rim_camera_ros.noise import Noise
+from rim_camera_ros.optics import Optics, pixel_rays
+from rim_camera_ros.parameters import ArrayFile, quantity
+from rim_camera_ros.phasor import ambiguity_range
+
+FULL_SCALE = 65536
+
+_EMPTY: Mapping[str, Any] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Array size, modulation, counts."""
+
+    width: int = quantity("px", "number of columns", minimum=1, maximum=8192)
+    height: int = quantity("px", "number of rows", minimum=1, maximum=8192)
+    pixel_pitch: tuple[float, float] = quantity("m", "pixel spacing along row and column", above=0.0)
+    modulation_frequency: float = quantity("Hz", "modulation frequency", above=0.0)
+    distance_lsb: float | None = quantity(
+        "m", "metres per count; null: ambiguity range / 65536", default=None, above=0.0
+    )
+    saturation: float = quantity("counts", "amplitude at which a pixel saturates", default=65535.0, above=0.0)
+    amplitude_threshold: float = quantity(
+        "counts", "a pixel whose measured amplitude is below it delivers 0 and 0", default=0.0, minimum=0.0
+    )
+    exposure: tuple[float, float] = quantity(
+        "s", "seconds = first + second * integration_time", default=(0.0002, 0.0002), minimum=0.0
+    )
+    integration_time: float | None = quantity(
+        "device unit", "setting of recordings without frame_info", default=None, above=0.0
+    )
+
+    @property
+    def ambiguity(self) -> float:
+        """Ambiguity range L in metres."""
+        return ambiguity_range(self.modulation_frequency)
+
+    @property
+    def lsb(self) -> float:
+        """Metres per distance count."""
+        return self.distance_lsb if self.distance_lsb is not None else self.ambiguity / FULL_SCALE
+
+    @property
+    def wraps(self) -> bool:
+        """Whether counts wrap at the ambiguity range (else the camera has resolved it itself)."""
+        return FULL_SCALE * self.lsb <= self.ambiguity * (1 + 1e-6)
+
+    def exposure_seconds(self, integration_time: float) -> float:
+        """Return the exposure in seconds of an integration time in the device's own unit."""
+        return self.exposure[0] + self.exposure[1] * integration_time
+
+
+@dataclass(frozen=True)
+class Radiometry:
+    """amplitude = gain * integration_time * reflectivity * cos(incidence) * falloff / distance^2."""
+
+    gain: float = quantity("counts*m^2/unit", "amplitude per integration time at 1 m", default=500.0, above=0.0)
+    gain_sigma: float = quantity(
+        "-", "relative variation of the emitted power from pose to pose", default=0.0, minimum=0.0, below=1.0
+    )
+
+
+@dataclass(frozen=True)
+class Validity:
+    """Ranges within which the calibration holds; None: not stated."""
+
+    distance: tuple[float, float] | None = quantity("m", "least and greatest", default=None)
+    amplitude: tuple[float, float] | None = quantity("counts", "least and greatest", default=None)
+    integration_time: tuple[float, float] | None = quantity("device unit", "least, greatest", default=None)
+    temperature: tuple[float, float] | None = quantity("degC", "least and greatest", default=None)
+    region: tuple[float, float, float, float] | None = quantity(
+        "px", "u0 v0 u1 v1, inclusive", default=None
+    )
+
+    def __post_init__(self) -> None:
+        for name in ("distance", "amplitude", "integration_time", "temperature"):
+            limits = getattr(self, name)
+            if limits is not None and not limits[0] <= limits[1]:
+                raise ValueError(f"{name}: the first value must not exceed the second")
+        if self.region is not None and not (
+            self.region[0] <= self.region[2] and self.region[1] <= self.region[3]
+        ):
+            raise ValueError("region: expected u0 v0 u1 v1 with u0 <= u1 and v0 <= v1")
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """Covariance of parameters named by dotted paths, in their own units."""
+
+    parameters: tuple[str, ...] = quantity("-", "dotted paths")
+    matrix: ArrayFile = quantity("-", "square .npy file in the order of the parameters")
+
+    def __post_init__(self) -> None:
+        n = len(self.parameters)
+        if self.matrix.values.shape != (n, n):
+            raise ValueError(f"matrix has shape {self.matrix.values.shape}, expected ({n}, {n})")
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera file's content. ``effects`` maps names to parameter objects of `rim_camera_ros.effects`.
+
+    ``minimum_amplitude`` None means: where the noise that the amplitude term adds exceeds the range noise.
+    """
+
+    sensor: Sensor
+    optics: Optics
+    device: str = "unnamed"
+    radiometry: Radiometry = field(default_factory=Radiometry)
+    noise: Noise = field(default_factory=Noise)
+    minimum_amplitude: float | None = None
+    effects: Mapping[str, Any] = _EMPTY
+    validity: Validity = field(default_factory=Validity)
+    covariance: Covariance | None = None
+    provenance: Mapping[str, Any] = _EMPTY
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) in pixels."""
+        return (self.sensor.height, self.sensor.width)
+
+    @cached_property
+    def rays(self) -> NDArray[np.float64]:
+        """Unit rays (height, width, 3) in the optical frame."""
+        rays = pixel_rays(self.optics, width=self.sensor.width, height=self.sensor.height)
+        rays.setflags(write=False)
+        return rays
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """The geometry as camera_info states it."""
+        o = self.optics
+        return Intrinsics(
+            width=self.sensor.width, height=self.sensor.height, fx=o.fx, fy=o.fy, cx=o.cx, cy=o.cy, d=o.d
+        )
+
+    def integration_time(self, settings: Settings) -> float:
+        """Return the frame's integration time, or the camera file's where the recording has none.
+
+        Raises `InputError` where neither is known or where it is not positive.
+        """
+        value = settings.integration_time
+        if value is None:
+            value = self.sensor.integration_time
+        if value is None:
+            raise InputError(
+                "the recording states no integration_time (no frame_info)",
+                place="sensor.integration_time",
+                remedy="give sensor.integration_time in the camera file",
+            )
+        if not value > 0:
+            raise InputError(
+                f"integration_time must be positive, found {value:g}", remedy="check frame_info"
+            )
+        return value
+
+    @property
+    def background(self) -> float:
+        """Counts of unmodulated light (effect ``background_light``), which add noise only."""
+        effect = self.effects.get("background_light")
+        return 0.0 if effect is None else float(effect.level)

@@ -1,0 +1,210 @@
+"""Camera files (``rim_camera/1``): read with every check, written whole."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from rim_camera_ros.camera import Camera, Covariance, Noise, Optics, Radiometry, Sensor, Validity
+from rim_camera_ros.effects import SECTIONS, Effect, registry
+from rim_camera_ros.errors import InputError, nearest_name
+from rim_camera_ros.parameters import (
+    Document,
+    arrays_of,
+    decode,
+    encode,
+    flatten,
+    quantity,
+    read_yaml,
+    with_values,
+    write_whole,
+    write_yaml,
+)
+
+CAMERA_FORMAT = "rim_camera/1"
+
+_EMPTY: Mapping[str, Any] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class _File:
+    """The keys of a camera file."""
+
+    sensor: Sensor
+    optics: Optics
+    format: str = CAMERA_FORMAT
+    device: str = "unnamed"
+    radiometry: Radiometry = field(default_factory=Radiometry)
+    noise: Noise = field(default_factory=Noise)
+    minimum_amplitude: float | None = quantity(
+        "counts", "below it flag 1 and no point; null: where the amplitude term's noise exceeds the range noise",
+        default=None, minimum=0.0,
+    )
+    effects: Any = None
+    validity: Validity = field(default_factory=Validity)
+    covariance: Covariance | None = None
+    provenance: Any = None
+
+
+def load_camera(path: str | os.PathLike[str]) -> Camera:
+    """Read a camera file with the arrays that it names.
+
+    Raises `InputError` (file, place with line, problem, remedy) for whatever is wrong in it, among
+    them maps of the wrong shape or outside the file's folder and lens models that cannot be inverted.
+    """
+    document = read_yaml(path)
+    if not isinstance(document.data, dict):
+        raise document.error((), "not a camera file", f"expected format: {CAMERA_FORMAT}")
+    if document.data.get("format") != CAMERA_FORMAT:
+        place = ("format",) if "format" in document.data else ()
+        raise document.error(
+            place,
+            f"not a camera file: format is {document.data.get('format')!r}",
+            f"expected format: {CAMERA_FORMAT}",
+        )
+    content = decode(_File, document.data, document)
+    provenance = content.provenance if content.provenance is not None else {}
+    if not isinstance(provenance, dict):
+        raise document.error(("provenance",), "expected a group of keys")
+    values = {one.name: getattr(content, one.name) for one in fields(_File) if one.name != "format"}
+    values["effects"] = _EMPTY
+    values["provenance"] = MappingProxyType(provenance)
+    camera = Camera(**values)
+    try:
+        camera.rays  # noqa: B018 -- the lens model must be invertible
+    except ValueError as error:
+        raise document.error(("optics", "d"), str(error).removeprefix("optics.d: ")) from None
+    camera = replace(camera, effects=_decode_effects(content.effects, camera, document))
+    if camera.covariance is not None:
+        known = camera_numbers(camera)
+        for i, name in enumerate(camera.covariance.parameters):
+            if name not in known:
+                raise document.error(
+                    ("covariance", "parameters", i), f"unknown parameter '{name}'", nearest_name(name, known)
+                )
+    return camera
+
+
+def _decode_effects(data: Any, camera: Camera, document: Document) -> Mapping[str, Effect]:
+    if data is None:
+        return _EMPTY
+    if not isinstance(data, dict):
+        raise document.error(("effects",), "expected a group of effects by name")
+    known = registry()
+    for name in data:
+        if name in SECTIONS:
+            raise document.error(
+                ("effects", name), "has no parameters here", f"they belong to the section '{SECTIONS[name]}'"
+            )
+        if name not in known:
+            raise document.error(("effects", name), "unknown effect", nearest_name(name, known))
+    effects: dict[str, Effect] = {}
+    for name, kind in known.items():
+        if name in data:
+            effects[name] = decode(kind, data[name], document, ("effects", name))
+            try:
+                effects[name].check(camera)
+            except ValueError as error:
+                raise document.error(("effects", name), str(error)) from None
+    return MappingProxyType(effects)
+
+
+def with_effects(camera: Camera, effects: Mapping[str, Effect]) -> Camera:
+    """Return the camera with these effects, ordered along the light and checked.
+
+    Raises `InputError` for an unknown name or parameters that do not fit the camera.
+    """
+    known = registry()
+    for name in effects:
+        if name not in known:
+            raise InputError(f"unknown effect '{name}'", remedy=nearest_name(name, known))
+    ordered = {name: effects[name] for name in known if name in effects}
+    for name, effect in ordered.items():
+        try:
+            effect.check(camera)
+        except ValueError as error:
+            raise InputError(str(error), place=f"effects.{name}") from None
+    return replace(camera, effects=MappingProxyType(ordered))
+
+
+def camera_numbers(camera: Camera) -> dict[str, float]:
+    """Return every float of a camera by dotted path, effects as ``effects.NAME.PATH``."""
+    numbers: dict[str, float] = {}
+    for section in ("sensor", "optics", "radiometry", "noise"):
+        numbers.update(flatten(getattr(camera, section), f"{section}."))
+    for name, effect in camera.effects.items():
+        numbers.update(flatten(effect, f"effects.{name}."))
+    return numbers
+
+
+def with_numbers(camera: Camera, numbers: Mapping[str, float]) -> Camera:
+    """Return the camera with the numbers at dotted paths replaced. Raises KeyError for an unknown path."""
+    by_section: dict[str, dict[str, float]] = {}
+    for path, value in numbers.items():
+        section, _, rest = path.partition(".")
+        if section == "effects":
+            name, _, rest = rest.partition(".")
+            section = f"effects.{name}"
+        by_section.setdefault(section, {})[rest] = value
+    effects = dict(camera.effects)
+    sections: dict[str, Any] = {}
+    for section, values in by_section.items():
+        if section.startswith("effects."):
+            name = section.removeprefix("effects.")
+            if name not in effects:
+                raise KeyError(section)
+            effects[name] = with_values(effects[name], values)
+        elif section in ("sensor", "optics", "radiometry", "noise"):
+            sections[section] = with_values(getattr(camera, section), values)
+        else:
+            raise KeyError(section)
+    return with_effects(replace(camera, **sections), effects)
+
+
+def draw_parameters(camera: Camera, rng: np.random.Generator) -> Camera:
+    """Return the camera with its parameters drawn from the stated covariance around their values.
+
+    Raises `InputError` where the file states no covariance.
+    """
+    if camera.covariance is None:
+        raise InputError("the camera file states no covariance", place="covariance")
+    numbers = camera_numbers(camera)
+    names = camera.covariance.parameters
+    mean = np.array([numbers[name] for name in names])
+    drawn = rng.multivariate_normal(mean, camera.covariance.matrix.values, method="eigh")
+    return with_numbers(camera, dict(zip(names, drawn.tolist(), strict=True)))
+
+
+def save_camera(camera: Camera, path: str | os.PathLike[str], *, header: str = "") -> None:
+    """Write a camera file and the arrays that it names beside it; the YAML comes last and whole.
+
+    Raises `RimError` where it cannot be written.
+    """
+    path = Path(path)
+    for effect in camera.effects.values():
+        for one in arrays_of(effect):
+            _write_array(path.parent / one.file, one.values)
+    data: dict[str, Any] = {"format": CAMERA_FORMAT, "device": camera.device}
+    for section in ("sensor", "optics", "radiometry", "noise"):
+        data[section] = encode(getattr(camera, section))
+    data["minimum_amplitude"] = camera.minimum_amplitude
+    data["effects"] = {name: encode(effect) for name, effect in camera.effects.items()}
+    validity = {key: value for key, value in encode(camera.validity).items() if value is not None}
+    if validity:
+        data["validity"] = validity
+    if camera.covariance is not None:
+        _write_array(path.parent / camera.covariance.matrix.file, camera.covariance.matrix.values)
+        data["covariance"] = encode(camera.covariance)
+    if camera.provenance:
+        data["provenance"] = encode(camera.provenance)
+    write_yaml(path, data, header=header)
+
+
+def _write_array(path: Path, values: Any) -> None:
+    write_whole(path, lambda stream: np.save(stream, values, allow_pickle=False))

@@ -1,0 +1,1 @@
+"""Devices: whatever delivers raw frames, behind one interface."""

@@ -1,0 +1,33 @@
+"""The interface of a camera."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from rim_camera_ros.frame import RawFrame
+
+
+class Device(Protocol):
+    """Whatever delivers raw frames: open, change settings, next frame, close.
+
+    ``next_frame`` blocks until the next frame is due (for a device in real time), and returns None
+    at the end of what there is. All methods raise `RimError` in one line; a device that failed can be
+    closed and opened again.
+    """
+
+    frame_rate: float
+
+    def open(self) -> None:
+        """Make the device ready; a no-op when it is."""
+
+    def next_frame(self) -> RawFrame | None:
+        """Return the next frame, or None at the end."""
+
+    def set_integration_time(self, value: float) -> None:
+        """Change the integration time (device's own unit) from the next frame on."""
+
+    def set_frame_rate(self, value: float) -> None:
+        """Change the frame rate in Hz from the next frame on."""
+
+    def close(self) -> None:
+        """Release the device; a no-op when it is closed."""

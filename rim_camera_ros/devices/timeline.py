@@ -1,0 +1,172 @@
+"""Exposures over time: a scene's schedule, or the stamps, settings and poses of a recording."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.frame import NANOSECONDS, Pose, RawFrame, Settings
+from rim_camera_ros.pipeline.simulate import Exposure
+from rim_camera_ros.scene import Scene, Station
+
+#: Integration time where neither scene nor camera file states one.
+DEFAULT_INTEGRATION_TIME = 100.0
+#: Ambient temperature in degC where the scene states none.
+DEFAULT_AMBIENT = 20.0
+#: The camera body warms by this many degC above ambient, with this time constant in seconds.
+SELF_HEATING = 18.0
+SELF_HEATING_TIME = 120.0
+
+
+def body_temperature(*, ambient: float, uptime: float) -> float:
+    """Return the simulated temperature of the camera body in degC, ``uptime`` seconds after power-on."""
+    return ambient + SELF_HEATING * (1.0 - math.exp(-uptime / SELF_HEATING_TIME))
+
+
+class Timeline:
+    """The exposures of a scene's schedule, one after the other, with the state that they carry on.
+
+    Without a schedule one station holds for ever (`Scene`'s default is 100 frames at 25 Hz: see
+    ``length``). A station's ``uptime`` that lies ahead means waiting until then; one that lies behind
+    means that the camera was switched off and on. ``rate`` and ``integration_time`` can be changed
+    between frames and then override the schedule until its next station states its own.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        camera: Camera,
+        *,
+        start: int = 0,
+        uptime: float = 0.0,
+        integration_time: float | None = None,
+        rate: float | None = None,
+        repeat: bool = False,
+    ) -> None:
+        self.scene = scene
+        self.camera = camera
+        self.repeat = repeat
+        self._stations = scene.schedule or (Station(),)
+        self._endless = not scene.schedule
+        self._station = 0
+        self._count = 0
+        self._done_stations = 0
+        self._uptime = uptime
+        self._stamp = start
+        self._first = True
+        self._poses = {name: (pose, start) for name, pose in scene.fixed_poses().items()}
+        self._ambient = DEFAULT_AMBIENT
+        self.rate = rate if rate is not None else 25.0
+        self._given_rate = rate
+        fallback = camera.sensor.integration_time or DEFAULT_INTEGRATION_TIME
+        self.integration_time = integration_time if integration_time is not None else fallback
+        self._given_integration_time = integration_time
+
+    @property
+    def length(self) -> int:
+        """Number of frames of the schedule (100 without one)."""
+        return sum(one.frames for one in self._stations)
+
+    @property
+    def stamp(self) -> int:
+        """Stamp in ns of the coming exposure."""
+        return self._stamp
+
+    def next(self, *, stamp: int | None = None) -> Exposure | None:
+        """Return the next exposure, or None at the end of a schedule that does not repeat.
+
+        ``stamp`` [ns] sets the time of a camera that runs in real time.
+        """
+        if self._station >= len(self._stations):
+            if not self.repeat:
+                return None
+            self._station = 0
+        station = self._stations[self._station]
+        if stamp is not None and not self._first:
+            self._uptime += (stamp - self._stamp) / NANOSECONDS
+            self._stamp = stamp
+        elif stamp is not None:
+            self._stamp = stamp
+        if self._count == 0:
+            self._enter(station)
+        exposure = Exposure(
+            stamp=self._stamp,
+            settings=Settings(
+                integration_time=self.integration_time,
+                modulation_frequency=self.camera.sensor.modulation_frequency,
+                uptime=self._uptime,
+                body_temperature=body_temperature(ambient=self._ambient, uptime=self._uptime),
+                ambient_temperature=self._ambient,
+            ),
+            poses=self._current_poses(),
+            station=self._done_stations,
+        )
+        self._first = False
+        step = round(NANOSECONDS / self.rate)
+        self._stamp += step
+        self._uptime += step / NANOSECONDS
+        self._count += 1
+        if self._count >= station.frames and not self._endless:
+            self._count = 0
+            self._station += 1
+            self._done_stations += 1
+        return exposure
+
+    def __iter__(self) -> Iterator[Exposure]:
+        while (exposure := self.next()) is not None:
+            yield exposure
+
+    def _enter(self, station: Station) -> None:
+        self.rate = self._given_rate if self._given_rate is not None else station.rate
+        if self._given_integration_time is None and station.integration_time is not None:
+            self.integration_time = station.integration_time
+        if station.ambient is not None:
+            self._ambient = station.ambient
+        if station.uptime is not None:
+            if station.uptime > self._uptime and not self._first:
+                self._stamp += round((station.uptime - self._uptime) * NANOSECONDS)
+            self._uptime = station.uptime
+        for name, pose in station.poses.items():
+            self._poses[name] = (pose.pose, self._stamp)
+
+    def _current_poses(self) -> dict[str, Pose]:
+        """Poses now: resting surfaces as the moving camera sees them since their pose was stated."""
+        motion = self.scene.camera_motion
+        return {
+            name: motion.carry(pose, (self._stamp - since) / NANOSECONDS)
+            for name, (pose, since) in self._poses.items()
+        }
+
+
+def exposures_like(frames: Iterable[RawFrame], scene: Scene, camera: Camera) -> Iterator[Exposure]:
+    """Yield exposures with the stamps, settings, temperatures and truth poses of recorded frames.
+
+    Surfaces with ``pose: truth`` take the recorded pose, which holds at each frame as recorded; the others the
+    scene file's, carried on by the camera's motion from the first frame. Frames with the same pose
+    messages form one station. Raises `InputError` where a truth pose is missing.
+    """
+    first: int | None = None
+    station, key = -1, None
+    motion = scene.camera_motion
+    for frame in frames:
+        if first is None:
+            first = frame.stamp
+        poses = scene.poses_for(frame.truth)
+        for name in scene.fixed_poses():
+            poses[name] = motion.carry(poses[name], (frame.stamp - first) / NANOSECONDS)
+        stamps = tuple(sorted(frame.pose_stamps.items()))
+        if stamps != key or station < 0:
+            station, key = station + 1, stamps
+        settings = frame.settings
+        if settings.integration_time is None:
+            fallback = camera.sensor.integration_time or DEFAULT_INTEGRATION_TIME
+            settings = replace(settings, integration_time=fallback)
+        yield Exposure(
+            stamp=frame.stamp,
+            settings=settings,
+            poses=poses,
+            station=station,
+            pose_stamp=max(frame.pose_stamps.values(), default=None),
+        )

@@ -1,0 +1,54 @@
+"""Compressed amplitude response."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.base import Column, Context, Effect, Image, Signal
+from rim_camera_ros.parameters import quantity
+
+
+@dataclass(frozen=True)
+class AmplitudeNonlinearity(Effect):
+    """The published amplitude is A / (1 + compression * A). Distances are not touched."""
+
+    name = "amplitude_nonlinearity"
+    title = "compressed amplitude response"
+    observable = "one target at several integration times or distances, bright to dark"
+    refuted_by = "amplitudes in proportion to integration time over distance^2 up to saturation"
+
+    compression: float = quantity("1/counts", "0: linear", minimum=0.0, typical=1e-5)
+
+    def compressed(self, amplitude: Image) -> Image:
+        """Return the published amplitude in counts."""
+        result: Image = amplitude / (1 + self.compression * amplitude)
+        return result
+
+    def expanded(self, published: Image) -> Image:
+        """Return A = P / (1 - compression * P); infinite at and above its asymptote."""
+        rest = 1 - self.compression * published
+        with np.errstate(divide="ignore"):
+            return np.where(rest > 0, published / np.where(rest > 0, rest, 1.0), np.inf)
+
+    def simulate(self, signal: Signal, context: Context) -> Signal:
+        return replace(signal, published=self.compressed(signal.amplitude))
+
+    def correct(self, signal: Signal, context: Context) -> Signal:
+        return replace(signal, amplitude=self.expanded(signal.published_amplitude), published=None)
+
+    def columns(self, signal: Signal, context: Context) -> dict[str, Column]:
+        compressed = self.compressed(signal.amplitude)
+        return {"compression": (np.zeros_like(signal.distance), -(compressed**2))}
+
+    def sentence(self) -> str:
+        at = 10000.0
+        return (
+            f"amplitude response: {at:.0f} counts of light are published as {at / (1 + self.compression * at):.0f}"
+        )
+
+    @classmethod
+    def example(cls, camera: Camera) -> AmplitudeNonlinearity:
+        return cls(compression=4e-6)

@@ -1,0 +1,90 @@
+"""Amplitude-dependent distance (Kahlmann 2007, sec. 3.3.5, eqs. 3.6, 3.7, table 3.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.base import (
+    Column,
+    Context,
+    Dependency,
+    DistanceTerm,
+    Image,
+    Signal,
+    combine_rows,
+    need_rows,
+    row_name,
+    row_weights,
+)
+from rim_camera_ros.parameters import quantity
+
+
+@dataclass(frozen=True)
+class Hyperbola:
+    """a / (A - b)."""
+
+    a: float = quantity("m*counts", "strength", typical=250.0)
+    b: float = quantity("counts", "pole", typical=10.0)
+
+
+@dataclass(frozen=True)
+class AmplitudeOffset(DistanceTerm):
+    """+ a / (A - b), by rows per integration time; no measurement where A <= b + 1 count."""
+
+    name = "amplitude_offset"
+    title = "amplitude-dependent distance"
+    observable = "patches of different reflectivity side by side on one plane (a grey wedge)"
+    refuted_by = "dark and bright patches of one plane at the same distance"
+
+    hyperbola: Mapping[float, Hyperbola] = quantity("-", "by integration time")
+
+    def __post_init__(self) -> None:
+        need_rows(self.hyperbola, "hyperbola")
+
+    def depends_on(self) -> frozenset[Dependency]:
+        return frozenset({"amplitude", "settings"})
+
+    def term(self, distance: Image, amplitude: Image, context: Context) -> Image | float:
+        def row(one: Hyperbola) -> Image:
+            usable = amplitude > one.b + 1.0
+            return np.where(usable, one.a / np.where(usable, amplitude - one.b, 1.0), np.nan)
+
+        return combine_rows(self.hyperbola, context, row)
+
+    def slope(self, amplitude: Image, context: Context) -> Image | float:
+        """Return d term / d A in m/count (NaN where there is no measurement)."""
+
+        def row(one: Hyperbola) -> Image:
+            usable = amplitude > one.b + 1.0
+            return np.where(usable, -one.a / np.where(usable, amplitude - one.b, 1.0) ** 2, np.nan)
+
+        return combine_rows(self.hyperbola, context, row)
+
+    def columns(self, signal: Signal, context: Context) -> dict[str, Column]:
+        result: dict[str, Column] = {}
+        weights = dict(row_weights(self.hyperbola, lambda: context.integration_time))
+        for key, one in self.hyperbola.items():
+            weight = weights.get(key, 0.0)
+            usable = signal.amplitude > one.b + 1.0
+            safe = np.where(usable, signal.amplitude - one.b, 1.0)
+            prefix = f"hyperbola.{row_name(key)}"
+            result[f"{prefix}.a"] = (np.where(usable, weight / safe, np.nan), 0.0)
+            result[f"{prefix}.b"] = (np.where(usable, weight * one.a / safe**2, np.nan), 0.0)
+        return result
+
+    def sentence(self) -> str:
+        parts = []
+        for key, one in sorted(self.hyperbola.items()):
+            at = max(one.b + 2, abs(one.a) / 0.05)
+            parts.append(f"{one.a / (at - one.b) * 1e3:.0f} mm at {at:.0f} counts (setting {row_name(key)})")
+        return "amplitude-dependent distance: dark surfaces are measured too far, by " + ", ".join(parts)
+
+    @classmethod
+    def example(cls, camera: Camera) -> AmplitudeOffset:
+        rows = {16.0: Hyperbola(85.71, 0.995), 60.0: Hyperbola(237.0, 15.71), 100.0: Hyperbola(383.3, 4.036)}
+        return cls(hyperbola=MappingProxyType(rows))

@@ -1,0 +1,60 @@
+"""Emission pattern of the LEDs and vignetting (Kahlmann 2007, sec. 3.3.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.base import ComplexEffect, Context, Image
+from rim_camera_ros.parameters import quantity
+
+
+def squared_angle(camera: Camera) -> Image:
+    """Return q (H, W): the square of the angle from the optical axis in rad."""
+    return np.square(np.arccos(np.clip(camera.rays[..., 2], -1.0, 1.0)))
+
+
+@dataclass(frozen=True)
+class EmissionPattern(ComplexEffect):
+    """Relative power 1 + f1 q + f2 q^2 with q = (angle from the optical axis in rad)^2."""
+
+    name = "emission_pattern"
+    title = "LED lobe and vignetting"
+    observable = "a surface of known reflectivity that fills the image, or one seen at many places of it"
+    refuted_by = "amplitude over distance^2 of one patch that stays the same wherever in the image it is"
+
+    falloff: tuple[float, float] = quantity("rad^-2, rad^-4", "f1, f2", typical=2.0)
+
+    def check(self, camera: Camera) -> None:
+        if not np.all(self.power(camera) > 0):
+            raise ValueError("falloff must leave the relative power positive over the whole array")
+
+    def power(self, camera: Camera) -> Image:
+        """Return the relative power (H, W)."""
+        q = squared_angle(camera)
+        return 1 + q * (self.falloff[0] + q * self.falloff[1])
+
+    def apply(self, phasor: Image, context: Context) -> Image:
+        return phasor * self.power(context.camera)
+
+    def invert(self, phasor: Image, context: Context) -> Image:
+        return phasor / self.power(context.camera)
+
+    def phasor_columns(self, phasor: Image, context: Context) -> dict[str, Image]:
+        q = squared_angle(context.camera)
+        return {"falloff.0": phasor * q, "falloff.1": phasor * q * q}
+
+    def sentence(self) -> str:
+        q = np.radians(22.5) ** 2
+        share = 1 + q * (self.falloff[0] + q * self.falloff[1])
+        return (
+            f"emission pattern: {share:.0%} of the light on the axis is emitted 22.5 degrees (25 gon) beside it; "
+            "amplitudes towards the image's edges are lower by that"
+        )
+
+    @classmethod
+    def example(cls, camera: Camera) -> EmissionPattern:
+        q = float(squared_angle(camera).max())
+        return cls(falloff=(-1.2 / q, 0.7 / q**2))

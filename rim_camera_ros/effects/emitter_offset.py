@@ -1,0 +1,77 @@
+"""LEDs beside the lens (Kahlmann 2007, sec. 3.3.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.base import Column, Context, Effect, Image, Signal
+from rim_camera_ros.parameters import quantity
+
+
+@dataclass(frozen=True)
+class EmitterOffset(Effect):
+    """The light travels from the emitter at e to the point P and back: d = (|P| + |P - e|) / 2.
+
+    distance^2 in the radiometry becomes |P - e|^2.
+    """
+
+    name = "emitter_offset"
+    title = "emitter beside the lens"
+    observable = "near surfaces (below 1 m) at several distances and directions"
+    refuted_by = "a distance error that does not decrease with distance as 1 / d beyond its constant part"
+
+    position: tuple[float, float, float] = quantity("m", "e in the optical frame", typical=0.03)
+
+    def _paths(self, length: Image, context: Context) -> tuple[Image, Image]:
+        """Return P - e (H, W, 3) and its length for points at ``length`` along the rays."""
+        beside = length[..., None] * context.camera.rays - np.array(self.position)
+        return beside, np.linalg.norm(beside, axis=-1)
+
+    def simulate(self, signal: Signal, context: Context) -> Signal:
+        length = signal.distance
+        _, out = self._paths(length, context)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factor = np.where(out > 0, (length / out) ** 2, 1.0)
+        factor = np.where(np.isfinite(factor), factor, 1.0)
+        return replace(signal, distance=(length + out) / 2, amplitude=signal.amplitude * factor)
+
+    def correct(self, signal: Signal, context: Context) -> Signal:
+        """Solve |P| + |P - e| = 2 d in closed form: |P| = (4 d^2 - |e|^2) / (4 d - 2 ray . e)."""
+        length = self.length(signal.distance, context.camera.rays @ np.array(self.position))
+        _, out = self._paths(length, context)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factor = np.where(length > 0, (out / length) ** 2, 1.0)
+        factor = np.where(np.isfinite(factor), factor, 1.0)
+        return replace(signal, distance=length, amplitude=signal.amplitude * factor)
+
+    def length(self, half_path: Image, ray_dot_emitter: Image) -> Image:
+        """Return |P| in metres for half the path; NaN where no point has so short a path."""
+        square = sum(e * e for e in self.position)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            result = (4 * half_path**2 - square) / (4 * half_path - 2 * ray_dot_emitter)
+            return np.where(half_path * 2 > np.sqrt(square), result, np.nan).astype(half_path.dtype)
+
+    def columns(self, signal: Signal, context: Context) -> dict[str, Column]:
+        length = signal.distance
+        beside, out = self._paths(length, context)
+        result: dict[str, Column] = {}
+        for i in range(3):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                by_out = -beside[..., i] / out
+                by_amplitude = -2 * signal.amplitude * length**2 / out**3 * by_out
+            result[f"position.{i}"] = (by_out / 2, np.where(np.isfinite(by_amplitude), by_amplitude, 0.0))
+        return result
+
+    def sentence(self) -> str:
+        beside = float(np.linalg.norm(self.position)) * 1e3
+        return (
+            f"emitter offset: the light leaves {beside:.0f} mm from the lens; "
+            "near and oblique surfaces are measured along another path than back"
+        )
+
+    @classmethod
+    def example(cls, camera: Camera) -> EmitterOffset:
+        return cls(position=(0.02, -0.035, 0.004))

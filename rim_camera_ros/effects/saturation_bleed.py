@@ -1,0 +1,73 @@
+"""Rows and columns beside saturated pixels (Kahlmann 2007, sec. 3.3.1, fig. 3.12)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.base import (
+    Column,
+    Context,
+    Dependency,
+    DistanceTerm,
+    Image,
+    Signal,
+    Undo,
+)
+from rim_camera_ros.parameters import quantity
+
+
+@dataclass(frozen=True)
+class SaturationBleed(DistanceTerm):
+    """Added to every unsaturated pixel of a row (column) that holds a saturated one; negative = shorter.
+
+    Undone as far as the frame's own saturated pixels tell: what saturates is seen after the noise.
+    """
+
+    name = "saturation_bleed"
+    title = "rows and columns beside saturated pixels"
+    observable = "a retro-reflective target that saturates, before a plane"
+    refuted_by = "rows with saturated pixels that measure as the rows beside them"
+    undo: ClassVar[Undo] = "partial"
+
+    row: float = quantity("m", "for pixels of the same row", default=0.0, typical=0.02)
+    column: float = quantity("m", "for pixels of the same column", default=0.0, typical=0.02)
+
+    def depends_on(self) -> frozenset[Dependency]:
+        return frozenset({"frame"})
+
+    def term(self, distance: Image, amplitude: Image, context: Context) -> Image | float:
+        saturated = context.saturated
+        if saturated is None or not saturated.any():
+            return 0.0
+        rows, columns = _beside(saturated)
+        return self.row * rows + self.column * columns
+
+    def columns(self, signal: Signal, context: Context) -> dict[str, Column]:
+        saturated = context.saturated
+        if saturated is None:
+            saturated = np.zeros(signal.distance.shape, bool)
+        rows, columns = _beside(saturated)
+        return {"row": (rows, 0.0), "column": (columns, 0.0)}
+
+    def sentence(self) -> str:
+        return (
+            f"saturation: pixels in the row of a saturated one measure {self.row * 1e3:+.1f} mm, "
+            f"in its column {self.column * 1e3:+.1f} mm"
+        )
+
+    @classmethod
+    def example(cls, camera: Camera) -> SaturationBleed:
+        return cls(row=-0.021, column=-0.008)
+
+
+def _beside(saturated: NDArray[np.bool_]) -> tuple[Image, Image]:
+    """Return 1.0 for unsaturated pixels of rows, and of columns, that hold a saturated one."""
+    free = ~saturated
+    rows = saturated.any(axis=1, keepdims=True) & free
+    columns = saturated.any(axis=0, keepdims=True) & free
+    return rows.astype(float), columns.astype(float)

@@ -1,0 +1,134 @@
+"""Stray light between lens, filter and chip (Kahlmann 2007, sec. 3.3.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.convolution import (
+    Spreading,
+    complex_image,
+    gaussian_matrix,
+    gaussian_matrix_by_sigma,
+    planar,
+    shift,
+)
+from rim_camera_ros.effects.base import ComplexEffect, Context, Image
+from rim_camera_ros.parameters import quantity
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A Gaussian halo."""
+
+    weight: float = quantity("-", "share of each pixel's light", minimum=0.0, below=0.95, typical=0.1)
+    sigma: tuple[float, float] = quantity("px", "along row, along column", minimum=0.0, typical=30.0)
+
+
+@dataclass(frozen=True)
+class Ghost:
+    """A shifted weak image."""
+
+    weight: float = quantity("-", "share of each pixel's light", minimum=0.0, below=0.5, typical=0.01)
+    shift: tuple[float, float] = quantity("px", "columns, rows", typical=20.0)
+
+
+@dataclass(frozen=True)
+class Scattering(ComplexEffect):
+    """S_out = (1 - sum of weights) S + sum weight (G * S) + weight_ghost S(u - du, v - dv).
+
+    The sum of weights includes the ghost's, so that light is neither made nor lost within the
+    infinite grid. Undone exactly and without regularisation (`convolution.Spreading` says why and
+    how much noise it adds). Mure-Dubois & Hügli (2007) model the SwissRanger by such sums of Gaussians.
+    """
+
+    name = "scattering"
+    title = "stray light between lens, filter and chip"
+    observable = "dark targets beside bright near ones, or an object that enters the view of a fixed scene"
+    refuted_by = "a dark target whose distance stays when the surface around it changes from black to white"
+
+    kernels: tuple[Kernel, ...] = quantity("-", "sums of Gaussians")
+    ghost: Ghost | None = quantity("-", "shifted image", default=None)
+
+    def __post_init__(self) -> None:
+        if not self.kernels and self.ghost is None:
+            raise ValueError("give kernels or a ghost")
+        if self.total_weight > 0.95:
+            raise ValueError(f"the weights add up to {self.total_weight:.3g}, at most 0.95 is allowed")
+
+    @property
+    def total_weight(self) -> float:
+        """Share of the light that does not arrive where it belongs."""
+        return sum(k.weight for k in self.kernels) + (self.ghost.weight if self.ghost else 0.0)
+
+    def operator(self, shape: tuple[int, int], dtype: Any = np.float64) -> Spreading:
+        """Return the (cached) operator for one sensor size and precision."""
+        return _operator(self, shape, np.dtype(dtype).name)
+
+    def apply(self, phasor: Image, context: Context) -> Image:
+        dtype = phasor.real.dtype
+        return complex_image(self.operator(phasor.shape, dtype).apply(planar(phasor)))
+
+    def invert(self, phasor: Image, context: Context) -> Image:
+        dtype = phasor.real.dtype
+        return complex_image(self.operator(phasor.shape, dtype).solve(planar(phasor)))
+
+    def phasor_columns(self, phasor: Image, context: Context) -> dict[str, Image]:
+        height, width = phasor.shape
+        result: dict[str, Image] = {}
+        for i, kernel in enumerate(self.kernels):
+            across = gaussian_matrix(width, kernel.sigma[0])
+            down = gaussian_matrix(height, kernel.sigma[1])
+            result[f"kernels.{i}.weight"] = down @ phasor @ across - phasor
+            result[f"kernels.{i}.sigma.0"] = (
+                kernel.weight * down @ phasor @ gaussian_matrix_by_sigma(width, kernel.sigma[0])
+            )
+            result[f"kernels.{i}.sigma.1"] = (
+                kernel.weight * gaussian_matrix_by_sigma(height, kernel.sigma[1]) @ phasor @ across
+            )
+        if self.ghost is not None:
+            du, dv = self.ghost.shift
+            moved = shift(phasor, columns=du, rows=dv)
+            result["ghost.weight"] = moved - phasor
+            result["ghost.shift.0"] = self.ghost.weight * (
+                shift(phasor, columns=np.floor(du) + 1, rows=dv) - shift(phasor, columns=np.floor(du), rows=dv)
+            )
+            result["ghost.shift.1"] = self.ghost.weight * (
+                shift(phasor, columns=du, rows=np.floor(dv) + 1) - shift(phasor, columns=du, rows=np.floor(dv))
+            )
+        return result
+
+    def sentence(self) -> str:
+        parts = [
+            f"{k.weight:.2%} of each pixel's light is spread over about {np.mean(k.sigma):.3g} pixels"
+            for k in self.kernels
+        ]
+        if self.ghost is not None:
+            parts.append(
+                f"{self.ghost.weight:.2%} forms a ghost shifted by {self.ghost.shift[0]:.3g}, "
+                f"{self.ghost.shift[1]:.3g} pixels"
+            )
+        return "stray light: " + "; ".join(parts) + "; dark targets are pulled towards bright surfaces"
+
+    @classmethod
+    def example(cls, camera: Camera) -> Scattering:
+        width = camera.sensor.width
+        return cls(
+            kernels=(Kernel(0.08, (width / 12, width / 15)), Kernel(0.05, (width / 4, width / 3))),
+            ghost=Ghost(0.004, (width / 20 + 0.3, -width / 30)),
+        )
+
+
+@lru_cache(maxsize=16)
+def _operator(effect: Scattering, shape: tuple[int, int], dtype: str) -> Spreading:
+    ghost = effect.ghost
+    return Spreading(
+        shape,
+        [(k.weight, k.sigma[0], k.sigma[1]) for k in effect.kernels],
+        None if ghost is None else (ghost.weight, ghost.shift[0], ghost.shift[1]),
+        dtype=dtype,
+    )

@@ -1,0 +1,69 @@
+"""Drift after power-on (Kahlmann 2007, secs. 3.3.7, 4.3.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.base import Column, Context, DistanceTerm, Image, Signal
+from rim_camera_ros.parameters import quantity
+
+
+@dataclass(frozen=True)
+class Exponential:
+    """amplitude * exp(-uptime / time_constant)."""
+
+    amplitude: float = quantity("m", "at power-on", typical=0.05)
+    time_constant: float = quantity("s", "decay", above=0.0, typical=200.0)
+
+
+@dataclass(frozen=True)
+class WarmUpDrift(DistanceTerm):
+    """+ sum of amplitude * exp(-uptime / time_constant); without uptime off, which is said."""
+
+    name = "warm_up_drift"
+    title = "drift after power-on"
+    observable = "a fixed scene from power-on until it is stable (SR-3000 6 min, SR-2 12 min), with uptime"
+    refuted_by = "a drift that does not start at power-on"
+
+    terms: tuple[Exponential, ...] = quantity("-", "sum of exponentials")
+
+    def __post_init__(self) -> None:
+        if not self.terms:
+            raise ValueError("terms is empty: give at least one")
+
+    def term(self, distance: Image, amplitude: Image, context: Context) -> Image | float:
+        uptime = context.settings.uptime
+        if uptime is None:
+            context.notes.add("warm_up_drift is off: the recording states no uptime")
+            return 0.0
+        return float(sum(one.amplitude * np.exp(-uptime / one.time_constant) for one in self.terms))
+
+    def rate(self, uptime: float) -> float:
+        """Return the drift in metres per second at an uptime in seconds."""
+        return float(
+            sum(-one.amplitude / one.time_constant * np.exp(-uptime / one.time_constant) for one in self.terms)
+        )
+
+    def columns(self, signal: Signal, context: Context) -> dict[str, Column]:
+        uptime = context.settings.uptime
+        ones = np.ones_like(signal.distance)
+        result: dict[str, Column] = {}
+        for i, one in enumerate(self.terms):
+            decay = 0.0 if uptime is None else float(np.exp(-uptime / one.time_constant))
+            by_constant = 0.0 if uptime is None else one.amplitude * decay * uptime / one.time_constant**2
+            result[f"terms.{i}.amplitude"] = (ones * decay, 0.0)
+            result[f"terms.{i}.time_constant"] = (ones * by_constant, 0.0)
+        return result
+
+    def sentence(self) -> str:
+        parts = [
+            f"{one.amplitude * 1e3:+.0f} mm decaying over {one.time_constant:.0f} s" for one in self.terms
+        ]
+        return "warm-up: after power-on distances drift by " + " and ".join(parts)
+
+    @classmethod
+    def example(cls, camera: Camera) -> WarmUpDrift:
+        return cls(terms=(Exponential(-0.07, 23.0), Exponential(-0.025, 140.0)))

@@ -1,0 +1,61 @@
+"""Files that ship with the package: camera files, scene files, found by name."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from rim_camera_ros.errors import InputError, nearest_name
+
+_CAMERAS = "calibration"
+_SCENES = "config"
+
+
+def share_folder() -> Path:
+    """Return the folder that holds ``calibration`` and ``config``: the source tree or share/."""
+    source = Path(__file__).resolve().parents[1]
+    if (source / "package.xml").is_file():
+        return source
+    candidates = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    candidates += list(Path(__file__).resolve().parents)
+    for prefix in candidates:
+        share = prefix / "share" / "rim_camera_ros"
+        if (share / _CAMERAS).is_dir():
+            return share
+    raise InputError("the shipped camera and scene files cannot be found", remedy="reinstall the package")
+
+
+def find_camera(name: str) -> Path:
+    """Return the path of a camera file, given as a path or by the name of a shipped one."""
+    return _find(name, _CAMERAS, "camera file")
+
+
+def find_scene(name: str) -> Path:
+    """Return the path of a scene file, given as a path or by the name of a shipped one."""
+    return _find(name, _SCENES, "scene file")
+
+
+def shipped(kind: str) -> list[str]:
+    """Return the names of the shipped files of kind ``calibration`` or ``config``."""
+    wanted = b"format: rim_camera/" if kind == _CAMERAS else b"format: rim_scene/"
+    return sorted(p.stem for p in (share_folder() / kind).glob("*.yaml") if wanted in p.read_bytes())
+
+
+def _find(name: str, kind: str, words: str) -> Path:
+    path = Path(name)
+    if path.exists() or path.suffix in (".yaml", ".yml") or len(path.parts) > 1:
+        if path.is_file():
+            return path
+        problem = "is a folder" if path.is_dir() else "no such file"
+        raise InputError(problem, file=name, remedy=f"give a {words} or one of: {_listed(shipped(kind))}")
+    known = shipped(kind)
+    if name in known:
+        return share_folder() / kind / f"{name}.yaml"
+    raise InputError(
+        f"no {words} of this name", file=name, remedy=f"{nearest_name(name, known)}; shipped: {_listed(known)}"
+    )
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(names)

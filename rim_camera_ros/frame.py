@@ -1,0 +1,114 @@
+"""Frames: what a camera delivers and what the correction makes of it."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+NANOSECONDS = 1_000_000_000
+
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+class Flag(enum.IntFlag):
+    """Bits of the flags image."""
+
+    LOW_AMPLITUDE = 1
+    SATURATED = 2
+    MIXED_PIXEL = 4
+    OUTSIDE_CALIBRATION = 8
+    NO_MEASUREMENT = 16
+
+
+#: Bits with which a pixel has no corrected distance and no point.
+INVALID = Flag.LOW_AMPLITUDE | Flag.SATURATED | Flag.NO_MEASUREMENT
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Pose of a surface frame in the camera optical frame (x right, y down, z forward).
+
+    ``position`` in metres, ``orientation`` as the unit quaternion x y z w.
+    """
+
+    position: tuple[float, float, float]
+    orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """The camera's settings and state with one frame; None where unknown.
+
+    ``integration_time`` in the device's own unit, ``modulation_frequency`` in Hz, ``uptime`` in s
+    since power-on, temperatures in degC, ``reference_distance`` (internal reference path) in m.
+    ``extra`` holds the further key/value pairs of the frame_info message.
+    """
+
+    integration_time: float | None = None
+    modulation_frequency: float | None = None
+    uptime: float | None = None
+    body_temperature: float | None = None
+    ambient_temperature: float | None = None
+    reference_distance: float | None = None
+    extra: Mapping[str, str] = _NOTHING
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Intrinsics:
+    """What a camera_info message says: size in pixels, focal lengths, principal point, plumb_bob."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    d: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RawFrame:
+    """One exposure as the camera delivers it.
+
+    ``distance`` (H, W): uint16 counts (one count = ``distance_lsb``; 0 = no measurement) or float32
+    metres (NaN or 0 = no measurement). ``amplitude`` (H, W): uint16 or float32 counts.
+    ``stamp`` in nanoseconds. ``truth`` holds the poses of scene surfaces that are valid for this
+    frame (the last message of each surface at or before the stamp); ``pose_stamps`` their stamps.
+    """
+
+    stamp: int
+    distance: NDArray[Any]
+    amplitude: NDArray[Any]
+    settings: Settings = field(default_factory=Settings)
+    truth: Mapping[str, Pose] = _NOTHING
+    pose_stamps: Mapping[str, int] = _NOTHING
+    intrinsics: Intrinsics | None = None
+    device: str = ""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) in pixels."""
+        return (int(self.distance.shape[0]), int(self.distance.shape[1]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CorrectedFrame:
+    """One exposure after the correction, all (H, W).
+
+    ``distance`` float32: corrected radial distance in metres, NaN where invalid. ``sigma`` float32:
+    its standard deviation in metres, NaN where invalid. ``amplitude`` float32: counts after undoing
+    compression and scattering. ``flags`` uint8, see `Flag`.
+    """
+
+    stamp: int
+    distance: NDArray[np.float32]
+    amplitude: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+    flags: NDArray[np.uint8]
+    settings: Settings = field(default_factory=Settings)

@@ -1,0 +1,533 @@
+"""YAML files <-> frozen dataclasses: types, units, bounds, places of errors.
+
+Every parameter group of a camera or scene file is a frozen dataclass; `decode` builds it from what
+YAML holds, `encode` is its inverse, `flatten` and `with_values` reach its numbers by dotted path, the
+form in which a covariance or a diagnosis names them (``harmonics.0.amplitude``).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import re
+import tempfile
+import types
+import typing
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar, cast
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from rim_camera_ros.errors import InputError, RimError, nearest_name
+
+T = TypeVar("T")
+
+_MAXIMUM_FILE_SIZE = 64 * 2**20
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayFile:
+    """An array that lies in a ``.npy`` file beside the YAML file that names it."""
+
+    file: str
+    values: NDArray[Any]
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, ArrayFile)
+            and self.file == other.file
+            and np.array_equal(self.values, other.values, equal_nan=True)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+@dataclass(frozen=True, eq=False)
+class NestedList:
+    """A rectangular nested list of numbers, of any number of dimensions."""
+
+    values: NDArray[np.float64]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, NestedList) and np.array_equal(self.values, other.values)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+def quantity(
+    unit: str,
+    doc: str,
+    *,
+    default: Any = dataclasses.MISSING,
+    minimum: float = -math.inf,
+    above: float = -math.inf,
+    maximum: float = math.inf,
+    below: float = math.inf,
+    typical: float | None = None,
+) -> Any:
+    """Declare a dataclass field with its unit, a sentence on it, and the bounds of its numbers.
+
+    ``typical`` is the size that is common among such cameras: the 1-sigma of a weak prior around 0
+    (or around the default) where a fit needs one.
+    """
+    metadata = {
+        "unit": unit,
+        "doc": doc,
+        "minimum": minimum,
+        "above": above,
+        "maximum": maximum,
+        "below": below,
+        "typical": typical,
+    }
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class Document:
+    """A parsed YAML file: plain values, and the line (from 1) of each by path."""
+
+    path: Path
+    data: Any
+    lines: Mapping[tuple[Any, ...], int]
+
+    @property
+    def folder(self) -> Path:
+        return self.path.parent
+
+    def error(self, place: tuple[Any, ...], problem: str, remedy: str | None = None) -> InputError:
+        """Return an error that names this file and the place with its line."""
+        known = place
+        while known and known not in self.lines:
+            known = known[:-1]
+        line = self.lines.get(known)
+        text = ".".join(str(part) for part in place)
+        if line is not None:
+            text = f"{text} (line {line})" if text else f"line {line}"
+        return InputError(problem, file=self.path, place=text or None, remedy=remedy)
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML in which 1e-3 is a number (as in YAML 1.2) and aliases are refused."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):  # type: ignore[no-untyped-call]
+            event = self.peek_event()  # type: ignore[no-untyped-call]
+            raise yaml.constructor.ConstructorError(
+                None, None, "aliases (*name) are not supported", event.start_mark
+            )
+        return super().compose_node(parent, index)  # type: ignore[no-untyped-call]
+
+
+_Loader.add_implicit_resolver(  # type: ignore[no-untyped-call]
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)[eE][-+]?[0-9]+$"),
+    list("-+0123456789."),
+)
+
+
+def read_yaml(path: str | os.PathLike[str]) -> Document:
+    """Read a YAML file safely, with the line of every value.
+
+    Raises `InputError` where the file is absent, unreadable, not YAML, holds a key twice or an alias.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > _MAXIMUM_FILE_SIZE:
+            raise InputError("is larger than 64 MiB", file=path, remedy="is this the right file?")
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise InputError("is not a text file", file=path, remedy="give a YAML file") from None
+    except OSError as error:
+        raise InputError(_os_reason(error), file=path, remedy="check the path and permissions") from None
+    lines: dict[tuple[Any, ...], int] = {}
+    try:
+        loader = _Loader(text)
+        try:
+            node = loader.get_single_node()  # type: ignore[no-untyped-call]
+            data = None if node is None else _construct(loader, node, (), lines, path)
+        finally:
+            loader.dispose()  # type: ignore[no-untyped-call]
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = f"line {mark.line + 1}" if mark else None
+        problem = f"not valid YAML: {error.problem or error.context}"
+        raise InputError(problem, file=path, place=place, remedy="mend the syntax") from None
+    except (yaml.YAMLError, ValueError, OverflowError) as error:
+        raise InputError(f"not valid YAML: {error}", file=path, remedy="mend the syntax") from None
+    except RecursionError:
+        raise InputError("nested too deeply", file=path, remedy="is this the right file?") from None
+    return Document(path, data, lines)
+
+
+def _construct(
+    loader: _Loader, node: Any, place: tuple[Any, ...], lines: dict[tuple[Any, ...], int], path: Path
+) -> Any:
+    lines[place] = node.start_mark.line + 1
+    if isinstance(node, yaml.MappingNode):
+        result: dict[Any, Any] = {}
+        for key_node, value_node in node.value:
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise yaml.constructor.ConstructorError(
+                    None, None, "a key must be a plain word or number", key_node.start_mark
+                )
+            key = loader.construct_object(key_node)  # type: ignore[no-untyped-call]
+            if key in result:
+                where = ".".join(str(part) for part in (*place, key))
+                raise InputError(
+                    "key given twice",
+                    file=path,
+                    place=f"{where} (line {key_node.start_mark.line + 1})",
+                    remedy="keep one",
+                )
+            result[key] = _construct(loader, value_node, (*place, key), lines, path)
+        return result
+    if isinstance(node, yaml.SequenceNode):
+        return [_construct(loader, one, (*place, i), lines, path) for i, one in enumerate(node.value)]
+    return loader.construct_object(node)  # type: ignore[no-untyped-call]
+
+
+def _os_reason(error: OSError) -> str:
+    reasons: dict[type, str] = {
+        FileNotFoundError: "no such file",
+        IsADirectoryError: "is a folder, not a file",
+        PermissionError: "no permission to read it",
+        NotADirectoryError: "no such file",
+    }
+    return reasons.get(type(error), f"cannot be read: {error.strerror or error}")
+
+
+# --- decoding -----------------------------------------------------------------------------------
+
+
+def decode(cls: type[T], data: Any, document: Document, place: tuple[Any, ...] = ()) -> T:
+    """Build the dataclass ``cls`` from plain YAML data.
+
+    Raises `InputError` for an unknown key (naming the nearest known one), a missing key, a wrong type,
+    a number that is not finite or out of bounds, or whatever ``__post_init__`` refuses (ValueError).
+    """
+    if data is None:
+        data = {}
+    if not isinstance(data, dict):
+        raise document.error(place, f"expected a group of keys, found {_kind(data)}")
+    fields = {one.name: one for one in dataclasses.fields(cast(Any, cls)) if one.init}
+    hints = typing.get_type_hints(cls)
+    for key in data:
+        if key not in fields:
+            raise document.error((*place, key), "unknown key", nearest_name(key, fields))
+    values: dict[str, Any] = {}
+    for name, field in fields.items():
+        if name in data:
+            values[name] = _decode_value(hints[name], data[name], field.metadata, document, (*place, name))
+        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+            unit = field.metadata.get("unit")
+            remedy = field.metadata.get("doc") or None
+            raise document.error(
+                place, f"key '{name}' is missing" + (f" [{unit}]" if unit and unit != "-" else ""), remedy
+            )
+    try:
+        return cls(**values)
+    except ValueError as error:
+        raise document.error(place, str(error)) from None
+
+
+def _kind(value: Any) -> str:
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return f"the truth value {str(value).lower()}"
+    if isinstance(value, int | float):
+        return f"the number {value}"
+    if isinstance(value, str):
+        return f"the text '{value[:40]}'"
+    return {list: "a list", dict: "a group of keys"}.get(type(value), f"a {type(value).__name__}")
+
+
+def _decode_value(
+    hint: Any, data: Any, metadata: Mapping[str, Any], document: Document, place: tuple[Any, ...]
+) -> Any:
+    origin = typing.get_origin(hint)
+    arguments = typing.get_args(hint)
+    if hint is Any:
+        return data
+    if origin in (typing.Union, types.UnionType):
+        if data is None and type(None) in arguments:
+            return None
+        choices = [one for one in arguments if one is not type(None)]
+        if str in choices and isinstance(data, str):
+            return data
+        choices = [one for one in choices if one is not str] or choices
+        return _decode_value(choices[0], data, metadata, document, place)
+    if origin is typing.Literal:
+        if data not in arguments:
+            raise document.error(place, f"unknown value '{data}'", nearest_name(data, arguments))
+        return data
+    if hint is float:
+        return _number(data, metadata, document, place)
+    if hint is int:
+        number = _number(data, metadata, document, place)
+        if number != int(number):
+            raise document.error(place, f"expected a whole number, found {_kind(data)}")
+        return int(number)
+    if hint is bool:
+        if not isinstance(data, bool):
+            raise document.error(place, f"expected true or false, found {_kind(data)}")
+        return data
+    if hint is str:
+        if not isinstance(data, str):
+            raise document.error(place, f"expected a text, found {_kind(data)}")
+        return data
+    if hint is ArrayFile:
+        return _read_array(data, document, place)
+    if hint is NestedList:
+        return _nested_list(data, metadata, document, place)
+    if origin is tuple:
+        if not isinstance(data, list):
+            raise document.error(place, f"expected a list, found {_kind(data)}")
+        if arguments[-1] is Ellipsis:
+            return tuple(
+                _decode_value(arguments[0], one, metadata, document, (*place, i))
+                for i, one in enumerate(data)
+            )
+        if len(data) != len(arguments):
+            raise document.error(place, f"expected {len(arguments)} values, found {len(data)}")
+        return tuple(
+            _decode_value(kind, one, metadata, document, (*place, i))
+            for i, (kind, one) in enumerate(zip(arguments, data, strict=True))
+        )
+    if origin in (dict, Mapping) or origin is typing.get_origin(Mapping[int, int]):
+        if not isinstance(data, dict):
+            raise document.error(place, f"expected a group of keys, found {_kind(data)}")
+        result: dict[Any, Any] = {}
+        for key, value in data.items():
+            if arguments[0] is float:
+                result[_number(key, {"above": 0.0}, document, (*place, key))] = _decode_value(
+                    arguments[1], value, metadata, document, (*place, key)
+                )
+            else:
+                name = _decode_value(arguments[0], key, {}, document, (*place, key))
+                result[name] = _decode_value(arguments[1], value, metadata, document, (*place, key))
+        return types.MappingProxyType(result)
+    if dataclasses.is_dataclass(hint):
+        return decode(cast(type[Any], hint), data, document, place)
+    raise TypeError(f"no decoding for {hint}")
+
+
+def _number(data: Any, metadata: Mapping[str, Any], document: Document, place: tuple[Any, ...]) -> float:
+    unit = metadata.get("unit", "")
+    wanted = f"a number in {unit}" if unit and unit != "-" else "a number"
+    if isinstance(data, bool) or not isinstance(data, int | float):
+        remedy = None
+        if isinstance(data, str):
+            remedy = f"give {wanted}, without unit or quotes"
+        raise document.error(place, f"expected {wanted}, found {_kind(data)}", remedy)
+    try:
+        value = float(data)
+    except OverflowError:
+        value = math.inf
+    if not math.isfinite(value):
+        raise document.error(place, f"must be finite, found {data}")
+    tests = (
+        ("minimum", value < metadata.get("minimum", -math.inf), "at least"),
+        ("above", value <= metadata.get("above", -math.inf), "greater than"),
+        ("maximum", value > metadata.get("maximum", math.inf), "at most"),
+        ("below", value >= metadata.get("below", math.inf), "less than"),
+    )
+    for key, wrong, words in tests:
+        if wrong:
+            bound = f"{metadata[key]:g}" + (f" {unit}" if unit and unit != "-" else "")
+            raise document.error(place, f"must be {words} {bound}, found {data}")
+    return value
+
+
+def _read_array(data: Any, document: Document, place: tuple[Any, ...]) -> ArrayFile:
+    if not isinstance(data, str):
+        raise document.error(place, f"expected the name of a .npy file, found {_kind(data)}")
+    name = Path(data)
+    target = document.folder / name
+    inside = not name.is_absolute() and target.resolve().is_relative_to(document.folder.resolve())
+    if not inside or name.suffix != ".npy":
+        raise document.error(
+            place, f"'{data}' is not a .npy file in the folder of this file", "move it there and name it so"
+        )
+    try:
+        values = np.load(target, allow_pickle=False)
+    except FileNotFoundError:
+        raise document.error(place, f"no such file '{data}'", "it must lie beside this file") from None
+    except (OSError, ValueError, EOFError, SyntaxError, MemoryError) as error:
+        raise document.error(
+            place, f"'{data}' cannot be read as .npy: {error}", "save it with numpy.save"
+        ) from None
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
+        raise document.error(place, f"'{data}' holds no real numbers", "save floats with numpy.save")
+    if not np.all(np.isfinite(values)):
+        raise document.error(place, f"'{data}' holds values that are not finite", "replace NaN by 0")
+    values.setflags(write=False)
+    return ArrayFile(data, values)
+
+
+def _nested_list(
+    data: Any, metadata: Mapping[str, Any], document: Document, place: tuple[Any, ...]
+) -> NestedList:
+    if not isinstance(data, list):
+        raise document.error(place, f"expected a list, found {_kind(data)}")
+
+    def check(one: Any, where: tuple[Any, ...]) -> None:
+        if isinstance(one, list):
+            for i, inner in enumerate(one):
+                check(inner, (*where, i))
+        else:
+            _number(one, metadata, document, where)
+
+    check(data, place)
+    try:
+        values = np.array(data, dtype=np.float64)
+    except (ValueError, TypeError):
+        raise document.error(place, "rows of different lengths", "give every row the same length") from None
+    values.setflags(write=False)
+    return NestedList(values)
+
+
+# --- encoding -----------------------------------------------------------------------------------
+
+
+def encode(value: Any) -> Any:
+    """Return plain YAML data for a parameter dataclass; the inverse of `decode`."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type | ArrayFile | NestedList):
+        return {one.name: encode(getattr(value, one.name)) for one in dataclasses.fields(value) if one.init}
+    if isinstance(value, ArrayFile):
+        return value.file
+    if isinstance(value, NestedList):
+        return value.values.tolist()
+    if isinstance(value, Mapping):
+        return {_plain_number(key): encode(one) for key, one in value.items()}
+    if isinstance(value, tuple | list):
+        return [encode(one) for one in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return value
+
+
+def _plain_number(key: Any) -> Any:
+    return int(key) if isinstance(key, float) and key == int(key) else key
+
+
+def arrays_of(value: Any) -> Iterator[ArrayFile]:
+    """Yield every array file that a parameter dataclass names."""
+    if isinstance(value, ArrayFile):
+        yield value
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type | NestedList):
+        for one in dataclasses.fields(value):
+            yield from arrays_of(getattr(value, one.name))
+    elif isinstance(value, Mapping):
+        for inner in value.values():
+            yield from arrays_of(inner)
+    elif isinstance(value, tuple):
+        for inner in value:
+            yield from arrays_of(inner)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Leaf lists and groups on one line."""
+
+    ignore_aliases: ClassVar[Any] = lambda self, data: True  # noqa: E731
+
+
+def write_yaml(path: str | os.PathLike[str], data: Any, *, header: str = "") -> None:
+    """Write plain data as YAML, whole or not at all."""
+    text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=110)
+    write_whole(path, lambda stream: stream.write((header + text).encode()))
+
+
+def write_whole(path: str | os.PathLike[str], write: Callable[[Any], Any]) -> None:
+    """Call ``write`` with a binary stream whose content replaces ``path`` once it is complete.
+
+    Raises `RimError` where the file cannot be written; nothing is left behind then.
+    """
+    path = Path(path)
+    temporary = None
+    try:
+        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        with os.fdopen(handle, "wb") as stream:
+            write(stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, path)
+    except OSError as error:
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
+        raise RimError(
+            f"cannot be written: {error.strerror or error}",
+            file=path,
+            remedy="check the folder, its permissions and the free space; nothing was left behind",
+        ) from None
+    except BaseException:
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+# --- numbers by dotted path ---------------------------------------------------------------------
+
+
+def flatten(value: Any, prefix: str = "") -> dict[str, float]:
+    """Return every float of a parameter dataclass by dotted path; arrays and whole numbers are left out."""
+    result: dict[str, float] = {}
+    for name, one in _children(value):
+        path = f"{prefix}{name}"
+        if isinstance(one, float):
+            result[path] = one
+        else:
+            result.update(flatten(one, f"{path}."))
+    return result
+
+
+def with_values(value: T, values: Mapping[str, float]) -> T:
+    """Return the dataclass with the numbers at the given dotted paths replaced.
+
+    Raises KeyError for a path that `flatten` does not list.
+    """
+    known = flatten(value)
+    for path in values:
+        if path not in known:
+            raise KeyError(path)
+    return cast(T, _replaced(value, values, ""))
+
+
+def _replaced(value: Any, values: Mapping[str, float], prefix: str) -> Any:
+    if isinstance(value, float):
+        return float(values.get(prefix[:-1], value))
+    if dataclasses.is_dataclass(value) and not isinstance(value, type | ArrayFile | NestedList):
+        changes = {name: _replaced(one, values, f"{prefix}{name}.") for name, one in _children(value)}
+        return dataclasses.replace(cast(Any, value), **changes)
+    if isinstance(value, tuple):
+        return tuple(_replaced(one, values, f"{prefix}{i}.") for i, one in enumerate(value))
+    if isinstance(value, Mapping):
+        return types.MappingProxyType(
+            {key: _replaced(one, values, f"{prefix}{_plain_number(key)}.") for key, one in value.items()}
+        )
+    return value
+
+
+def _children(value: Any) -> Iterator[tuple[str, Any]]:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type | ArrayFile | NestedList):
+        for one in dataclasses.fields(value):
+            if one.init:
+                yield one.name, getattr(value, one.name)
+    elif isinstance(value, tuple):
+        for i, inner in enumerate(value):
+            yield str(i), inner
+    elif isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield str(_plain_number(key)), inner

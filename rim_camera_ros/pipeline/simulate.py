@@ -1,0 +1,261 @@
+"""Scene + camera -> raw frames: the effects in order, then noise, read-out and quantisation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.camera import FULL_SCALE, Camera
+from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
+from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
+from rim_camera_ros.effects.base import Context, DistanceTerm, Signal
+from rim_camera_ros.effects.reference_path import ReferencePath, mean_reading
+from rim_camera_ros.effects.warm_up_drift import WarmUpDrift
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.frame import NANOSECONDS, Pose, RawFrame, Settings
+from rim_camera_ros.noise import sigma_amplitude
+from rim_camera_ros.phasor import Waveform, wrap, wrap_residual
+from rim_camera_ros.scene import Geometry, Scene, see
+
+_MOTION_STEPS = 1e-9
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """What is exposed: stamp [ns], settings, the pose of every surface, and the station it belongs to."""
+
+    stamp: int
+    settings: Settings
+    poses: Mapping[str, Pose]
+    station: int = 0
+    pose_stamp: int | None = None
+
+
+@dataclass
+class Simulation:
+    """A camera that simulates frames of one scene.
+
+    ``waveform``: None evaluates the effects' closed forms on the demodulated signal; a `Waveform` works
+    at the level of the four samples, of which the cyclic error then emerges. ``seed`` makes noise,
+    interference and the emitted power reproducible. ``noise`` and ``quantised`` off give what the
+    effects alone do.
+
+    Raises `InputError` where no ray of the camera meets any surface.
+    """
+
+    camera: Camera
+    scene: Scene
+    seed: int = 0
+    waveform: Waveform | None = None
+    noise: bool = True
+    quantised: bool = True
+    notes: set[str] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self._rng = np.random.Generator(np.random.SFC64(self.seed))
+        # the power of a station does not depend on how many frames came before it
+        self._gain_seed = np.random.SeedSequence([self.seed, 20070])
+        self._memory: dict[str, Any] = {}
+        self._seen: dict[Any, Geometry] = {}
+        self._start: int | None = None
+
+    # --- scene ----------------------------------------------------------------------------------
+
+    def geometry(self, poses: Mapping[str, Pose]) -> Geometry:
+        """Return what the pixels see; the last few sets of poses are kept."""
+        key = tuple(poses[one.name] for one in self.scene.surfaces)
+        found = self._seen.get(key)
+        if found is None:
+            found = see(self.scene, poses, self.camera.rays)
+            if len(self._seen) >= 8:
+                self._seen.pop(next(iter(self._seen)))
+            self._seen[key] = found
+        return found
+
+    def ideal_amplitude(self, geometry: Geometry, integration_time: float, power: float = 1.0) -> Any:
+        """Return gain * integration_time * reflectivity * cos(incidence) / distance^2 in counts, 0 without light."""
+        scale = self.camera.radiometry.gain * integration_time * power
+        with np.errstate(invalid="ignore"):
+            amplitude = scale * geometry.reflectivity * geometry.cos_incidence / geometry.distance**2
+        return np.where(geometry.hit, amplitude, 0.0)
+
+    def power(self, station: int) -> float:
+        """Return the relative emitted power of a station (``radiometry.gain_sigma``)."""
+        sigma = self.camera.radiometry.gain_sigma
+        if sigma == 0:
+            return 1.0
+        child = np.random.default_rng([self.seed, 20070, station])
+        return max(1.0 + sigma * float(child.standard_normal()), 0.05)
+
+    # --- one frame ------------------------------------------------------------------------------
+
+    def context(self, exposure: Exposure) -> Context:
+        """Return the context in which the effects see this exposure."""
+        settings = exposure.settings
+        if settings.integration_time is None:
+            settings = replace(settings, integration_time=self.camera.integration_time(settings))
+        if self._start is None or exposure.stamp < self._start:
+            self._start = exposure.stamp
+        geometry = self.geometry(exposure.poses)
+        if not geometry.hit.any():
+            raise InputError(
+                "no ray of the camera meets a surface", remedy="surfaces must lie before the camera, at positive z"
+            )
+        integration_time = self.camera.integration_time(settings)
+        power = self.power(exposure.station)
+        motion = self.scene.camera_motion
+
+        def geometry_at(seconds: float) -> tuple[Geometry, Any]:
+            if abs(seconds) < _MOTION_STEPS or not motion.moves:
+                there = geometry
+            else:
+                moved = {name: motion.carry(pose, seconds) for name, pose in exposure.poses.items()}
+                there = see(self.scene, moved, self.camera.rays)
+            return there, self.ideal_amplitude(there, integration_time, power)
+
+        return Context(
+            camera=self.camera,
+            settings=settings,
+            stamp=exposure.stamp,
+            time=(exposure.stamp - self._start) / NANOSECONDS,
+            geometry=geometry,
+            geometry_at=geometry_at,
+            moving=motion.moves,
+            incidence=geometry.incidence,
+            rng=self._rng,
+            memory=self._memory,
+            notes=self.notes,
+        )
+
+    def signal(self, context: Context) -> Signal:
+        """Return the noise-free signal after all effects."""
+        assert context.geometry is not None and context.geometry_at is not None
+        _, amplitude = context.geometry_at(0.0)
+        signal = Signal(context.geometry.distance, amplitude)
+        terms_reached = False
+        for effect in self.camera.effects.values():
+            if isinstance(effect, DistanceTerm) and not terms_reached:
+                terms_reached = True
+                context.saturated = self._saturated(signal)
+            signal = effect.simulate(signal, context)
+        if self.waveform is not None:
+            signal = self._at_sample_level(signal, context)
+        return signal
+
+    def _saturated(self, signal: Signal) -> NDArray[np.bool_]:
+        amplitude = signal.amplitude
+        response = self.camera.effects.get("amplitude_nonlinearity")
+        if isinstance(response, AmplitudeNonlinearity):
+            amplitude = response.compressed(amplitude)
+        result: NDArray[np.bool_] = amplitude >= self.camera.sensor.saturation
+        return result
+
+    def _at_sample_level(self, signal: Signal, context: Context) -> Signal:
+        """Add what demodulating the four samples of the waveform makes of the phase."""
+        assert self.waveform is not None
+        wave = 2 * np.pi / context.ambiguity
+        error = self.waveform.phase_error(np.nan_to_num(signal.distance) * wave) / wave
+        return replace(signal, offset=signal.offset + error)
+
+    def frame(self, exposure: Exposure) -> RawFrame:
+        """Return one raw frame with settings and truth.
+
+        uint16 counts, or where not ``quantised`` float64 metres (wrapped, NaN = no measurement) and counts.
+        """
+        context = self.context(exposure)
+        signal = self.signal(context)
+        distance, amplitude = self._with_noise(signal, context)
+        settings, distance = self._reference(distance, context)
+        counts_d, counts_a = self._read_out(distance, amplitude)
+        if not self.quantised:
+            wrapped = wrap(distance, context.ambiguity) if self.camera.sensor.wraps else distance
+            counts_d = np.where(counts_d > 0, wrapped, np.nan)
+            counts_a = np.where(counts_a > 0, np.minimum(amplitude, self.camera.sensor.saturation), 0.0)
+        stamp = exposure.stamp if exposure.pose_stamp is None else exposure.pose_stamp
+        return RawFrame(
+            stamp=exposure.stamp,
+            distance=counts_d,
+            amplitude=counts_a,
+            settings=settings,
+            truth=dict(exposure.poses),
+            pose_stamps=dict.fromkeys(exposure.poses, stamp),
+            intrinsics=self.camera.intrinsics,
+            device=self.camera.device,
+        )
+
+    def _with_noise(self, signal: Signal, context: Context) -> tuple[Any, Any]:
+        """Noise at the delivered amplitude, circular in the complex plane; amplitude after the read-out."""
+        distance, amplitude = np.array(signal.measured), signal.published_amplitude
+        if self.noise:
+            shape = distance.shape
+            delivered = signal.amplitude
+            sigma = self.camera.noise.sigma_distance(delivered, background=self.camera.background)
+            lit = delivered > 0
+            sigma = np.where(lit, sigma, 0.0)
+            sigma_a = sigma_amplitude(sigma, delivered, ambiguity=context.ambiguity)
+            distance = distance + sigma * self._rng.standard_normal(shape, dtype=np.float32)
+            noisy = np.maximum(delivered + sigma_a * self._rng.standard_normal(shape, dtype=np.float32), 0.0)
+            response = self.camera.effects.get("amplitude_nonlinearity")
+            amplitude = response.compressed(noisy) if isinstance(response, AmplitudeNonlinearity) else noisy
+        distance[~(signal.amplitude > 0)] = np.nan
+        return distance, amplitude
+
+    def _reference(self, distance: Any, context: Context) -> tuple[Settings, Any]:
+        """Lay the reference path's reading into its pixels, or into the settings where it has none."""
+        effect = self.camera.effects.get("reference_path")
+        settings = context.settings
+        if not isinstance(effect, ReferencePath):
+            return settings, distance
+        reading = effect.reading(drift_of(self.camera, context))
+        sigma = self.camera.noise.floor if self.noise else 0.0
+        region = effect.region()
+        if region is None:
+            reading += sigma * float(self._rng.standard_normal())
+            return replace(settings, reference_distance=reading), distance
+        shape = distance[region].shape
+        distance[region] = reading + sigma * self._rng.standard_normal(shape)
+        return replace(settings, reference_distance=mean_reading(distance[region])), distance
+
+    def _read_out(self, distance: Any, amplitude: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+        sensor = self.camera.sensor
+        saturation = min(sensor.saturation, FULL_SCALE - 1)
+        counts_a = np.rint(np.clip(amplitude, 0, saturation))
+        valid = np.isfinite(distance)
+        metres = np.where(valid, distance, 0.0)
+        if sensor.wraps:
+            counts = np.rint(wrap(metres, sensor.ambiguity) / sensor.lsb)
+            period = np.rint(sensor.ambiguity / sensor.lsb)
+            counts = np.where(counts >= period, counts - period, counts)
+            counts = np.where(counts < 1, 1, counts)
+        else:
+            counts = np.rint(metres / sensor.lsb)
+        valid &= (counts >= 1) & (counts < FULL_SCALE)
+        below = counts_a < sensor.amplitude_threshold
+        counts = np.where(valid & ~below, counts, 0)
+        counts_a = np.where(below, 0, counts_a)
+        return counts.astype(np.uint16), counts_a.astype(np.uint16)
+
+    def true_distance(self, exposure: Exposure) -> NDArray[np.float64]:
+        """Return the true radial distance (H, W) in metres, NaN where nothing is seen."""
+        return self.geometry(exposure.poses).distance
+
+
+def drift_of(camera: Camera, context: Context) -> float:
+    """Return the sum of warm-up and ambient drift in metres for this frame."""
+    empty = np.empty((0,))
+    total = 0.0
+    for kind in (WarmUpDrift, AmbientTemperature):
+        effect = camera.effects.get(kind.name)
+        if isinstance(effect, kind):
+            total += float(effect.term(empty, empty, context))
+    return total
+
+
+def measured_residual(measured: Any, expected: Any, camera: Camera) -> Any:
+    """Return measured - expected in metres, modulo the ambiguity range for a camera that wraps."""
+    residual = measured - expected
+    return wrap_residual(residual, camera.sensor.ambiguity) if camera.sensor.wraps else residual

@@ -1,0 +1,357 @@
+"""Scenes: surfaces with poses and reflectivities, and what each pixel of a camera sees of them.
+
+A surface is the x-y plane of its frame (a sphere is centred on it); poses are in the camera optical
+frame (x right, y down, z forward). Lengths in metres.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.frame import Pose
+from rim_camera_ros.parameters import NestedList, decode, quantity, read_yaml
+
+Array = NDArray[np.float64]
+
+SCENE_FORMAT = "rim_scene/1"
+TRUTH = "truth"
+
+_EMPTY: Mapping[str, Any] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class ScenePose:
+    """A pose in a scene file; ``free`` names the components that are not known."""
+
+    position: tuple[float, float, float] = quantity("m", "x y z")
+    orientation: tuple[float, float, float, float] = quantity("-", "x y z w", default=(0.0, 0.0, 0.0, 1.0))
+    free: tuple[Literal["x", "y", "z", "roll", "pitch", "yaw"], ...] = quantity(
+        "-", "components to be estimated", default=()
+    )
+
+    def __post_init__(self) -> None:
+        norm = math.sqrt(sum(q * q for q in self.orientation))
+        if abs(norm - 1) > 1e-3:
+            raise ValueError(f"orientation is not a unit quaternion x y z w (its norm is {norm:.4g})")
+
+    @property
+    def pose(self) -> Pose:
+        return Pose(self.position, self.orientation)
+
+
+@dataclass(frozen=True)
+class Texture:
+    """Tiles that repeat: ``values[i][j]`` is the reflectivity of rows i and columns j of ``cell`` metres."""
+
+    cell: tuple[float, float] = quantity("m", "tile width and height", above=0.0)
+    values: NestedList = quantity("-", "reflectivity of each tile", minimum=0.0, maximum=1.0)
+
+    def __post_init__(self) -> None:
+        if self.values.values.ndim != 2 or self.values.values.size == 0:
+            raise ValueError("values must be a list of rows of reflectivities")
+
+    def reflectivity(self, x: Array, y: Array) -> Array:
+        """Return the reflectivity at surface coordinates in metres."""
+        rows, columns = self.values.values.shape
+        i = np.floor(y / self.cell[1]).astype(np.int64) % rows
+        j = np.floor(x / self.cell[0]).astype(np.int64) % columns
+        return self.values.values[i, j]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One surface of a scene."""
+
+    name: str = quantity("-", "unique name")
+    type: Literal["plane", "rectangle", "disc", "sphere"] = quantity("-", "shape")
+    pose: str | ScenePose = quantity("-", "position and orientation, or 'truth'")
+    size: tuple[float, float] | None = quantity("m", "rectangle: full width, height", default=None, above=0.0)
+    radius: float | None = quantity("m", "disc, sphere", default=None, above=0.0)
+    reflectivity: float = quantity("-", "diffuse", default=0.8, minimum=0.0, maximum=1.0)
+    texture: Texture | None = quantity("-", "replaces the reflectivity", default=None)
+    pose_sigma: tuple[float, float] = quantity(
+        "m, rad", "1-sigma of the reference: along the normal, tilt", default=(0.001, 0.0005), minimum=0.0
+    )
+
+    def __post_init__(self) -> None:
+        if isinstance(self.pose, str) and self.pose != TRUTH:
+            raise ValueError(f"pose must be a group with position and orientation, or truth, not '{self.pose}'")
+        if (self.type == "rectangle") != (self.size is not None):
+            raise ValueError("a rectangle needs 'size: [width, height]', and only a rectangle has one")
+        if (self.type in ("disc", "sphere")) != (self.radius is not None):
+            raise ValueError("a disc or sphere needs 'radius', and only they have one")
+
+    def lengths(self, pose: Pose, origins: Array, directions: Array) -> Array:
+        """Return the lengths (N,) along rays at which the surface is met; inf where it is not.
+
+        ``origins`` (N, 3) or (3,), ``directions`` (N, 3) of length 1.
+        """
+        position = np.array(pose.position)
+        if self.type == "sphere":
+            assert self.radius is not None
+            to_centre = position - origins
+            along = np.sum(to_centre * directions, axis=-1)
+            discriminant = along**2 - np.sum(to_centre**2, axis=-1) + self.radius**2
+            with np.errstate(invalid="ignore"):
+                length = along - np.sqrt(discriminant)
+            return np.where((discriminant > 0) & (length > 0), length, np.inf)
+        rotation = rotation_matrix(pose.orientation)
+        normal = rotation[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            length = np.sum((position - origins) * normal, axis=-1) / (directions @ normal)
+        met = np.isfinite(length) & (length > 0)
+        if self.type != "plane":
+            safe = np.where(met, length, 0.0)[..., None]
+            local = (origins + safe * directions - position) @ rotation[:, :2]
+            if self.size is not None:
+                met &= (np.abs(local[..., 0]) <= self.size[0] / 2) & (np.abs(local[..., 1]) <= self.size[1] / 2)
+            elif self.radius is not None:
+                met &= np.sum(local**2, axis=-1) <= self.radius**2
+        return np.where(met, length, np.inf)
+
+
+@dataclass(frozen=True)
+class CameraMotion:
+    """Twist of the camera in its own optical frame."""
+
+    linear: tuple[float, float, float] = quantity("m/s", "velocity", default=(0.0, 0.0, 0.0))
+    angular: tuple[float, float, float] = quantity("rad/s", "angular velocity", default=(0.0, 0.0, 0.0))
+
+    @property
+    def moves(self) -> bool:
+        return any(self.linear) or any(self.angular)
+
+    def carry(self, pose: Pose, seconds: float) -> Pose:
+        """Return the pose of a resting surface as the moving camera sees it ``seconds`` later."""
+        if not self.moves or seconds == 0:
+            return pose
+        rotation, translation = _screw(
+            np.array(self.linear) * seconds, np.array(self.angular) * seconds
+        )
+        position = rotation.T @ (np.array(pose.position) - translation)
+        orientation = quaternion(rotation.T @ rotation_matrix(pose.orientation))
+        return Pose((float(position[0]), float(position[1]), float(position[2])), orientation)
+
+
+@dataclass(frozen=True)
+class Station:
+    """A stretch of frames with fixed poses and settings; what is not given stays as it was."""
+
+    frames: int = quantity("-", "number of frames", default=100, minimum=1)
+    rate: float = quantity("Hz", "frames per second", default=25.0, above=0.0)
+    integration_time: float | None = quantity("device unit", "setting", default=None, above=0.0)
+    uptime: float | None = quantity("s", "since power-on, of the first frame", default=None, minimum=0.0)
+    ambient: float | None = quantity("degC", "ambient temperature", default=None)
+    poses: Mapping[str, ScenePose] = quantity("-", "pose by surface name", default=_EMPTY)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene file's content."""
+
+    surfaces: tuple[Surface, ...]
+    format: str = SCENE_FORMAT
+    camera_motion: CameraMotion = field(default_factory=CameraMotion)
+    schedule: tuple[Station, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.format != SCENE_FORMAT:
+            raise ValueError(f"format is '{self.format}', expected {SCENE_FORMAT}")
+        if not self.surfaces:
+            raise ValueError("surfaces is empty: nothing can be seen")
+        names = [one.name for one in self.surfaces]
+        twice = sorted({one for one in names if names.count(one) > 1})
+        if twice:
+            raise ValueError(f"surface name '{twice[0]}' is given twice")
+        for i, station in enumerate(self.schedule):
+            for name in station.poses:
+                if name not in names:
+                    raise ValueError(f"schedule.{i}.poses names '{name}', which is not a surface")
+
+    @property
+    def needs_truth(self) -> tuple[str, ...]:
+        """Names of the surfaces whose pose comes from the recording."""
+        return tuple(one.name for one in self.surfaces if one.pose == TRUTH)
+
+    def fixed_poses(self) -> dict[str, Pose]:
+        """Return the poses that the scene file itself states."""
+        return {one.name: one.pose.pose for one in self.surfaces if isinstance(one.pose, ScenePose)}
+
+    def poses_for(self, truth: Mapping[str, Pose]) -> dict[str, Pose]:
+        """Return the pose of every surface, those with ``pose: truth`` taken from ``truth``.
+
+        Raises `InputError` naming a surface without a pose.
+        """
+        poses = self.fixed_poses()
+        for name in self.needs_truth:
+            if name not in truth:
+                raise InputError(
+                    f"surface '{name}' has pose: truth, but no pose is known for this frame",
+                    remedy=f"give --poses BAG with /ground_truth/{name}/pose before its first frame, "
+                    "or a pose in the scene file or its schedule",
+                )
+            poses[name] = truth[name]
+        return poses
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """What each pixel sees (all (H, W) or (H, W, 3)); NaN and surface -1 where a ray meets nothing.
+
+    ``distance`` [m] from the projection centre along the ray, ``points`` [m], ``normals`` (towards the
+    camera), ``cos_incidence`` = |ray . normal|, ``reflectivity``, ``surface`` index.
+    """
+
+    surface: NDArray[np.int16]
+    distance: Array
+    points: Array
+    normals: Array
+    cos_incidence: Array
+    reflectivity: Array
+
+    @property
+    def hit(self) -> NDArray[np.bool_]:
+        return self.surface >= 0
+
+    @property
+    def incidence(self) -> Array:
+        """Angle between ray and normal in rad."""
+        result: Array = np.arccos(np.clip(self.cos_incidence, 0.0, 1.0))
+        return result
+
+
+def see(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> Geometry:
+    """Return what the rays (H, W, 3) from the origin meet: the nearest surface at positive length."""
+    shape = rays.shape[:2]
+    directions = rays.reshape(-1, 3)
+    origin = np.zeros(3)
+    nearest = np.full(len(directions), np.inf)
+    index = np.full(len(directions), -1, np.int16)
+    for i, surface in enumerate(scene.surfaces):
+        length = surface.lengths(poses[surface.name], origin, directions)
+        closer = length < nearest
+        nearest[closer] = length[closer]
+        index[closer] = i
+    distance = np.where(index >= 0, nearest, np.nan)
+    points = distance[:, None] * directions
+    normals = np.full_like(points, np.nan)
+    reflectivity = np.full(len(directions), np.nan)
+    for i, surface in enumerate(scene.surfaces):
+        mine = index == i
+        if not mine.any():
+            continue
+        pose = poses[surface.name]
+        rotation = rotation_matrix(pose.orientation)
+        local = (points[mine] - np.array(pose.position)) @ rotation
+        if surface.type == "sphere":
+            assert surface.radius is not None
+            normals[mine] = (points[mine] - np.array(pose.position)) / surface.radius
+        else:
+            normals[mine] = rotation[:, 2]
+        if surface.texture is None:
+            reflectivity[mine] = surface.reflectivity
+        else:
+            reflectivity[mine] = surface.texture.reflectivity(local[:, 0], local[:, 1])
+    along = np.sum(directions * normals, axis=-1)
+    normals = np.where(along[:, None] > 0, -normals, normals)
+    return Geometry(
+        surface=index.reshape(shape),
+        distance=distance.reshape(shape),
+        points=points.reshape(*shape, 3),
+        normals=normals.reshape(*shape, 3),
+        cos_incidence=np.abs(along).reshape(shape),
+        reflectivity=reflectivity.reshape(shape),
+    )
+
+
+def load_scene(path: str | os.PathLike[str]) -> Scene:
+    """Read a scene file. Raises `InputError` with file, place and remedy."""
+    document = read_yaml(path)
+    if isinstance(document.data, dict) and document.data.get("format") != SCENE_FORMAT:
+        found = document.data.get("format")
+        raise document.error(
+            ("format",) if "format" in document.data else (),
+            f"not a scene file: format is {found!r}",
+            f"expected format: {SCENE_FORMAT}",
+        )
+    scene = decode(Scene, document.data, document)
+    surfaces = tuple(
+        replace(one, pose=_normalised(one.pose)) if isinstance(one.pose, ScenePose) else one
+        for one in scene.surfaces
+    )
+    return replace(scene, surfaces=surfaces)
+
+
+def _normalised(pose: ScenePose) -> ScenePose:
+    q = np.array(pose.orientation)
+    q = q / np.linalg.norm(q)
+    return replace(pose, orientation=(float(q[0]), float(q[1]), float(q[2]), float(q[3])))
+
+
+# --- rotations ----------------------------------------------------------------------------------
+
+
+def rotation_matrix(orientation: tuple[float, float, float, float]) -> Array:
+    """Return the rotation matrix (3, 3) of a quaternion x y z w, which is normalised first."""
+    q = np.array(orientation, dtype=float)
+    x, y, z, w = q / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion(rotation: Array) -> tuple[float, float, float, float]:
+    """Return the quaternion x y z w (w >= 0) of a rotation matrix."""
+    k = np.array(
+        [
+            [rotation[0, 0] - rotation[1, 1] - rotation[2, 2], 0, 0, 0],
+            [rotation[0, 1] + rotation[1, 0], rotation[1, 1] - rotation[0, 0] - rotation[2, 2], 0, 0],
+            [
+                rotation[0, 2] + rotation[2, 0],
+                rotation[1, 2] + rotation[2, 1],
+                rotation[2, 2] - rotation[0, 0] - rotation[1, 1],
+                0,
+            ],
+            [
+                rotation[2, 1] - rotation[1, 2],
+                rotation[0, 2] - rotation[2, 0],
+                rotation[1, 0] - rotation[0, 1],
+                rotation[0, 0] + rotation[1, 1] + rotation[2, 2],
+            ],
+        ]
+    )
+    q = np.linalg.eigh(k, UPLO="L")[1][:, -1]
+    if q[3] < 0:
+        q = -q
+    return (float(q[0]), float(q[1]), float(q[2]), float(q[3]))
+
+
+def _screw(linear: Array, angular: Array) -> tuple[Array, Array]:
+    """Exponential of a twist: rotation (3, 3) and translation (3,)."""
+    angle = float(np.linalg.norm(angular))
+    if angle < 1e-12:
+        return np.eye(3), linear
+    k = np.array(
+        [
+            [0, -angular[2], angular[1]],
+            [angular[2], 0, -angular[0]],
+            [-angular[1], angular[0], 0],
+        ]
+    )
+    s, c = math.sin(angle) / angle, (1 - math.cos(angle)) / angle**2
+    rotation = np.eye(3) + s * k + c * (k @ k)
+    left = np.eye(3) + c * k + (1 - s) / angle**2 * (k @ k)
+    return rotation, left @ linear

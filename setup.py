@@ -1,0 +1,61 @@
+"""Build description of the ament_python package; colcon and pip both read it."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "rim_camera_ros"
+
+# The one place for minimum versions; requirements/oldest.in pins them for `make test-oldest`.
+# package.xml names the same libraries by their rosdep keys, which carry no versions.
+MINIMUM = ["numpy>=1.26", "scipy>=1.11", "PyYAML>=6.0.1", "matplotlib>=3.6", "rosbags>=0.10.9"]
+# An extra, not a hard requirement: apt's python3-opencv provides cv2 under no name that pip knows,
+# and pip would install a second one.
+OPENCV = ["opencv-python-headless>=4.6"]
+# tests_require is gone since setuptools 72; colcon finds pytest in this extra.
+TEST = ["pytest>=7.4", "pytest-timeout", "hypothesis>=6.98"]
+
+
+def shared(*folders: str) -> list[tuple[str, list[str]]]:
+    """Every file below the folders, for share/rim_camera_ros with the same relative path."""
+    found: dict[str, list[str]] = {}
+    for folder in folders:
+        for path in sorted(Path(folder).rglob("*")):
+            if path.is_file() and "__pycache__" not in path.parts and not path.name.startswith("."):
+                found.setdefault(f"share/{NAME}/{path.parent.as_posix()}", []).append(path.as_posix())
+    return sorted(found.items())
+
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Range imaging cameras in ROS 2: driver, simulator, correction, calibration and diagnosis",
+    maintainer="rim_camera_ros maintainers",
+    maintainer_email="maintainers@example.org",
+    license="Apache-2.0",
+    python_requires=">=3.12",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={
+        NAME: [
+            f"**/*.{kind}"
+            for kind in ("typed", "css", "html", "js", "json", "npy", "rules", "svg", "xml", "yaml")
+        ]
+    },
+    # colcon installs these; an editable installation does not, and reads them from the source tree
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *shared("launch", "config", "calibration"),
+    ],
+    install_requires=MINIMUM,
+    extras_require={"opencv": OPENCV, "test": TEST},
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            f"driver_node = {NAME}.nodes.driver_node:main",
+            f"correction_node = {NAME}.nodes.correction_node:main",
+            f"rim = {NAME}.cli:main",
+        ],
+        # The group "rim_camera_ros.effects" belongs to other packages: they add physical effects through it.
+    },
+)
