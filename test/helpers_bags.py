@@ -52,7 +52,9 @@ def pixels(index: int, size: tuple[int, int] = SIZE, dtype: Any = np.uint16) -> 
     return grid.astype(dtype)
 
 
-def image(topic: str, index: int, *, offset: int = 0, size: tuple[int, int] = SIZE, dtype: Any = np.uint16) -> Line:
+def image(
+    topic: str, index: int, *, offset: int = 0, size: tuple[int, int] = SIZE, dtype: Any = np.uint16
+) -> Line:
     stamp = stamp_at(index)
     return Line(topic, IMAGE, stamp, messages.image_message(pixels(index + offset, size, dtype), stamp))
 
@@ -131,7 +133,9 @@ def _as_ros1(value: Any) -> Any:
     if kind is None:
         return value
     fields = {
-        name: _as_ros1(getattr(value, name)) for name, _ in JAZZY.fielddefs[kind][1] if name != "variance" or kind != RANGE
+        name: _as_ros1(getattr(value, name))
+        for name, _ in JAZZY.fielddefs[kind][1]
+        if name != "variance" or kind != RANGE
     }
     if kind == "std_msgs/msg/Header":
         fields["seq"] = 0

@@ -1,4 +1,4 @@
-"""Recordings that are cut off or damaged: frames before the fault, then one clear error, never a traceback."""
+"""Recordings that are cut off or damaged: the frames before the fault, then one clear error."""
 
 from __future__ import annotations
 
@@ -16,7 +16,16 @@ from pathlib import Path
 import lz4.frame
 import numpy as np
 import pytest
-from helpers_bags import (
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+
+from rim_camera_ros.bags import Recording
+from rim_camera_ros.bags.compress import LARGEST_BLOCK, CompressionError, decompress
+from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.frame import RawFrame
+
+from .helpers_bags import (
     JAZZY,
     POSE_A,
     START,
@@ -30,14 +39,6 @@ from helpers_bags import (
     write_bag,
     write_bag1,
 )
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-from rosbags.rosbag2 import CompressionMode, StoragePlugin
-
-from rim_camera_ros.bags import Recording
-from rim_camera_ros.bags.compress import LARGEST_BLOCK, CompressionError, decompress
-from rim_camera_ros.errors import InputError, RimError
-from rim_camera_ros.frame import RawFrame
 
 LARGE = (72, 88)
 FRAMES = 120  # of 25 KB: three chunks of 1 MiB
@@ -126,7 +127,7 @@ def test_an_unfinished_recording_is_read(tmp_path: Path) -> None:
     frames, error = read_all(folder)
     assert len(frames) == 3
     assert "rec_0.mcap: byte" in str(error)
-    assert "the recording ends in the middle: it was interrupted or cut off; 3 frames before it were" in str(error)
+    assert "it was interrupted or cut off; frames read before it: 3" in str(error)
     assert "ros2 bag reindex" in str(error)
     with Recording(folder) as recording:
         assert "ends in the middle" in str(recording.summary().damage)
@@ -156,7 +157,7 @@ def test_a_cut_mcap_gives_the_frames_before_the_cut(tmp_path: Path, large: Path,
     assert all(np.array_equal(frame.distance, pixels(i, LARGE)) for i, frame in enumerate(frames))
     assert all(frame.truth["board"] == POSE_A for frame in frames)
     assert isinstance(error, InputError)
-    assert f"cut off; {len(frames)} frames before it were read ('ros2 bag reindex'" in str(error)
+    assert f"cut off; frames read before it: {len(frames)} ('ros2 bag reindex'" in str(error)
 
 
 def test_a_cut_end_costs_nothing_but_the_index(tmp_path: Path, large: Path) -> None:
@@ -181,7 +182,7 @@ def test_a_wrong_checksum_is_seen(tmp_path: Path) -> None:
     path = mcap_file(tmp_path / "a.mcap", chunk(head + body), chunk(more, crc=1))
     frames, error = read_all(path)
     assert len(frames) == 1
-    assert "a chunk is damaged: its size or checksum is wrong; 1 frames" in str(error)
+    assert "a chunk is damaged: its size or checksum is wrong; frames read before it: 1" in str(error)
 
 
 def test_implausible_lengths_cost_no_memory(tmp_path: Path) -> None:
@@ -227,7 +228,7 @@ def test_an_index_that_points_nowhere_is_not_used(tmp_path: Path, large: Path) -
     struct.pack_into("<Q", whole, position + 9 + 16, 50)  # inside a chunk
     (tmp_path / "a.mcap").write_bytes(whole)
     frames, error = read_all(tmp_path / "a.mcap")
-    assert "the index points to something that is no chunk; 0 frames" in str(error)
+    assert "the index points to something that is no chunk; frames read before it: 0" in str(error)
 
 
 @pytest.mark.parametrize("share", [0.2, 0.6, 0.95])
@@ -252,7 +253,7 @@ def test_rows_of_other_types_are_damage(tmp_path: Path) -> None:
     database.close()
     frames, error = read_all(path)
     assert len(frames) == 2
-    assert "a row of its table messages is damaged; 2 frames before it were read" in str(error)
+    assert "a row of its table messages is damaged; frames read before it: 2" in str(error)
 
 
 @pytest.mark.parametrize("compression", [None, "LZ4"])
@@ -317,11 +318,15 @@ def small_plain_mcap(path: Path) -> Path:
 
 
 def small_lz4_mcap(path: Path) -> Path:
-    return mcap_file(path / "a.mcap", chunk(b"".join(mcap_records(flat(exposure(i) for i in range(3)))), "lz4", 0))
+    return mcap_file(
+        path / "a.mcap", chunk(b"".join(mcap_records(flat(exposure(i) for i in range(3)))), "lz4", 0)
+    )
 
 
 def small_packed_mcap(path: Path) -> Path:
-    folder = write_bag(path / "rec", flat(exposure(i) for i in range(3)), StoragePlugin.MCAP, CompressionMode.FILE)
+    folder = write_bag(
+        path / "rec", flat(exposure(i) for i in range(3)), StoragePlugin.MCAP, CompressionMode.FILE
+    )
     return folder / "rec.mcap.zstd"
 
 
@@ -335,7 +340,15 @@ def small_bag(path: Path) -> Path:
 
 FUZZED: dict[str, Callable[[Path], Path]] = {
     make.__name__: make
-    for make in (small_mcap, small_zstd_mcap, small_plain_mcap, small_lz4_mcap, small_packed_mcap, small_db3, small_bag)
+    for make in (
+        small_mcap,
+        small_zstd_mcap,
+        small_plain_mcap,
+        small_lz4_mcap,
+        small_packed_mcap,
+        small_db3,
+        small_bag,
+    )
 }
 
 

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_bags import INTRINSICS, JAZZY, POSE_A, START, pixels
 
 from rim_camera_ros.bags import decode_image, encode_image, messages
 from rim_camera_ros.bags.topics import CAMERA_INFO, CLOUD, IMAGE, RANGE
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Pose, Settings
+
+from .helpers_bags import INTRINSICS, JAZZY, POSE_A, START, pixels
 
 
 @pytest.mark.parametrize("encoding", ["16UC1", "mono16"])
@@ -103,7 +104,8 @@ def test_mono8_amplitude_counts_256() -> None:
 
 
 @pytest.mark.parametrize(
-    ("dtype", "encoding", "step"), [(np.uint8, "8UC1", 5), (np.uint16, "16UC1", 10), (np.float32, "32FC1", 20)]
+    ("dtype", "encoding", "step"),
+    [(np.uint8, "8UC1", 5), (np.uint16, "16UC1", 10), (np.float32, "32FC1", 20)],
 )
 def test_encoding_and_decoding_give_the_same_bits(dtype: Any, encoding: str, step: int) -> None:
     array = pixels(3, dtype=dtype)
@@ -119,7 +121,9 @@ def test_foreign_layouts_are_encoded_little_endian() -> None:
     assert encode_image(turned).data.tobytes() == array.astype("<u2").tobytes()
 
 
-@pytest.mark.parametrize("array", [np.zeros((2, 2), np.int32), np.zeros(4, np.uint16), np.zeros((0, 3), np.uint8)])
+@pytest.mark.parametrize(
+    "array", [np.zeros((2, 2), np.int32), np.zeros(4, np.uint16), np.zeros((0, 3), np.uint8)]
+)
 def test_arrays_that_are_no_images_are_refused(array: Any) -> None:
     with pytest.raises(InputError, match="is no image"):
         encode_image(array)
@@ -178,7 +182,9 @@ def test_camera_info_by_position() -> None:
     assert message.p.tolist() == [199.8875, 0, 2.25, 0, 0, 201.5, 0.75, 0, 0, 0, 1, 0]
     assert message.r.tolist() == [1, 0, 0, 0, 1, 0, 0, 0, 1]
     assert message.distortion_model == "plumb_bob"
-    assert messages.intrinsics_from(messages.decode(bytes(messages.encode(message, CAMERA_INFO)), CAMERA_INFO)) == (
+    assert messages.intrinsics_from(
+        messages.decode(bytes(messages.encode(message, CAMERA_INFO)), CAMERA_INFO)
+    ) == (
         INTRINSICS,
         "",
     )
@@ -253,7 +259,9 @@ def test_range_of_older_distributions_is_read() -> None:
 
 @pytest.mark.parametrize("raw", [b"", b"\0", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 60])
 def test_bytes_that_are_no_message_are_refused(raw: bytes) -> None:
-    with pytest.raises(InputError, match="^topic /x: a message of type sensor_msgs/msg/Image cannot be decoded"):
+    with pytest.raises(
+        InputError, match=r"^topic /x: a message of type sensor_msgs/msg/Image cannot be decoded"
+    ):
         messages.decode(raw, IMAGE, place="topic /x")
 
 

@@ -12,7 +12,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_bags import (
+
+from rim_camera_ros.bags import Recording, Topics, messages
+from rim_camera_ros.bags.pairing import PENDING_STAMPS, History
+from rim_camera_ros.bags.topics import IMAGE
+from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.frame import RawFrame, Settings
+
+from .helpers_bags import (
     INTRINSICS,
     POSE_A,
     POSE_B,
@@ -35,12 +42,6 @@ from helpers_bags import (
     write_bag1,
 )
 
-from rim_camera_ros.bags import Recording, Topics, messages
-from rim_camera_ros.bags.pairing import PENDING_STAMPS, History
-from rim_camera_ros.bags.topics import IMAGE
-from rim_camera_ros.errors import InputError, RimError
-from rim_camera_ros.frame import RawFrame, Settings
-
 
 def read(path: Path, **options: Any) -> tuple[list[RawFrame], dict[str, int], list[str]]:
     """Return frames, counts of what was skipped and assumptions."""
@@ -54,8 +55,7 @@ def read_to_error(path: Path, **options: Any) -> tuple[list[RawFrame], RimError]
     """Return the frames before the error and the error."""
     frames: list[RawFrame] = []
     with Recording(path) as recording, pytest.raises(RimError) as caught:
-        for frame in recording.frames(**options):
-            frames.append(frame)
+        frames.extend(recording.frames(**options))
     return frames, caught.value
 
 
@@ -66,7 +66,9 @@ def test_frames_carry_everything(tmp_path: Path) -> None:
         assert np.array_equal(frame.distance, pixels(i))
         assert np.array_equal(frame.amplitude, pixels(i + 500))
         assert frame.intrinsics == INTRINSICS
-        assert frame.settings == Settings(integration_time=16.0, modulation_frequency=20e6, uptime=0.5 + i, extra={})
+        assert frame.settings == Settings(
+            integration_time=16.0, modulation_frequency=20e6, uptime=0.5 + i, extra={}
+        )
         assert frame.device == "SR-3000 7"
         assert not frame.truth
     assert not skipped
@@ -109,7 +111,9 @@ def test_other_namespace_and_names(tmp_path: Path) -> None:
     frames, _, assumptions = read(path)
     assert len(frames) == 1
     assert assumptions[0] == "the topics are those of the namespace /left/tof"
-    swapped = Topics.parse(["distance=/left/tof/amplitude/image_raw", "amplitude=/left/tof/distance/image_raw"])
+    swapped = Topics.parse(
+        ["distance=/left/tof/amplitude/image_raw", "amplitude=/left/tof/distance/image_raw"]
+    )
     frames, _, _ = read(path, topics=swapped)
     assert np.array_equal(frames[0].distance, pixels(500))
 
@@ -123,7 +127,11 @@ def test_order_within_an_exposure_does_not_matter(tmp_path: Path, order: tuple[i
 
 
 def test_amplitudes_that_lag_behind(tmp_path: Path) -> None:
-    lines = [replace(line, time=line.time + 50 * STEP * (k == 1)) for i in range(80) for k, line in enumerate(pair(i))]
+    lines = [
+        replace(line, time=line.time + 50 * STEP * (k == 1))
+        for i in range(80)
+        for k, line in enumerate(pair(i))
+    ]
     lines.sort(key=lambda line: line.time)
     frames, skipped, _ = read(write_bag(tmp_path / "bag", lines))
     assert [frame.stamp for frame in frames] == [stamp_at(i) for i in range(80)]
@@ -201,7 +209,9 @@ def test_poses_in_another_frame_are_mentioned(tmp_path: Path) -> None:
     line = pose(START, POSE_A)
     line.message.header.frame_id = "world"
     _, _, assumptions = read(write_bag(tmp_path / "bag", [line, *pair(0), *pair(1)]))
-    assert assumptions[-1].startswith("the poses of board are in the frame world, taken for that of the images")
+    assert assumptions[-1].startswith(
+        "the poses of board are in the frame world, taken for that of the images"
+    )
 
 
 def test_history_forgets_what_is_past() -> None:
@@ -232,7 +242,7 @@ def test_stamps_that_run_backwards_are_an_error(tmp_path: Path) -> None:
     assert [frame.stamp for frame in frames] == [stamp_at(i) for i in range(3)]
     text = f"topic /camera/distance/image_raw at {messages.stamp_text(stamp_at(1))}: the stamp is not after"
     assert text in str(error)
-    assert "3 frames before it were read" in str(error)
+    assert "frames read before it: 3" in str(error)
 
 
 @pytest.mark.parametrize("truth", [False, True])
@@ -278,7 +288,9 @@ def test_wrong_length_of_data_is_an_error_with_its_place(tmp_path: Path) -> None
     lines[2].message.data = lines[2].message.data[:-1]
     frames, error = read_to_error(write_bag(tmp_path / "bag", lines))
     assert len(frames) == 1
-    place = f"bag: topic /camera/distance/image_raw at {messages.stamp_text(stamp_at(1))}: 29 bytes of image data"
+    place = (
+        f"bag: topic /camera/distance/image_raw at {messages.stamp_text(stamp_at(1))}: 29 bytes of image data"
+    )
     assert place in str(error)
 
 
@@ -286,8 +298,8 @@ def test_settings_that_are_no_numbers_are_an_error_with_their_place(tmp_path: Pa
     lines = [*exposure(0), *pair(1), frame_info(1, Settings(extra={"integration_time": "auto"}))]
     frames, error = read_to_error(write_bag(tmp_path / "bag", lines))
     assert len(frames) == 1
-    place = f"topic /camera/frame_info at {messages.stamp_text(stamp_at(1))}, integration_time: 'auto' is not a number"
-    assert place in str(error)
+    place = f"topic /camera/frame_info at {messages.stamp_text(stamp_at(1))}, integration_time"
+    assert f"{place}: 'auto' is not a number" in str(error)
     assert isinstance(error, InputError)
 
 
@@ -376,7 +388,7 @@ def test_summary_of_a_foreign_recording(tmp_path: Path) -> None:
     with Recording(path) as recording:
         summary = recording.summary()
         assert (summary.frame_count, dict(summary.roles), summary.assumptions) == (0, {}, ())
-        with pytest.raises(InputError, match="no topic /camera/distance/image_raw.*/left/image"):
+        with pytest.raises(InputError, match=r"no topic /camera/distance/image_raw.*/left/image"):
             recording.frames()
 
 

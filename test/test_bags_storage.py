@@ -10,7 +10,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from helpers_bags import (
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+
+from rim_camera_ros.bags import Recording
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.frame import RawFrame
+
+from .helpers_bags import (
     POSE_A,
     POSE_B,
     START,
@@ -25,11 +31,6 @@ from helpers_bags import (
     write_bag,
     write_bag1,
 )
-from rosbags.rosbag2 import CompressionMode, StoragePlugin
-
-from rim_camera_ros.bags import Recording
-from rim_camera_ros.errors import InputError
-from rim_camera_ros.frame import RawFrame
 
 LINES = sorted(
     [
@@ -77,7 +78,10 @@ STORAGES: dict[str, tuple[str, Make]] = {
     "mcap, zstd by message": ("mcap, zstd by message", folder(StoragePlugin.MCAP, CompressionMode.MESSAGE)),
     "mcap, zstd by file": ("mcap, zstd by file", folder(StoragePlugin.MCAP, CompressionMode.FILE)),
     "sqlite3": ("sqlite3", folder(StoragePlugin.SQLITE3)),
-    "sqlite3, zstd by message": ("sqlite3, zstd by message", folder(StoragePlugin.SQLITE3, CompressionMode.MESSAGE)),
+    "sqlite3, zstd by message": (
+        "sqlite3, zstd by message",
+        folder(StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+    ),
     "sqlite3, zstd by file": ("sqlite3, zstd by file", folder(StoragePlugin.SQLITE3, CompressionMode.FILE)),
     "bare mcap": ("mcap", bare(StoragePlugin.MCAP, ".mcap")),
     "bare db3": ("sqlite3", bare(StoragePlugin.SQLITE3, ".db3")),
@@ -200,29 +204,59 @@ def only_metadata(path: Path) -> Path:
 
 
 BAD: dict[str, tuple[Make, str]] = {
-    "absent": (lambda path: path / "nothing", r"nothing: no such file or folder \(give the path of a recording\)"),
-    "empty folder": (empty_folder, "rec: the folder holds no recording: neither metadata.yaml nor mcap or db3"),
+    "absent": (
+        lambda path: path / "nothing",
+        r"nothing: no such file or folder \(give the path of a recording\)",
+    ),
+    "empty folder": (
+        empty_folder,
+        "rec: the folder holds no recording: neither metadata.yaml nor mcap or db3",
+    ),
     "folder around": (folder_around, r"the folder holds no recording.*\(did you mean .*rec\?\)"),
     "empty file": (file_with("a.mcap", b""), "a.mcap: is empty: nothing was recorded"),
     "text": (file_with("a.mcap", b"hello, this is no recording"), "a.mcap: is not a recording: neither mcap"),
     "text called bag": (file_with("a.bag", b"hello"), "a.bag: is not a recording"),
-    "yaml": (file_with("scene.yaml", b"format: rim_scene/1\n"), "scene.yaml: is not a recording.*give a rosbag2 folder"),
+    "yaml": (
+        file_with("scene.yaml", b"format: rim_scene/1\n"),
+        "scene.yaml: is not a recording.*give a rosbag2 folder",
+    ),
     "old bag": (file_with("a.bag", b"#ROSBAG V1.2\n"), "is a bag of an old version.*rosbag migrate"),
     "pipe": (pipe, "is neither a file nor a folder"),
-    "magic only": (file_with("a.mcap", b"\x89MCAP0\r\n"), "byte 8: the recording ends in the middle.*ros2 bag reindex"),
+    "magic only": (
+        file_with("a.mcap", b"\x89MCAP0\r\n"),
+        "byte 8: the recording ends in the middle.*ros2 bag reindex",
+    ),
     "sqlite magic only": (
         file_with("a.db3", b"SQLite format 3\0"),
         "a.db3: the database is cut off, damaged or no recording.*recover",
     ),
-    "bag magic only": (file_with("a.bag", b"#ROSBAG V2.0\n"), "the bag is cut off or damaged.*rosbag reindex"),
+    "bag magic only": (
+        file_with("a.bag", b"#ROSBAG V2.0\n"),
+        "the bag is cut off or damaged.*rosbag reindex",
+    ),
     "zstd magic only": (file_with("a.mcap.zstd", b"\x28\xb5\x2f\xfd"), "a.mcap.zstd: zstd: "),
     "metadata only": (only_metadata, "metadata.yaml: rec.mcap, which it names, is missing.*ros2 bag reindex"),
-    "no yaml": (metadata_with(r"(?s)^.*$", "{"), "metadata.yaml: is not the metadata of a recording.*reindex"),
+    "no yaml": (
+        metadata_with(r"(?s)^.*$", "{"),
+        "metadata.yaml: is not the metadata of a recording.*reindex",
+    ),
     "empty yaml": (metadata_with(r"(?s)^.*$", ""), "is not the metadata of a recording: TypeError"),
-    "other yaml": (metadata_with("rosbag2_bagfile_information", "other"), "KeyError 'rosbag2_bagfile_information'"),
-    "word as count": (metadata_with("message_count: 6", "message_count: six"), "is not the metadata.*ValueError"),
-    "no files": (metadata_with(r"relative_file_paths:\n  - rec.mcap", "relative_file_paths: []"), "it names no file"),
-    "lz4 format": (metadata_with("compression_format: ''", "compression_format: lz4"), "'lz4' is not supported"),
+    "other yaml": (
+        metadata_with("rosbag2_bagfile_information", "other"),
+        "KeyError 'rosbag2_bagfile_information'",
+    ),
+    "word as count": (
+        metadata_with("message_count: 6", "message_count: six"),
+        "is not the metadata.*ValueError",
+    ),
+    "no files": (
+        metadata_with(r"relative_file_paths:\n  - rec.mcap", "relative_file_paths: []"),
+        "it names no file",
+    ),
+    "lz4 format": (
+        metadata_with("compression_format: ''", "compression_format: lz4"),
+        "'lz4' is not supported",
+    ),
 }
 
 
@@ -239,8 +273,9 @@ def test_a_database_of_something_else_is_refused(tmp_path: Path) -> None:
         database.execute("CREATE TABLE songs (name TEXT)")
         database.execute("INSERT INTO songs VALUES ('a')")
     database.close()
-    with pytest.raises(InputError, match="damaged or no recording: no such table: topics"), Recording(
-        tmp_path / "a.db3"
+    with (
+        pytest.raises(InputError, match="damaged or no recording: no such table: topics"),
+        Recording(tmp_path / "a.db3"),
     ):
         pass
 
@@ -260,7 +295,10 @@ def test_a_full_temporary_folder_is_named(tmp_path: Path, monkeypatch: pytest.Mo
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(shutil, "copyfileobj", full)
-    with pytest.raises(Exception, match="temporary folder: No space left on device") as caught, Recording(path):
+    with (
+        pytest.raises(Exception, match="temporary folder: No space left on device") as caught,
+        Recording(path),
+    ):
         pass
     assert type(caught.value).__name__ == "RimError"
 
@@ -269,7 +307,10 @@ def test_serialisations_other_than_cdr_are_named(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "rec", pair(0))
     file = path / "metadata.yaml"
     file.write_text(file.read_text().replace("serialization_format: cdr", "serialization_format: json"))
-    with Recording(path) as recording, pytest.raises(InputError, match="Image serialised as json, the role distance"):
+    with (
+        Recording(path) as recording,
+        pytest.raises(InputError, match="Image serialised as json, the role distance"),
+    ):
         recording.frames()
 
 
@@ -278,7 +319,8 @@ def test_recordings_without_frames(tmp_path: Path) -> None:
     (path / "rec.mcap").unlink()
     other = write_bag(tmp_path / "other", [pose(START, POSE_A)])
     (other / "other.mcap").rename(path / "rec.mcap")
-    with Recording(path) as recording, pytest.raises(
-        InputError, match="rec: no frame in it: no message on /camera/distance/image_raw"
+    with (
+        Recording(path) as recording,
+        pytest.raises(InputError, match="rec: no frame in it: no message on /camera/distance/image_raw"),
     ):
         list(recording.frames())

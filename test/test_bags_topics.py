@@ -82,7 +82,10 @@ def test_surface_of_a_truth_topic(topic: str, surface: str | None) -> None:
         ("distance=", "'' is not a topic name"),
         ("distance=/a b", "'/a b' is not a topic name"),
         ("distance=/a//b", "'/a//b' is not a topic name"),
-        ("distance=/camera/amplitude/image_raw", "/camera/amplitude/image_raw is both distance and amplitude"),
+        (
+            "distance=/camera/amplitude/image_raw",
+            "/camera/amplitude/image_raw is both distance and amplitude",
+        ),
         ("truth=/pose", "<surface> stands for the surface's name.*truth=/ground_truth/<surface>/pose"),
         ("depth=/x/<surface>", "<surface> stands for"),
     ],
@@ -98,7 +101,7 @@ def test_a_role_given_twice_is_refused() -> None:
 
 
 def test_a_malformed_namespace_is_refused() -> None:
-    with pytest.raises(InputError, match="^namespace: 'a b' is not a topic name"):
+    with pytest.raises(InputError, match=r"^namespace: 'a b' is not a topic name"):
         Topics("a b")
 
 
@@ -132,7 +135,12 @@ def test_an_explicit_distance_is_not_looked_for() -> None:
 
 def test_swissranger_names_are_recognised() -> None:
     types = dict.fromkeys(
-        ("/sr/distance/image_raw", "/sr/distance/image_raw16", "/sr/intensity/image_raw", "/sr/intensity/image_raw16"),
+        (
+            "/sr/distance/image_raw",
+            "/sr/distance/image_raw16",
+            "/sr/intensity/image_raw",
+            "/sr/intensity/image_raw16",
+        ),
         IMAGE,
     )
     topics, said = resolve(Topics(), types)
@@ -161,9 +169,10 @@ def test_camera_info_beside_the_distance_is_found() -> None:
     ("types", "options", "match"),
     [
         ({"/camera/distance/image_raw": IMAGE, "/i": IMAGE}, [],
-         r"distance without amplitude: no topic /camera/amplitude/image_raw; topics of type sensor_msgs/Image: "
-         r"/camera/distance/image_raw, /i \(name it with --topic amplitude=name\)"),
-        ({"/camera/amplitude/image_raw": IMAGE}, [], "amplitude without distance: no topic /camera/distance/image_raw"),
+         r"distance without amplitude: no topic /camera/amplitude/image_raw; topics of type "
+         r"sensor_msgs/Image: /camera/distance/image_raw, /i \(name it with --topic amplitude=name\)"),
+        ({"/camera/amplitude/image_raw": IMAGE}, [],
+         "amplitude without distance: no topic /camera/distance/image_raw"),
         ({"/rosout": "rcl_interfaces/msg/Log"}, [], "no sensor_msgs/Image; topics: /rosout"),
         ({}, [], "topics: none"),
         ({"/camera/distance/image_raw": CAMERA_INFO}, [],

@@ -197,7 +197,7 @@ class Recording:
             yield frame
         if fault is not None:
             raise type(fault)(
-                f"{fault.problem}; {count} frames before it were read",
+                f"{fault.problem}; frames read before it: {count}",
                 file=fault.file or self.path,
                 place=fault.place,
                 remedy=fault.remedy,

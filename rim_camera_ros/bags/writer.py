@@ -151,7 +151,8 @@ class RecordingWriter:
         """Write a frame after the correction.
 
         ``points`` (H, W, 4): x y z in metres and intensity in counts; ``depth`` (H, W): metres along z.
-        What `write_raw` has written for the same stamp (settings, camera_info) is not repeated.
+        What `write_raw` has written for the same stamp (settings, temperatures, camera_info) is not
+        repeated: of both, write the raw frame first.
         """
         self._begin(frame.stamp)
         self._write_settings(frame.settings, frame.stamp, "")
@@ -190,9 +191,10 @@ class RecordingWriter:
         return fresh
 
     def _write_settings(self, settings: Settings, stamp: int, device: str) -> None:
-        if self._once("frame_info"):
-            message = messages.frame_info_message(settings, stamp, device, self.frame_id)
-            self._write_role("frame_info", stamp, message)
+        if not self._once("settings"):
+            return
+        message = messages.frame_info_message(settings, stamp, device, self.frame_id)
+        self._write_role("frame_info", stamp, message)
         for role, value, make in (
             ("temperature", settings.body_temperature, messages.temperature_message),
             ("ambient", settings.ambient_temperature, messages.temperature_message),

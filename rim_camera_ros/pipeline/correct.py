@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -97,8 +98,8 @@ class Correction:
                 y -= folded.map
             y -= self._drift(metres, context, folded)
             y = self._once(folded, y, by_amplitude, context)
-            distance, amplitude, gain = self._solve(folded, y, by_amplitude, context)
-            return self._finish(frame, folded, metres, distance, amplitude, gain, by_amplitude)
+            solution = self._solve(folded, y, by_amplitude, context)
+            return self._finish(frame, folded, metres, solution, by_amplitude)
 
     def cloud(self, frame: CorrectedFrame) -> NDArray[np.float32]:
         """Return the organised cloud (H, W, 4) float32: x y z [m], intensity [counts]; NaN x y z where invalid."""
@@ -193,92 +194,103 @@ class Correction:
 
     def _solve(
         self, folded: _Folded, y: Image, by_amplitude: ByAmplitude, context: Context
-    ) -> tuple[Image, Image, Image | None]:
-        """Return distance and amplitude without stray light and emitter offset, and the noise gain of the optics.
+    ) -> _Solution:
+        """Solve for the light without stray light, emitter offset and all terms.
 
-        Terms of distance and place, and of the incidence, which is estimated from the result, are
-        refined in turns.
+        Terms of distance and place are refined once (often, where ``exact``). Terms of the incidence need
+        the result's own planes: the optics are undone, the angle is estimated, and both are done again.
         """
-        delivered = folded.distance.solve(y)
-        placed: Image | float = 0.0
-        for _ in range(folded.place_rounds):
-            placed = folded.placed(delivered, by_amplitude.amplitude, context)
-            delivered = folded.distance.solve(y - placed)
-        direct, amplitude, gain, image = self._optics(folded, delivered, by_amplitude.amplitude, None, quick=folded.incidence_rounds > 0)
-        for turn in range(folded.incidence_rounds):
-            shift = folded.incidence_term(self._cosine(direct), by_amplitude, context)
-            delivered = folded.distance.solve(y - placed - shift)
-            if folded.place_rounds:
-                placed = folded.placed(delivered, by_amplitude.amplitude, context)
-                delivered = folded.distance.solve(y - placed - shift)
-            quick = turn + 1 < folded.incidence_rounds
-            direct, amplitude, gain, image = self._optics(
-                folded, delivered, by_amplitude.amplitude, image, quick=quick
+        amplitude = by_amplitude.amplitude
+        delivered, placed = folded.refine(folded.distance.solve(y), y, amplitude, context)
+        turns = folded.incidence_rounds
+        solution = self._optics(folded, delivered, by_amplitude, None, quick=turns > 0 and not self.exact)
+        for turn in range(turns):
+            if self._estimator is None:
+                self._estimator = IncidenceEstimator(self.camera.rays)
+            cosine = self._estimator.cosine(solution.distance, solution.sigma)
+            shifted = y - folded.incidence_term(cosine, by_amplitude, context)
+            delivered, placed = folded.refine(
+                folded.distance.solve(shifted - placed), shifted, amplitude, context
             )
-        return direct, amplitude, gain
-
-    def _cosine(self, distance: Image) -> Image:
-        if self._estimator is None:
-            self._estimator = IncidenceEstimator(self.camera.rays)
-        return self._estimator.cosine(distance)
+            quick = turn + 1 < turns and not self.exact
+            solution = self._optics(folded, delivered, by_amplitude, solution.image, quick=quick)
+            solution.unplaned = np.isnan(cosine)
+        return solution
 
     def _optics(
-        self, folded: _Folded, delivered: Image, amplitude: Image, guess: Image | None, *, quick: bool
-    ) -> tuple[Image, Image, Image | None, Image | None]:
+        self,
+        folded: _Folded,
+        delivered: Image,
+        by_amplitude: ByAmplitude,
+        guess: Image | None,
+        *,
+        quick: bool,
+    ) -> _Solution:
         """Undo stray light in the complex domain, then the emitter's offset."""
-        gain: Image | None = None
-        image: Image | None = None
-        direct = delivered
+        solution = _Solution(delivered, by_amplitude.amplitude, by_amplitude.sigma)
         if folded.spreading is not None:
-            direct, amplitude_out, image = self._undo_spreading(
-                folded.spreading, delivered, amplitude, guess, quick=quick
-            )
-            gain = amplitude / (amplitude_out * amplitude.dtype.type(folded.spreading.direct))
-            amplitude = amplitude_out
+            self._undo_spreading(folded.spreading, solution, guess, quick=quick)
         if self.camera.sensor.wraps:
-            length = direct.dtype.type(self.camera.sensor.ambiguity)
-            direct = direct - length * np.floor(direct / length)
+            length = delivered.dtype.type(self.camera.sensor.ambiguity)
+            periods = np.floor(solution.distance * (1 / length))
+            periods *= length
+            solution.distance = solution.distance - periods
         if folded.emitter is not None:
-            direct = folded.emitter.length(direct, folded.emitter_ray)
-        return direct, amplitude, gain, image
+            solution.distance = folded.emitter.length(solution.distance, folded.emitter_ray)
+        return solution
 
     def _undo_spreading(
-        self, operator: Spreading, delivered: Image, amplitude: Image, guess: Image | None, *, quick: bool
-    ) -> tuple[Image, Image, Image]:
+        self, operator: Spreading, solution: _Solution, guess: Image | None, *, quick: bool
+    ) -> None:
+        delivered, amplitude = solution.distance, solution.amplitude
         dtype = delivered.dtype.type
         wave = dtype(2 * np.pi / self.camera.sensor.ambiguity)
-        phase = delivered * wave
+        known = np.isfinite(delivered)
+        phase = np.where(known, delivered, dtype(0))
+        phase *= wave
+        cosine, sine = np.cos(phase), np.sin(phase)
+        light = amplitude * known
         image = np.empty((delivered.shape[0], 2, delivered.shape[1]), delivered.dtype)
-        np.cos(phase, out=image[:, 0])
-        np.sin(phase, out=image[:, 1])
-        lit = np.where(np.isfinite(phase), amplitude, dtype(0))
-        cosine, sine = image[:, 0].copy(), image[:, 1].copy()
-        image *= lit[:, None]
-        np.nan_to_num(image, copy=False, nan=0.0)
+        np.multiply(cosine, light, out=image[:, 0])
+        np.multiply(sine, light, out=image[:, 1])
         solved = operator.first_order(image) if quick else operator.solve(image, guess=guess)
         # the angle between direct and delivered light, so that the distance keeps its period
-        real = solved[:, 0] * cosine + solved[:, 1] * sine
-        imaginary = solved[:, 1] * cosine - solved[:, 0] * sine
-        direct = delivered + np.arctan2(imaginary, real) / wave
-        magnitude = np.sqrt(solved[:, 0] ** 2 + solved[:, 1] ** 2)
-        return direct, magnitude, solved
+        real = solved[:, 0] * cosine
+        real += solved[:, 1] * sine
+        imaginary = solved[:, 1] * cosine
+        imaginary -= solved[:, 0] * sine
+        turned = np.arctan2(imaginary, real)
+        turned *= 1 / wave
+        solution.distance = delivered + turned
+        real *= real
+        imaginary *= imaginary
+        real += imaginary
+        solution.amplitude = np.sqrt(real, out=real)
+        # noise stays where it is, but is the greater against what is left of the light
+        gain = amplitude / solution.amplitude
+        gain *= dtype(1.0 / operator.direct)
+        solution.sigma = solution.sigma * gain
+        solution.image = solved
 
     def _finish(
         self,
         frame: RawFrame,
         folded: _Folded,
         metres: Image,
-        distance: Image,
-        amplitude: Image,
-        gain: Image | None,
+        solution: _Solution,
         by_amplitude: ByAmplitude,
     ) -> CorrectedFrame:
         flags = by_amplitude.flags.copy()
-        sigma = by_amplitude.sigma if gain is None else by_amplitude.sigma * gain
-        missing = np.isnan(distance)
+        distance, sigma = solution.distance, solution.sigma
+        if folded.spreading is not None:
+            # light that stray light had lent an amplitude above the minimum
+            flags[solution.amplitude < folded.amplitude.minimum] |= Flag.LOW_AMPLITUDE.value
+        if solution.unplaned is not None:
+            sigma = np.where(solution.unplaned, np.hypot(sigma, folded.incidence_spread), sigma)
         # a value that only the amplitude's flags explain is not a missing measurement as well
-        unexplained = np.isnan(metres)
-        flags[unexplained | (missing & (flags & INVALID.value == 0))] |= Flag.NO_MEASUREMENT.value
+        missing = np.isnan(distance) & ((flags & np.uint8(INVALID.value)) == 0)
+        missing |= np.isnan(metres)
+        flags[missing] |= Flag.NO_MEASUREMENT.value
         if folded.reference_region is not None:
             flags[folded.reference_region] |= Flag.NO_MEASUREMENT.value
         flags[mixed_pixels(distance, sigma)] |= Flag.MIXED_PIXEL.value
@@ -286,14 +298,14 @@ class Correction:
             flags |= Flag.OUTSIDE_CALIBRATION.value
         self._mark_validity(flags, distance, frame.settings)
         invalid = _marked(flags, INVALID)
-        distance = distance.astype(np.float32)
-        distance[invalid] = np.nan
+        corrected = distance.astype(np.float32)
+        corrected[invalid] = np.nan
         sigma = np.array(sigma, np.float32)
         sigma[invalid] = np.nan
         return CorrectedFrame(
             stamp=frame.stamp,
-            distance=distance,
-            amplitude=np.asarray(amplitude, np.float32),
+            distance=corrected,
+            amplitude=np.asarray(solution.amplitude, np.float32),
             sigma=sigma,
             flags=flags,
             settings=frame.settings,
@@ -316,6 +328,19 @@ class Correction:
             bounds = getattr(limits, name)
             if bounds is not None and value is not None and not bounds[0] <= value <= bounds[1]:
                 flags |= bit
+
+
+@dataclass
+class _Solution:
+    """Light without stray light and emitter offset: distance [m], amplitude [counts], sigma [m]."""
+
+    distance: Image
+    amplitude: Image
+    sigma: Image
+    #: complex image (H, 2, W), where stray light was undone
+    image: Image | None = None
+    #: pixels where no plane was found for the incidence
+    unplaned: NDArray[np.bool_] | None = None
 
 
 class _Folded:
@@ -373,7 +398,23 @@ class _Folded:
             planes = []
         self._placed_directly = [one for one in self._placed_terms if one not in planes]
         self._planes = PlaneTable(camera, planes, context) if planes else None
-        self.place_rounds = (8 if self._exact else 2) if self._placed_terms else 0
+
+    def refine(self, distance: Image, y: Image, amplitude: Image, context: Context) -> tuple[Image, Image | float]:
+        """Return the distance with the terms of distance and place in it, and those terms, in metres.
+
+        ``distance`` solves y without them, or with nearly them: such terms change slowly with distance.
+        """
+        if not self._placed_terms:
+            return distance, 0.0
+        placed: Image | float = self.placed(distance, amplitude, context)
+        for _ in range(8 if self._exact else 1):
+            distance = self.distance.solve(y - placed)
+            again = self.placed(distance, amplitude, context)
+            # the terms' own change goes straight through: what it moves the others by is beyond the tolerance
+            if not self._exact:
+                return distance - (again - placed), again
+            placed = again
+        return distance, placed
 
     def placed(self, distance: Image, amplitude: Image, context: Context) -> Image:
         """Return the terms of distance and place in metres at a distance (H, W)."""
@@ -395,6 +436,13 @@ class _Folded:
             root = np.linspace(0.0, 1.0, _COSINES)
             gon = incidence_gon(np.arccos(1.0 - root**2))
             self._incidence_table = np.asarray(only[0].at(gon, context), np.float32)
+        #: RMS over the angles, in metres: what is not known where no plane is found
+        self.incidence_spread = 0.0
+        if self._incidence_terms:
+            context.incidence = np.linspace(0, np.pi / 2, 91)[None]
+            ones = np.ones_like(context.incidence)
+            spread = sum(np.asarray(one.term(ones, ones, context)) for one in only)
+            self.incidence_spread = float(np.sqrt(np.mean(np.square(spread))))
 
     def incidence_term(self, cosine: Image, by_amplitude: ByAmplitude, context: Context) -> Image:
         """Return the terms of the incidence in metres; 0 where no plane was found."""

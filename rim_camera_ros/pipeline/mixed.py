@@ -13,58 +13,46 @@ LEAST_STEP = 0.05
 LEAST_SIGMAS = 6.0
 #: The pixel must keep this share of the step from both of its sides.
 LEAST_SHARE = 0.15
-#: Pixels whose neighbours differ by less than this share of a step are not looked at.
-_CANDIDATE = 0.3
 
 
 def mixed_pixels(distance: NDArray[Any], sigma: NDArray[Any] | float = 0.0) -> NDArray[np.bool_]:
     """Return (H, W) bool: pixels between two surfaces along their row or their column.
 
     A pixel is mixed if the pixels two before and two behind it differ by a step that neither side's
-    own slope explains, while the pixel itself lies between them, off both. ``distance`` [m] with NaN where invalid;
-    ``sigma`` [m] of one distance.
+    own slope explains, while the pixel itself lies between them, off both. So up to three mixed pixels
+    in a row are found; surfaces narrower than two pixels are not told from mixed ones. ``distance`` [m]
+    with NaN where invalid; ``sigma`` [m] of one distance.
     """
     result = np.zeros(distance.shape, bool)
+    width = distance.shape[1]
     with np.errstate(invalid="ignore", divide="ignore"):
         least = np.maximum(np.float32(LEAST_STEP), np.float32(LEAST_SIGMAS) * sigma)
         flat = np.ascontiguousarray(distance).ravel()
         limit = np.broadcast_to(least, distance.shape).ravel()
-        height, width = distance.shape
-        if width >= 5:
-            near = np.abs(distance[:, 2:] - distance[:, :-2]) > _CANDIDATE * _part(least, 1)
-            row, column = np.nonzero(near)
-            _mark(flat, limit, result, row * width + column + 1, column + 1, width, 1)
-        if height >= 5:
-            near = np.abs(distance[2:] - distance[:-2]) > _CANDIDATE * _part(least, 0)
-            row, column = np.nonzero(near)
-            _mark(flat, limit, result, (row + 1) * width + column, row + 1, height, width)
+        step = np.empty_like(flat)
+        for stride in (1, width):
+            if flat.size <= 6 * stride:
+                continue
+            reach = 2 * stride
+            np.subtract(flat[2 * reach :], flat[: -2 * reach], out=step[reach:-reach])
+            np.abs(step[reach:-reach], out=step[reach:-reach])
+            inner = slice(3 * stride, flat.size - 3 * stride)
+            at = np.flatnonzero(step[inner] > limit[inner]) + 3 * stride
+            if stride == 1:
+                place = at % width
+                at = at[(place >= 3) & (place < width - 3)]
+            _mark(flat, limit, result.ravel(), at, stride)
     return result
 
 
-def _part(least: Any, axis: int) -> Any:
-    """The limits at the pixels that have neighbours on both sides along an axis."""
-    if np.ndim(least) == 0:
-        return least
-    return least[:, 1:-1] if axis else least[1:-1]
-
-
 def _mark(
-    d: NDArray[Any],
-    limit: NDArray[Any],
-    result: NDArray[np.bool_],
-    pixel: NDArray[np.intp],
-    place: NDArray[np.intp],
-    length: int,
-    stride: int,
+    d: NDArray[Any], limit: NDArray[Any], marked: NDArray[np.bool_], at: NDArray[np.intp], stride: int
 ) -> None:
-    """Mark candidates ``pixel`` that are mixed along one axis; ``place`` is their coordinate along it."""
-    marked = result.ravel()
-    for before, behind in ((1, 1), (2, 1), (1, 2)):
-        fits = (place - before - 1 >= 0) & (place + behind + 1 < length)
-        at = pixel[fits]
-        low, high = d[at - before * stride], d[at + behind * stride]
-        step = high - low
-        slope = np.abs(low - d[at - (before + 1) * stride]) + np.abs(d[at + (behind + 1) * stride] - high)
-        share = (d[at] - low) / step
-        found = (np.abs(step) - 2 * slope > limit[at]) & (share > LEAST_SHARE) & (share < 1 - LEAST_SHARE)
-        marked[at[found]] = True
+    """Mark those of the candidate pixels ``at`` that are mixed along one axis."""
+    low, high = d[at - 2 * stride], d[at + 2 * stride]
+    step = high - low
+    share = (d[at] - low) / step
+    between = (share > LEAST_SHARE) & (share < 1 - LEAST_SHARE)
+    at, low, high, step = at[between], low[between], high[between], step[between]
+    slope = np.abs(low - d[at - 3 * stride]) + np.abs(d[at + 3 * stride] - high)
+    marked[at[np.abs(step) - 4 * slope > limit[at]]] = True

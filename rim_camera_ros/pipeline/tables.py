@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,6 @@ from rim_camera_ros.camera import FULL_SCALE, Camera
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.base import Context, DistanceTerm, Image, solve_terms
 from rim_camera_ros.effects.cyclic_error import CyclicError
-from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.effects.integral_table import IntegralTable
 from rim_camera_ros.frame import Flag
@@ -21,6 +20,9 @@ from rim_camera_ros.noise import sigma_amplitude
 
 #: Entries of the table of distance: half a step times the slope of the cyclic error stays below 0.01 mm.
 _DISTANCES = 1 << 17
+#: Entries where it is interpolated, and the step in rad of the phase beside it.
+_BILINEAR = 1 << 12
+_PHASE_STEP = 0.012
 #: Relative step of the numerical slope of the amplitude terms.
 _STEP = 1e-4
 
@@ -115,11 +117,10 @@ class AmplitudeModel:
 
 
 class DistanceSolver:
-    """Solves d + sum of terms(d) = y, for terms of the distance (and, for the cyclic error, the pixel).
+    """Solves d + sum of terms(d) = y, for terms of the distance and the cyclic error.
 
-    Without a gradient of the phase, or with one and a single harmonic, the solution is a table of y
-    over the ambiguity range: a shift of the phase by psi is a shift of y by psi L / (2 pi order), and
-    a scale divides y and amplitude. Otherwise Newton's first step and fixed-point steps.
+    ``exact`` iterates. Else the solution is a table over y: of the nearest entry where the terms depend
+    on the distance alone, bilinear in y and in the phase that the gradient adds where they do not.
     """
 
     def __init__(
@@ -131,106 +132,90 @@ class DistanceSolver:
         self._wraps = camera.sensor.wraps
         self._range = self._ambiguity if self._wraps else FULL_SCALE * camera.sensor.lsb
         self._exact = exact
-        self._table: NDArray[np.float32] | None = None
-        self._shift: NDArray[np.float32] | None = None
-        self._index = np.empty(camera.shape, np.int32)
-        self._work = np.empty(camera.shape, np.float32)
+        self._rows: NDArray[np.int32] | None = None
         if not exact and self.terms:
             self._tabulate(context)
 
     def _tabulate(self, context: Context) -> None:
         cyclic = next((one for one in self.terms if isinstance(one, CyclicError)), None)
-        shifted = cyclic is not None and any(cyclic.gradient)
-        if shifted:
-            assert cyclic is not None
-            others = [one for one in self.terms if one is not cyclic]
-            if len(cyclic.harmonics) != 1 or not all(isinstance(one, DistanceScale) for one in others):
-                return
-            if others and not self._wraps:
-                return
-        scale = 1.0 + sum(one.scale for one in self.terms if isinstance(one, DistanceScale))
-        y = np.arange(_DISTANCES) * (self._range / _DISTANCES)
-        amplitude = np.ones_like(y)
-        if shifted:
-            assert cyclic is not None
-            harmonic = cyclic.harmonics[0]
-            plain = CyclicError(harmonics=cyclic.harmonics)
-            reach = self._ambiguity / (2 * np.pi * harmonic.order)
-            self._shift = (cyclic.phase_shift(context) * reach).astype(np.float32)
-            # d (1 + s) + c(d + shift) = y: in x = d + shift, x + c(x) / (1 + s) = y / (1 + s) + shift
-            x = solve_terms(y, lambda d: plain.term(d, amplitude, context) / scale, context)
-            self._scale = np.float32(1.0 / scale)
-        else:
-            x = solve_terms(y, lambda d: self._term(d, amplitude), context)
-            self._scale = np.float32(1.0)
-        correction = y - x
+        phases = np.zeros(1)
+        self._size = _DISTANCES
+        if cyclic is not None and any(cyclic.gradient):
+            shift = np.asarray(cyclic.phase_shift(context))
+            low, high = float(shift.min()), float(shift.max())
+            steps = max(2, int(np.ceil((high - low) / _PHASE_STEP)) + 1)
+            phases = np.linspace(low, high, steps)
+            position = (shift - low) / max(phases[1] - phases[0], 1e-12)
+            rows = np.minimum(position.astype(np.int32), steps - 2)
+            self._size = _BILINEAR
+            self._rows = rows * self._size
+            self._share = (position - rows).astype(np.float32)
+        y = np.arange(self._size) * (self._range / self._size)
+        table = np.stack([self._solved(y, phase, cyclic, context) for phase in phases])
+        self._table = np.ascontiguousarray(table.ravel(), np.float32)
+
+    def _solved(
+        self, y: Image, phase: float, cyclic: CyclicError | None, context: Context
+    ) -> NDArray[np.float64]:
+        """Return y - d over a grid of y for one phase."""
+        terms = [
+            CyclicError(
+                harmonics=tuple(replace(h, phase=h.phase + phase) for h in cyclic.harmonics)
+            )
+            if one is cyclic and cyclic is not None
+            else one
+            for one in self.terms
+        ]
+        d = solve_terms(y, lambda x: sum(one.term(x, x, context) for one in terms), context, tolerance=1e-8)
+        correction: NDArray[np.float64] = y - d
         if self._wraps:
             correction -= self._ambiguity * np.rint(correction / self._ambiguity)
-        self._table = correction.astype(np.float32)
-
-    def _term(self, distance: Image, amplitude: Image) -> Image | float:
-        total: Image | float = 0.0
-        for one in self.terms:
-            total = total + one.term(distance, amplitude, self._context)
-        return total
+        return correction
 
     def solve(self, y: Image) -> Image:
         """Return d for y (H, W) in metres; not wrapped. NaN stays NaN."""
         if not self.terms:
             return y
         if self._exact:
-            return solve_terms(y, lambda d: self._term(d, d), self._context)
-        if self._table is None:
-            return self._iterate(y)
-        work, index = self._work, self._index
-        if self._shift is not None:
-            y = y * self._scale if self._scale != 1 else y
-            np.add(y, self._shift, out=work)
-            np.multiply(work, np.float32(_DISTANCES / self._range), out=work)
-        else:
-            np.multiply(y, np.float32(_DISTANCES / self._range), out=work)
+            return solve_terms(
+                y, lambda d: sum(one.term(d, d, self._context) for one in self.terms), self._context
+            )
+        at = y * np.float32(self._size / self._range)
+        if self._rows is None:
+            at += np.float32(self._size + 0.5 if self._wraps else 0.5)
+            index = at.astype(np.int32)
+            if self._wraps:
+                index &= self._size - 1
+            work = np.take(self._table, index, mode="clip")
+            return np.subtract(y, work, out=work)
+        at += np.float32(self._size if self._wraps else 0)
+        index = at.astype(np.int32)
+        at -= index
+        following = index + 1
         if self._wraps:
-            work += np.float32(_DISTANCES + 0.5)
-            np.copyto(index, work, casting="unsafe")
-            np.bitwise_and(index, _DISTANCES - 1, out=index)
+            index &= self._size - 1
+            following &= self._size - 1
         else:
-            work += np.float32(0.5)
-            np.copyto(index, work, casting="unsafe")
-        np.take(self._table, index, out=work, mode="clip")
-        return y - work
+            np.clip(index, 0, self._size - 2, out=index)
+            np.add(index, 1, out=following)
+        index += self._rows
+        following += self._rows
+        near = self._along(index, following, at)
+        index += self._size
+        following += self._size
+        far = self._along(index, following, at)
+        far -= near
+        far *= self._share
+        near += far
+        return np.subtract(y, near, out=near)
 
-    def _iterate(self, y: Image) -> Image:
-        """Newton's first step on the cyclic error, then fixed-point steps, in float32."""
-        d = y
-        cyclic = next((one for one in self.terms if isinstance(one, CyclicError)), None)
-        if cyclic is not None:
-            term, slope = self._cyclic32(cyclic, y, slope=True)
-            d = y - term / (np.float32(1.0) + slope)
-        others = [one for one in self.terms if one is not cyclic]
-        for _ in range(3):
-            total = self._cyclic32(cyclic, d, slope=False)[0] if cyclic is not None else np.float32(0.0)
-            for one in others:
-                total = total + np.asarray(one.term(self._principal(d), d, self._context), np.float32)
-            d = y - total
-        return d
-
-    def _principal(self, d: Image) -> Image:
-        if not self._wraps:
-            return d
-        length = np.float32(self._ambiguity)
-        return d - length * np.floor(d / length)
-
-    def _cyclic32(self, cyclic: CyclicError, d: Image, *, slope: bool) -> tuple[Any, Any]:
-        shift = np.asarray(cyclic.phase_shift(self._context), np.float32)
-        wave = 2 * np.pi / self._ambiguity
-        total: Any = np.float32(0.0)
-        rise: Any = np.float32(0.0)
-        for h in cyclic.harmonics:
-            angle = d * np.float32(h.order * wave) + (shift + np.float32(h.phase))
-            total = total + np.float32(h.amplitude) * np.sin(angle)
-            if slope:
-                rise = rise + np.float32(h.amplitude * h.order * wave) * np.cos(angle)
-        return total, rise
+    def _along(self, index: Image, following: Image, share: Image) -> Image:
+        low = np.take(self._table, index, mode="clip")
+        high = np.take(self._table, following, mode="clip")
+        high -= low
+        high *= share
+        low += high
+        return low
 
 
 class PlaneTable:
