@@ -44,7 +44,7 @@ lock: $(VENV)/.installed ## renew requirements/*.lock from requirements/*.in
 	@$(RUN) requirements/lock.py oldest
 
 clean: ## remove environments, caches and build results
-	rm -rf $(VENV) $(OLDEST) build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(OLDEST) build install log demo_output *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The libraries. The stamp is written last: an interrupted installation starts anew.

@@ -69,7 +69,9 @@ class Sensor:
 class Radiometry:
     """amplitude = gain * integration_time * reflectivity * cos(incidence) * falloff / distance^2."""
 
-    gain: float = quantity("counts*m^2/unit", "amplitude per integration time at 1 m", default=500.0, above=0.0)
+    gain: float = quantity(
+        "counts*m^2/unit", "amplitude per integration time at 1 m", default=500.0, above=0.0
+    )
     gain_sigma: float = quantity(
         "-", "relative variation of the emitted power from pose to pose", default=0.0, minimum=0.0, below=1.0
     )
@@ -83,9 +85,7 @@ class Validity:
     amplitude: tuple[float, float] | None = quantity("counts", "least and greatest", default=None)
     integration_time: tuple[float, float] | None = quantity("device unit", "least, greatest", default=None)
     temperature: tuple[float, float] | None = quantity("degC", "least and greatest", default=None)
-    region: tuple[float, float, float, float] | None = quantity(
-        "px", "u0 v0 u1 v1, inclusive", default=None
-    )
+    region: tuple[float, float, float, float] | None = quantity("px", "u0 v0 u1 v1, inclusive", default=None)
 
     def __post_init__(self) -> None:
         for name in ("distance", "amplitude", "integration_time", "temperature"):
@@ -164,9 +164,7 @@ class Camera:
                 remedy="give sensor.integration_time in the camera file",
             )
         if not value > 0:
-            raise InputError(
-                f"integration_time must be positive, found {value:g}", remedy="check frame_info"
-            )
+            raise InputError(f"integration_time must be positive, found {value:g}", remedy="check frame_info")
         return value
 
     @property

@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from rim_camera_ros.camera import Camera, Covariance, Noise, Optics, Radiometry, Sensor, Validity
+from rim_camera_ros.camera import Camera, Covariance, Radiometry, Sensor, Validity
 from rim_camera_ros.effects import SECTIONS, Effect, registry
 from rim_camera_ros.errors import InputError, nearest_name
+from rim_camera_ros.noise import Noise
+from rim_camera_ros.optics import Optics
 from rim_camera_ros.parameters import (
     Document,
     arrays_of,
@@ -43,8 +45,10 @@ class _File:
     radiometry: Radiometry = field(default_factory=Radiometry)
     noise: Noise = field(default_factory=Noise)
     minimum_amplitude: float | None = quantity(
-        "counts", "below it flag 1 and no point; null: where the amplitude term's noise exceeds the range noise",
-        default=None, minimum=0.0,
+        "counts",
+        "below it flag 1 and no point; null: where the amplitude term's noise exceeds the range noise",
+        default=None,
+        minimum=0.0,
     )
     effects: Any = None
     validity: Validity = field(default_factory=Validity)

@@ -7,8 +7,9 @@ act within a small subspace: S is projected on it, the halo solved there, and ex
 undoes the truncated operator itself; division in the Fourier domain would treat the light that fell
 beside the sensor as measured zeros.
 
-Regularisation: none is needed within the stated bounds, because G_i is positive semidefinite; noise is amplified by at
-most 1 / (d - w_g). Components of the halo below ``_KEEP`` of its kernel's total are left alone.
+Regularisation: none is needed within the stated bounds, because G_i is positive semidefinite; noise is
+amplified by at most 1 / (d - w_g). Components of the halo below ``_KEEP`` of its kernel's total are left
+alone.
 """
 
 from __future__ import annotations
@@ -29,16 +30,31 @@ _KEEP = {np.dtype(np.float32): 1e-7, np.dtype(np.float64): 1e-12}
 _CONVERGED = {np.dtype(np.float32): 2e-7, np.dtype(np.float64): 1e-13}
 #: Kernels narrower than this many pixels are applied in space, wider ones in the subspace.
 _NARROW = 2.5
+#: Below this sigma a sampled Gaussian is one pixel, to the last digit.
+_POINT = 0.02
+#: From this sigma on the sums over whole pixels are the integrals, to the last digit.
+_SMOOTH = 3.0
 
 
 def gaussian_profile(size: int, sigma: float) -> NDArray[np.float64]:
     """Return the weights at 0..size-1 px of a Gaussian sampled at whole pixels, of sum 1 over all of them."""
-    if sigma <= 0:
-        return np.eye(1, size)[0]
-    reach = np.arange(1, int(np.ceil(12 * sigma)) + 2)
-    total = 1 + 2 * np.exp(-0.5 * (reach / sigma) ** 2).sum()
+    if sigma < _POINT:
+        point = np.zeros(size)
+        point[0] = 1.0
+        return point
+    total, _ = _moments(sigma)
     result: NDArray[np.float64] = np.exp(-0.5 * (np.arange(size) / sigma) ** 2) / total
     return result
+
+
+def _moments(sigma: float) -> tuple[float, float]:
+    """Sum and mean square distance of exp(-k^2 / 2 sigma^2) over all whole k."""
+    if sigma >= _SMOOTH:
+        return float(np.sqrt(2 * np.pi) * sigma), sigma**2
+    reach = np.arange(1, int(np.ceil(12 * sigma)) + 2, dtype=float)
+    weight = np.exp(-0.5 * (reach / sigma) ** 2)
+    total = 1 + 2 * float(weight.sum())
+    return total, 2 * float((weight * reach**2).sum()) / total
 
 
 def gaussian_matrix(size: int, sigma: float) -> NDArray[np.float64]:
@@ -49,19 +65,20 @@ def gaussian_matrix(size: int, sigma: float) -> NDArray[np.float64]:
 
 def gaussian_matrix_by_sigma(size: int, sigma: float) -> NDArray[np.float64]:
     """Return the derivative of `gaussian_matrix` by sigma, per pixel (0 where sigma is 0)."""
-    if sigma <= 0:
+    if sigma < _POINT:
         return np.zeros((size, size))
     profile = gaussian_profile(size, sigma)
-    reach = np.arange(1, int(np.ceil(12 * sigma)) + 2, dtype=float)
-    weight = np.exp(-0.5 * (reach / sigma) ** 2)
-    mean_square = 2 * (weight * reach**2).sum() / (1 + 2 * weight.sum())
+    _, mean_square = _moments(sigma)
     derivative = profile * (np.arange(size, dtype=float) ** 2 - mean_square) / sigma**3
     result: NDArray[np.float64] = scipy.linalg.toeplitz(derivative)
     return result
 
 
 def shift(image: NDArray[Any], *, columns: float, rows: float) -> NDArray[Any]:
-    """Return image(u - columns, v - rows), bilinear between pixels, zero outside; rows are axis 0, columns -1."""
+    """Return image(u - columns, v - rows), bilinear between pixels, zero outside.
+
+    Rows are axis 0, columns the last axis.
+    """
     whole_u, whole_v = int(np.floor(columns)), int(np.floor(rows))
     part_u, part_v = columns - whole_u, rows - whole_v
     result = np.zeros_like(image)
@@ -88,7 +105,8 @@ class Spreading:
     ``kernels``: (weight, sigma along the row [px], sigma along the column [px]); ``ghost``: (weight,
     shift in columns, shift in rows [px]) or None. The direct weight d is 1 minus all weights.
 
-    Raises ValueError where the weights leave less than 5 % of the light in its place.
+    Raises ValueError where the weights leave less than 5 % of the light in its place, or a ghost as much
+    light as they leave there.
     """
 
     def __init__(
@@ -105,6 +123,11 @@ class Spreading:
         self.direct = 1.0 - sum(k[0] for k in kernels) - (ghost[0] if ghost else 0.0)
         if self.direct < 0.05:
             raise ValueError(f"the weights leave only {self.direct:.3g} of the light in its place")
+        if self.ghost is not None and self.ghost[0] >= self.direct:
+            raise ValueError(
+                f"the ghost's weight {self.ghost[0]:.3g} reaches that of the light in its place, "
+                f"{self.direct:.3g}"
+            )
         kernels = [k for k in kernels if k[0] != 0]
         self._narrow = [k for k in kernels if min(k[1], k[2]) < _NARROW]
         wide = [k for k in kernels if min(k[1], k[2]) >= _NARROW]
@@ -112,7 +135,7 @@ class Spreading:
 
     def apply(self, image: Real) -> Real:
         """Return H image."""
-        result = self.direct * image
+        result: Real = self.direct * image
         result += self._beside(image)
         if self._wide is not None:
             result += self._wide.halo(image)
@@ -124,13 +147,18 @@ class Spreading:
             return self._solve_wide(image)
         stop = _CONVERGED[self.dtype] * (float(np.abs(image).max()) or 1.0) * 4
         solution = self._solve_wide(image) if guess is None else guess
+        # what the narrow kernels add to d is positive: half of it in the step makes the iteration converge
+        narrow = sum(k[0] for k in self._narrow) / self.direct
+        step = self.dtype.type(1.0 / (1.0 + narrow / 2))
         before = 0.0
-        for _ in range(200):
-            following = self._solve_wide(image - self._beside(solution))
-            change = float(np.abs(following - solution).max())
-            solution = following
-            # the changes shrink by a constant factor: stop where the next one would be below the bound
-            if not change * (min(1.0, change / before) if before else 1.0) > stop:
+        for _ in range(400):
+            change_by = step * (self._solve_wide(image - self._beside(solution)) - solution)
+            change = float(np.abs(change_by).max())
+            solution = solution + change_by
+            # the changes shrink by a constant factor, down to rounding: stop where all that follow together
+            # are below the bound
+            rate = change / before if before else 0.5
+            if not change * rate > stop * (1.0 - rate) or (change <= stop and rate > 0.97):
                 break
             before = change
         return solution
@@ -142,7 +170,8 @@ class Spreading:
     def _solve_wide(self, image: Real) -> Real:
         if self._wide is not None:
             return self._wide.solve(image)
-        return (image / self.dtype.type(self.direct)).astype(self.dtype, copy=False)
+        result: Real = image / self.dtype.type(self.direct)
+        return result.astype(self.dtype, copy=False)
 
     def _beside(self, image: Real) -> Real:
         """Narrow kernels and ghost."""
@@ -162,11 +191,16 @@ class Spreading:
             kernels.append(np.concatenate([profile[:0:-1], profile]).astype(self.dtype))
         planes = [
             cv2.sepFilter2D(
-                np.ascontiguousarray(image[:, part]), -1, *kernels, borderType=cv2.BORDER_CONSTANT
+                np.ascontiguousarray(image[:, part]),
+                -1,
+                kernels[0],
+                kernels[1],
+                borderType=cv2.BORDER_CONSTANT,
             )
             for part in (0, 1)
         ]
-        return np.stack(planes, axis=1)
+        result: Real = np.stack(planes, axis=1)
+        return result
 
 
 class _Subspace:
@@ -191,7 +225,9 @@ class _Subspace:
             )
             for weight, sigma_u, sigma_v in kernels
         ]
-        diagonal = direct + sum(w * np.outer(np.diag(v), np.diag(u)) for w, v, u in within)
+        diagonal = np.full((basis_v.shape[1], basis_u.shape[1]), direct)
+        for w, v, u in within:
+            diagonal += w * np.outer(np.diag(v), np.diag(u))
         self._inverse_diagonal = (1.0 / diagonal).astype(dtype)
         self._diagonal_only = len(within) == 1
         self._v = np.ascontiguousarray(basis_v, dtype)
@@ -204,13 +240,15 @@ class _Subspace:
         """(H, 2, W) -> (rank_v, 2, rank_u)."""
         height, _, width = image.shape
         rows = self._vt @ image.reshape(height, 2 * width)
-        return (rows.reshape(-1, width) @ self._u).reshape(len(self._vt), 2, -1)
+        result: Real = (rows.reshape(-1, width) @ self._u).reshape(len(self._vt), 2, -1)
+        return result
 
     def expand(self, inner: Real) -> Real:
         """(rank_v, 2, rank_u) -> (H, 2, W)."""
         rank = inner.shape[0]
         columns = (inner.reshape(rank * 2, -1) @ self._ut).reshape(rank, -1)
-        return (self._v @ columns).reshape(len(self._v), 2, -1)
+        result: Real = (self._v @ columns).reshape(len(self._v), 2, -1)
+        return result
 
     def _spread(self, inner: Real) -> Real:
         """Sum of weighted kernels within the subspace."""

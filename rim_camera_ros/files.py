@@ -53,7 +53,9 @@ def _find(name: str, kind: str, words: str) -> Path:
     if name in known:
         return share_folder() / kind / f"{name}.yaml"
     raise InputError(
-        f"no {words} of this name", file=name, remedy=f"{nearest_name(name, known)}; shipped: {_listed(known)}"
+        f"no {words} of this name",
+        file=name,
+        remedy=f"{nearest_name(name, known)}; shipped: {_listed(known)}",
     )
 
 

@@ -26,19 +26,20 @@ class Noise:
         ``background`` (counts of unmodulated light) adds shot^2 * background / A^2 to the variance.
         """
         dtype = amplitude.dtype if amplitude.dtype.kind == "f" else np.dtype(float)
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             inverse = np.where(amplitude > 0, 1.0 / np.maximum(amplitude, 1e-30), np.inf).astype(dtype)
             extra = self.amplitude**2 + self.shot**2 * background
             variance = self.floor**2 + inverse * (self.shot**2 + inverse * extra)
-            result = np.sqrt(np.where(amplitude > 0, variance, np.inf))
-        return result.astype(dtype, copy=False)
+            result: NDArray[Any] = np.sqrt(np.where(amplitude > 0, variance, np.inf))
+            return result.astype(dtype, copy=False)
 
 
 def sigma_amplitude(
     sigma_distance: NDArray[Any], amplitude: NDArray[Any], *, ambiguity: float
 ) -> NDArray[Any]:
     """Return the 1-sigma of the amplitude in counts: noise is circular in the complex plane."""
-    return 2 * np.pi / ambiguity * amplitude * sigma_distance
+    result: NDArray[Any] = 2 * np.pi / ambiguity * amplitude * sigma_distance
+    return result
 
 
 def shot_noise_precision(*, ambiguity: float, amplitude: float, offset: float) -> float:

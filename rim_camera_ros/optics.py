@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 #: Largest error of the undistortion in normalised image coordinates.
 UNDISTORTION_TOLERANCE = 1e-9
+#: Steps from the principal point to a point in which a fold of the lens model is looked for.
+_STEPS = 16
 
 
 @dataclass(frozen=True)
@@ -49,39 +51,66 @@ def distort(xy: Array, d: tuple[float, ...]) -> Array:
 def undistort(xy: Array, d: tuple[float, ...]) -> Array:
     """Invert `distort` by Newton's method, (..., 2) -> (..., 2), to `UNDISTORTION_TOLERANCE`.
 
-    Raises ValueError where the lens model cannot be inverted (it folds back within the image).
+    NaN where the lens model has no inverse: a polynomial fitted near the centre may fold back before it
+    reaches the corners. Steps that would cross the fold are halved.
     """
     if not any(d):
         return xy.copy()
-    k1, k2, p1, p2, k3 = d
-    solution = xy.copy()
-    for _ in range(50):
-        x, y = solution[..., 0], solution[..., 1]
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))
-        a = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
-        b = slope * x * y + 2 * p1 * x + 2 * p2 * y
-        c = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
-        determinant = a * c - b * b
-        if not np.all(determinant > 0):
+    target = xy.reshape(-1, 2)
+    solution = target.copy()
+    error, jacobian = _error(solution, target, d)
+    open_ = np.arange(len(target))
+    for _ in range(60):
+        left = np.abs(error).max(axis=-1) >= UNDISTORTION_TOLERANCE / 10
+        open_, error, jacobian = open_[left], error[left], tuple(one[left] for one in jacobian)
+        if not open_.size:
             break
-        error = distort(solution, d) - xy
-        if np.abs(error).max() < UNDISTORTION_TOLERANCE / 10:
-            return solution
-        step_x = (c * error[..., 0] - b * error[..., 1]) / determinant
-        step_y = (a * error[..., 1] - b * error[..., 0]) / determinant
-        solution = solution - np.stack([step_x, step_y], axis=-1)
-    raise ValueError("optics.d: the lens model folds back within the image and cannot be inverted")
+        a, b, c, determinant = jacobian
+        step = np.stack(
+            [
+                (c * error[:, 0] - b * error[:, 1]) / determinant,
+                (a * error[:, 1] - b * error[:, 0]) / determinant,
+            ],
+            axis=-1,
+        )
+        share = np.ones(len(open_))
+        for _ in range(12):
+            trial = solution[open_] - share[:, None] * step
+            crossed = ~(_error(trial, target[open_], d)[1][3] > 0)
+            if not crossed.any():
+                break
+            share[crossed] /= 2
+        solution[open_] = trial
+        error, jacobian = _error(trial, target[open_], d)
+    solution[open_] = np.nan
+    solution[~(_error(solution, target, d)[1][3] > 0)] = np.nan
+    return solution.reshape(xy.shape)
+
+
+def _error(xy: Array, target: Array, d: tuple[float, ...]) -> tuple[Array, tuple[Array, ...]]:
+    """Return distort(xy) - target and the Jacobian [[a, b], [b, c]] with its determinant."""
+    k1, k2, p1, p2, k3 = d
+    x, y = xy[..., 0], xy[..., 1]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))
+    a = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
+    b = slope * x * y + 2 * p1 * x + 2 * p2 * y
+    c = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
+    return distort(xy, d) - target, (a, b, c, a * c - b * b)
 
 
 def pixel_rays(optics: Optics, *, width: int, height: int) -> Array:
     """Return the unit rays (height, width, 3) of all pixel centres in the optical frame.
 
-    Raises ValueError where the distortion cannot be inverted.
+    NaN where the distortion cannot be inverted; such pixels see nothing. Raises ValueError where that
+    is more than half of them.
     """
     column, row = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
-    return rays_through(optics, np.stack([column, row], axis=-1))
+    rays = rays_through(optics, np.stack([column, row], axis=-1))
+    if np.isnan(rays[..., 0]).mean() > 0.5:
+        raise ValueError("optics.d: the lens model folds back within the image and cannot be inverted")
+    return rays
 
 
 def rays_through(optics: Optics, pixels: Array) -> Array:
@@ -91,7 +120,8 @@ def rays_through(optics: Optics, pixels: Array) -> Array:
     )
     ideal = undistort(distorted, optics.d)
     rays = np.concatenate([ideal, np.ones((*ideal.shape[:-1], 1))], axis=-1)
-    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    result: Array = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    return result
 
 
 def project(optics: Optics, points: Array) -> Array:

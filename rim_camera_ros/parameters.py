@@ -17,15 +17,13 @@ import typing
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
 from rim_camera_ros.errors import InputError, RimError, nearest_name
-
-T = TypeVar("T")
 
 _MAXIMUM_FILE_SIZE = 64 * 2**20
 
@@ -115,15 +113,15 @@ class _Loader(yaml.SafeLoader):
     """Safe YAML in which 1e-3 is a number (as in YAML 1.2) and aliases are refused."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):  # type: ignore[no-untyped-call]
+        if self.check_event(yaml.AliasEvent):
             event = self.peek_event()  # type: ignore[no-untyped-call]
             raise yaml.constructor.ConstructorError(
                 None, None, "aliases (*name) are not supported", event.start_mark
             )
-        return super().compose_node(parent, index)  # type: ignore[no-untyped-call]
+        return super().compose_node(parent, index)
 
 
-_Loader.add_implicit_resolver(  # type: ignore[no-untyped-call]
+_Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"^[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)[eE][-+]?[0-9]+$"),
     list("-+0123456789."),
@@ -148,10 +146,10 @@ def read_yaml(path: str | os.PathLike[str]) -> Document:
     try:
         loader = _Loader(text)
         try:
-            node = loader.get_single_node()  # type: ignore[no-untyped-call]
+            node = loader.get_single_node()
             data = None if node is None else _construct(loader, node, (), lines, path)
         finally:
-            loader.dispose()  # type: ignore[no-untyped-call]
+            loader.dispose()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"line {mark.line + 1}" if mark else None
@@ -175,7 +173,7 @@ def _construct(
                 raise yaml.constructor.ConstructorError(
                     None, None, "a key must be a plain word or number", key_node.start_mark
                 )
-            key = loader.construct_object(key_node)  # type: ignore[no-untyped-call]
+            key = loader.construct_object(key_node)
             if key in result:
                 where = ".".join(str(part) for part in (*place, key))
                 raise InputError(
@@ -188,7 +186,7 @@ def _construct(
         return result
     if isinstance(node, yaml.SequenceNode):
         return [_construct(loader, one, (*place, i), lines, path) for i, one in enumerate(node.value)]
-    return loader.construct_object(node)  # type: ignore[no-untyped-call]
+    return loader.construct_object(node)
 
 
 def _os_reason(error: OSError) -> str:
@@ -204,7 +202,7 @@ def _os_reason(error: OSError) -> str:
 # --- decoding -----------------------------------------------------------------------------------
 
 
-def decode(cls: type[T], data: Any, document: Document, place: tuple[Any, ...] = ()) -> T:
+def decode[T](cls: type[T], data: Any, document: Document, place: tuple[Any, ...] = ()) -> T:
     """Build the dataclass ``cls`` from plain YAML data.
 
     Raises `InputError` for an unknown key (naming the nearest known one), a missing key, a wrong type,
@@ -244,7 +242,9 @@ def _kind(value: Any) -> str:
         return f"the number {value}"
     if isinstance(value, str):
         return f"the text '{value[:40]}'"
-    return {list: "a list", dict: "a group of keys"}.get(type(value), f"a {type(value).__name__}")
+    if isinstance(value, list):
+        return "a list"
+    return "a group of keys" if isinstance(value, dict) else f"a {type(value).__name__}"
 
 
 def _decode_value(
@@ -434,7 +434,7 @@ def arrays_of(value: Any) -> Iterator[ArrayFile]:
 class _Dumper(yaml.SafeDumper):
     """Leaf lists and groups on one line."""
 
-    ignore_aliases: ClassVar[Any] = lambda self, data: True  # noqa: E731
+    ignore_aliases: ClassVar[Any] = lambda self, data: True
 
 
 def write_yaml(path: str | os.PathLike[str], data: Any, *, header: str = "") -> None:
@@ -493,7 +493,7 @@ def flatten(value: Any, prefix: str = "") -> dict[str, float]:
     return result
 
 
-def with_values(value: T, values: Mapping[str, float]) -> T:
+def with_values[T](value: T, values: Mapping[str, float]) -> T:
     """Return the dataclass with the numbers at the given dotted paths replaced.
 
     Raises KeyError for a path that `flatten` does not list.

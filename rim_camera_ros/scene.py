@@ -64,7 +64,8 @@ class Texture:
         rows, columns = self.values.values.shape
         i = np.floor(y / self.cell[1]).astype(np.int64) % rows
         j = np.floor(x / self.cell[0]).astype(np.int64) % columns
-        return self.values.values[i, j]
+        result: Array = self.values.values[i, j]
+        return result
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,9 @@ class Surface:
 
     def __post_init__(self) -> None:
         if isinstance(self.pose, str) and self.pose != TRUTH:
-            raise ValueError(f"pose must be a group with position and orientation, or truth, not '{self.pose}'")
+            raise ValueError(
+                f"pose must be a group with position and orientation, or truth, not '{self.pose}'"
+            )
         if (self.type == "rectangle") != (self.size is not None):
             raise ValueError("a rectangle needs 'size: [width, height]', and only a rectangle has one")
         if (self.type in ("disc", "sphere")) != (self.radius is not None):
@@ -113,7 +116,9 @@ class Surface:
             safe = np.where(met, length, 0.0)[..., None]
             local = (origins + safe * directions - position) @ rotation[:, :2]
             if self.size is not None:
-                met &= (np.abs(local[..., 0]) <= self.size[0] / 2) & (np.abs(local[..., 1]) <= self.size[1] / 2)
+                met &= (np.abs(local[..., 0]) <= self.size[0] / 2) & (
+                    np.abs(local[..., 1]) <= self.size[1] / 2
+                )
             elif self.radius is not None:
                 met &= np.sum(local**2, axis=-1) <= self.radius**2
         return np.where(met, length, np.inf)
@@ -134,9 +139,7 @@ class CameraMotion:
         """Return the pose of a resting surface as the moving camera sees it ``seconds`` later."""
         if not self.moves or seconds == 0:
             return pose
-        rotation, translation = _screw(
-            np.array(self.linear) * seconds, np.array(self.angular) * seconds
-        )
+        rotation, translation = _screw(np.array(self.linear) * seconds, np.array(self.angular) * seconds)
         position = rotation.T @ (np.array(pose.position) - translation)
         orientation = quaternion(rotation.T @ rotation_matrix(pose.orientation))
         return Pose((float(position[0]), float(position[1]), float(position[2])), orientation)
@@ -288,7 +291,11 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         replace(one, pose=_normalised(one.pose)) if isinstance(one.pose, ScenePose) else one
         for one in scene.surfaces
     )
-    return replace(scene, surfaces=surfaces)
+    schedule = tuple(
+        replace(one, poses=MappingProxyType({name: _normalised(pose) for name, pose in one.poses.items()}))
+        for one in scene.schedule
+    )
+    return replace(scene, surfaces=surfaces, schedule=schedule)
 
 
 def _normalised(pose: ScenePose) -> ScenePose:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rim_camera_ros.bags import messages
 from rim_camera_ros.bags.pairing import Backwards, Pairing
@@ -22,10 +22,14 @@ from rim_camera_ros.bags.topics import (
     resolve,
 )
 from rim_camera_ros.errors import InputError, RimError
-from rim_camera_ros.frame import NANOSECONDS, RawFrame
+from rim_camera_ros.frame import NANOSECONDS, CorrectedFrame, RawFrame
 
 if TYPE_CHECKING:
     from typing import Self
+
+#: Roles of which a corrected frame consists, and how many stamps wait for the rest of them.
+CORRECTED_PARTS = ("corrected_distance", "sigma", "flags", "points")
+_WAITING = 64
 
 _WITHOUT = {
     "camera_info": "no camera_info: the optics are those of the camera file",
@@ -172,6 +176,44 @@ class Recording:
                 raise InputError(storage.damage, file=self.path, remedy="record it again") from None
             raise error.located(self.path) from None
         return self._frames(storage, on_backwards)
+
+    def corrected_frames(self) -> Iterator[CorrectedFrame]:
+        """Iterate over recorded corrected frames: those whose distance, sigma, flags and points are all there.
+
+        Raises InputError naming the topic that is missing, or for a message that is wrong.
+        """
+        storage = self._opened()
+        missing = [self._topics[role] for role in CORRECTED_PARTS if self._topics[role] not in self._types]
+        if missing:
+            raise InputError(
+                f"topic {missing[0]} is missing", file=self.path, remedy="record the corrected topics as well"
+            )
+        return self._corrected(storage)
+
+    def _corrected(self, storage: Storage) -> Iterator[CorrectedFrame]:
+        by_topic = {self._topics[role]: role for role in CORRECTED_PARTS}
+        waiting: dict[int, dict[str, Any]] = {}
+        with closing(guarded(storage.messages(by_topic), self._unreadable)) as stream:
+            for message in stream:
+                raw = unpack_message(message, self.path)
+                decoded = messages.decode(raw, self._types[message.topic], ros1=storage.ros1)
+                role, stamp = by_topic[message.topic], messages.stamp_of(decoded)
+                parts = waiting.setdefault(stamp, {})
+                if role == "points":
+                    parts[role] = messages.points_array(decoded)[..., 3]
+                else:
+                    parts[role] = messages.image_array(decoded)
+                if len(parts) == len(by_topic):
+                    del waiting[stamp]
+                    yield CorrectedFrame(
+                        stamp=stamp,
+                        distance=parts["corrected_distance"],
+                        amplitude=parts["points"],
+                        sigma=parts["sigma"],
+                        flags=parts["flags"],
+                    )
+                elif len(waiting) > _WAITING:
+                    del waiting[min(waiting)]
 
     def _frames(self, storage: Storage, on_backwards: Backwards) -> Iterator[RawFrame]:
         routes = {self._topics[role]: (role, "") for role in RAW_ROLES[:-1]}

@@ -30,8 +30,12 @@ class Timeline:
 
     Without a schedule one station holds for ever (`Scene`'s default is 100 frames at 25 Hz: see
     ``length``). A station's ``uptime`` that lies ahead means waiting until then; one that lies behind
-    means that the camera was switched off and on. ``rate`` and ``integration_time`` can be changed
-    between frames and then override the schedule until its next station states its own.
+    means that the camera was switched off and on. ``wait`` off: the stamps do not wait, only ``uptime``
+    jumps. ``rate`` [Hz] and ``integration_time`` (device's own unit), where given, override the schedule.
+    ``repeat``: at its end the schedule starts anew, with everything as it was at the beginning (also for
+    a moving camera without a schedule, after 100 frames).
+
+    Raises `InputError` where a surface has no pose.
     """
 
     def __init__(
@@ -44,25 +48,49 @@ class Timeline:
         integration_time: float | None = None,
         rate: float | None = None,
         repeat: bool = False,
+        wait: bool = True,
     ) -> None:
         self.scene = scene
         self.camera = camera
         self.repeat = repeat
+        self._wait = wait
         self._stations = scene.schedule or (Station(),)
-        self._endless = not scene.schedule
+        self._endless = not scene.schedule and not (repeat and scene.camera_motion.moves)
         self._station = 0
         self._count = 0
         self._done_stations = 0
         self._uptime = uptime
         self._stamp = start
         self._first = True
-        self._poses = {name: (pose, start) for name, pose in scene.fixed_poses().items()}
-        self._ambient = DEFAULT_AMBIENT
-        self.rate = rate if rate is not None else 25.0
+        self._entered = start
+        scene.poses_for({name: one.pose for name, one in self._stations[0].poses.items()})
         self._given_rate = rate
-        fallback = camera.sensor.integration_time or DEFAULT_INTEGRATION_TIME
-        self.integration_time = integration_time if integration_time is not None else fallback
         self._given_integration_time = integration_time
+        self._restart()
+
+    @staticmethod
+    def rate_of(scene: Scene) -> float:
+        """Return the frame rate in Hz with which a scene's schedule begins."""
+        return (scene.schedule or (Station(),))[0].rate
+
+    @property
+    def rate(self) -> float:
+        """Frames per second at present."""
+        return self._given_rate if self._given_rate is not None else self._station_rate
+
+    @property
+    def integration_time(self) -> float:
+        """Integration time at present, in the device's own unit."""
+        given = self._given_integration_time
+        return given if given is not None else self._station_integration_time
+
+    def set_rate(self, value: float | None) -> None:
+        """Override the schedule's rate [Hz] from the next exposure on; None: as the schedule says."""
+        self._given_rate = value
+
+    def set_integration_time(self, value: float | None) -> None:
+        """Override the schedule's integration time from the next exposure on; None: as the schedule says."""
+        self._given_integration_time = value
 
     @property
     def length(self) -> int:
@@ -84,11 +112,12 @@ class Timeline:
                 return None
             self._station = 0
         station = self._stations[self._station]
-        if stamp is not None and not self._first:
-            self._uptime += (stamp - self._stamp) / NANOSECONDS
+        if stamp is not None:
+            if not self._first:
+                self._uptime += (stamp - self._stamp) / NANOSECONDS
             self._stamp = stamp
-        elif stamp is not None:
-            self._stamp = stamp
+        if self._station == 0 and self._count == 0:
+            self._restart()
         if self._count == 0:
             self._enter(station)
         exposure = Exposure(
@@ -102,6 +131,8 @@ class Timeline:
             ),
             poses=self._current_poses(),
             station=self._done_stations,
+            # resting surfaces: one pose message a station, by which recordings tell stations apart
+            pose_stamp=None if self.scene.camera_motion.moves else self._entered,
         )
         self._first = False
         step = round(NANOSECONDS / self.rate)
@@ -118,18 +149,26 @@ class Timeline:
         while (exposure := self.next()) is not None:
             yield exposure
 
+    def _restart(self) -> None:
+        """Put everything as it is before the first station."""
+        self._poses = {name: (pose, self._stamp) for name, pose in self.scene.fixed_poses().items()}
+        self._ambient = DEFAULT_AMBIENT
+        self._station_rate = self.rate_of(self.scene)
+        self._station_integration_time = self.camera.sensor.integration_time or DEFAULT_INTEGRATION_TIME
+
     def _enter(self, station: Station) -> None:
-        self.rate = self._given_rate if self._given_rate is not None else station.rate
-        if self._given_integration_time is None and station.integration_time is not None:
-            self.integration_time = station.integration_time
+        self._station_rate = station.rate
+        if station.integration_time is not None:
+            self._station_integration_time = station.integration_time
         if station.ambient is not None:
             self._ambient = station.ambient
         if station.uptime is not None:
-            if station.uptime > self._uptime and not self._first:
+            if self._wait and station.uptime > self._uptime and not self._first:
                 self._stamp += round((station.uptime - self._uptime) * NANOSECONDS)
             self._uptime = station.uptime
         for name, pose in station.poses.items():
             self._poses[name] = (pose.pose, self._stamp)
+        self._entered = self._stamp
 
     def _current_poses(self) -> dict[str, Pose]:
         """Poses now: resting surfaces as the moving camera sees them since their pose was stated."""

@@ -82,7 +82,9 @@ def registry() -> dict[str, type[Effect]]:
         if not (isinstance(effect, type) and issubclass(effect, Effect)):
             raise TypeError(f"entry point {entry.name} of rim_camera_ros.effects is not an Effect")
         if effect.name in found:
-            raise TypeError(f"entry point {entry.name} of rim_camera_ros.effects: name '{effect.name}' is taken")
+            raise TypeError(
+                f"entry point {entry.name} of rim_camera_ros.effects: name '{effect.name}' is taken"
+            )
         found[effect.name] = effect
     return found
 

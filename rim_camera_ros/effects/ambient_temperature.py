@@ -32,7 +32,9 @@ class AmbientTemperature(DistanceTerm):
 
     name = "ambient_temperature"
     title = "external temperature"
-    observable = "a fixed scene while the room's temperature changes by several degrees, with the topic recorded"
+    observable = (
+        "a fixed scene while the room's temperature changes by several degrees, with the topic recorded"
+    )
     refuted_by = "a drift without correlation to the temperature at any lag"
 
     coefficient: float = quantity("m/degC", "longer when warmer", typical=0.005)
@@ -84,7 +86,8 @@ class AmbientTemperature(DistanceTerm):
     def sentence(self) -> str:
         lag = f", lagging by {self.time_constant:.0f} s" if self.time_constant else ""
         return (
-            f"ambient temperature: {self.coefficient * 1e3:+.2g} mm per degree from {self.reference:g} degC{lag}"
+            f"ambient temperature: {self.coefficient * 1e3:+.2g} mm per degree "
+            f"from {self.reference:g} degC{lag}"
         )
 
     @classmethod

@@ -44,10 +44,9 @@ class AmplitudeNonlinearity(Effect):
         return {"compression": (np.zeros_like(signal.distance), -(compressed**2))}
 
     def sentence(self) -> str:
-        at = 10000.0
-        return (
-            f"amplitude response: {at:.0f} counts of light are published as {at / (1 + self.compression * at):.0f}"
-        )
+        light = 10000.0
+        published = light / (1 + self.compression * light)
+        return f"amplitude response: {light:.0f} counts of light are published as {published:.0f}"
 
     @classmethod
     def example(cls, camera: Camera) -> AmplitudeNonlinearity:

@@ -138,7 +138,7 @@ class Effect(ABC):
     def sentence(self) -> str:
         """Return in words, with numbers, what the effect does."""
 
-    def check(self, camera: Camera) -> None:
+    def check(self, camera: Camera) -> None:  # noqa: B027 -- most have nothing to check
         """Raise ValueError where the parameters do not fit the camera (shapes, regions)."""
 
     @classmethod
@@ -204,9 +204,7 @@ class DistanceTerm(Effect):
 
     def correct(self, signal: Signal, context: Context) -> Signal:
         """Solve distance + term(distance) = measured by iteration, to 1e-9 m."""
-        distance = solve_terms(
-            signal.distance, lambda d: self.term(d, signal.amplitude, context), context
-        )
+        distance = solve_terms(signal.distance, lambda d: self.term(d, signal.amplitude, context), context)
         return replace(signal, distance=distance)
 
 
@@ -286,7 +284,9 @@ def phasor_derivative(phasor: Image, change: Image, ambiguity: float) -> Column:
 # --- rows per integration time ------------------------------------------------------------------
 
 
-def row_weights(rows: Mapping[float, Any], integration_time: Callable[[], float]) -> list[tuple[float, float]]:
+def row_weights(
+    rows: Mapping[float, Any], integration_time: Callable[[], float]
+) -> list[tuple[float, float]]:
     """Return (key, weight) of the rows that hold at an integration time.
 
     An exact key is used; between two keys the terms in metres are interpolated linearly; outside them

@@ -78,14 +78,16 @@ def covariate(name: str, distance: Image, amplitude: Image, context: Context) ->
         case "contrast":
             return _contrast(amplitude)
         case "height":
-            return -distance * context.camera.rays[..., 1]
+            height: Image = -distance * context.camera.rays[..., 1]
+            return height
         case "edge":
             return _edge_distance(distance)
         case "saturation":
             if context.saturated is None:
                 return np.zeros(shape)
             saturated = context.saturated.astype(float)
-            return saturated.sum(axis=1, keepdims=True) + saturated.sum(axis=0, keepdims=True)
+            total: Image = saturated.sum(axis=1, keepdims=True) + saturated.sum(axis=0, keepdims=True)
+            return total
     raise KeyError(name)
 
 

@@ -28,7 +28,7 @@ class EmissionPattern(ComplexEffect):
     falloff: tuple[float, float] = quantity("rad^-2, rad^-4", "f1, f2", typical=2.0)
 
     def check(self, camera: Camera) -> None:
-        if not np.all(self.power(camera) > 0):
+        if np.any(self.power(camera) <= 0):
             raise ValueError("falloff must leave the relative power positive over the whole array")
 
     def power(self, camera: Camera) -> Image:
@@ -50,11 +50,11 @@ class EmissionPattern(ComplexEffect):
         q = np.radians(22.5) ** 2
         share = 1 + q * (self.falloff[0] + q * self.falloff[1])
         return (
-            f"emission pattern: {share:.0%} of the light on the axis is emitted 22.5 degrees (25 gon) beside it; "
-            "amplitudes towards the image's edges are lower by that"
+            f"emission pattern: {share:.0%} of the light on the axis is emitted 22.5 degrees (25 gon) "
+            "beside it; amplitudes towards the image's edges are lower by that"
         )
 
     @classmethod
     def example(cls, camera: Camera) -> EmissionPattern:
-        q = float(squared_angle(camera).max())
+        q = max(float(squared_angle(camera).max()), 1e-3)
         return cls(falloff=(-1.2 / q, 0.7 / q**2))

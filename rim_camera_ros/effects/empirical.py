@@ -48,11 +48,17 @@ class Empirical(DistanceTerm):
 
     def depends_on(self) -> frozenset[Dependency]:
         kinds: set[Dependency] = {"settings"}
+        changing = False
         for name in self.covariates:
             if name == "height":
                 kinds |= {"distance", "pixel"}
             elif name not in SCALAR:
                 kinds.add(_KIND.get(name, "frame"))
+            elif name != "integration_time":
+                changing = True
+        if changing and kinds != {"settings"}:
+            # what changes from frame to frame within one setting must not be folded into a table
+            kinds |= {"amplitude"} if "distance" in kinds else {"frame"}
         return frozenset(kinds)
 
     def term(self, distance: Image, amplitude: Image, context: Context) -> Image | float:

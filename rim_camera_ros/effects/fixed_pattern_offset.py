@@ -25,7 +25,8 @@ class FixedPatternOffset(DistanceTerm):
     def check(self, camera: Camera) -> None:
         if self.map.values.shape != camera.shape:
             raise ValueError(
-                f"map '{self.map.file}' has shape {self.map.values.shape}, expected {camera.shape} (height, width)"
+                f"map '{self.map.file}' has shape {self.map.values.shape}, "
+                f"expected {camera.shape} (height, width)"
             )
 
     def depends_on(self) -> frozenset[Dependency]:
@@ -35,10 +36,8 @@ class FixedPatternOffset(DistanceTerm):
         return self.map.values.astype(distance.dtype, copy=False)
 
     def sentence(self) -> str:
-        return (
-            f"fixed pattern: every pixel has an offset of its own, {np.std(self.map.values) * 1e3:.1f} mm RMS "
-            f"around {np.mean(self.map.values) * 1e3:+.1f} mm"
-        )
+        rms, mean = float(np.std(self.map.values)) * 1e3, float(np.mean(self.map.values)) * 1e3
+        return f"fixed pattern: every pixel has an offset of its own, {rms:.1f} mm RMS around {mean:+.1f} mm"
 
     @classmethod
     def example(cls, camera: Camera) -> FixedPatternOffset:

@@ -98,5 +98,7 @@ class IncidenceAngle(DistanceTerm):
 
 def _angle(context: Context) -> Image:
     if context.incidence is None:
-        raise InputError("the angle of incidence is not known", remedy="simulate a scene, or estimate normals")
+        raise InputError(
+            "the angle of incidence is not known", remedy="simulate a scene, or estimate normals"
+        )
     return incidence_gon(context.incidence)

@@ -15,7 +15,7 @@ from rim_camera_ros.phasor import selectivity_envelope
 
 @dataclass(frozen=True)
 class Interference(ComplexEffect):
-    """A phasor of ``amplitude`` times the envelope of eq. 2.11, with one random phase per frame, added to S."""
+    """A phasor of ``amplitude`` times the envelope of eq. 2.11 is added to S, of one random phase a frame."""
 
     name = "interference"
     title = "second camera"
@@ -24,7 +24,9 @@ class Interference(ComplexEffect):
     undo: ClassVar[Undo] = "none"
 
     frequency: float = quantity("Hz", "modulation frequency of the other camera", above=0.0)
-    amplitude: float = quantity("counts", "its amplitude in each pixel, unsuppressed", minimum=0.0, typical=100.0)
+    amplitude: float = quantity(
+        "counts", "its amplitude in each pixel, unsuppressed", minimum=0.0, typical=100.0
+    )
 
     def suppressed(self, context: Context) -> float:
         """Return the amplitude in counts that is left after the frequency selectivity."""
@@ -35,12 +37,13 @@ class Interference(ComplexEffect):
 
     def apply(self, phasor: Image, context: Context) -> Image:
         phase = context.rng.uniform(0.0, 2 * np.pi)
-        return phasor + self.suppressed(context) * np.exp(1j * phase)
+        result: Image = phasor + self.suppressed(context) * np.exp(1j * phase)
+        return result
 
     def sentence(self) -> str:
         return (
-            f"interference: a second camera at {self.frequency / 1e6:.4g} MHz adds {self.amplitude:.3g} counts "
-            "(before the frequency selectivity) of a phase that changes from frame to frame"
+            f"interference: a second camera at {self.frequency / 1e6:.4g} MHz adds {self.amplitude:.3g} "
+            "counts (before the frequency selectivity) of a phase that changes from frame to frame"
         )
 
     @classmethod

@@ -12,6 +12,9 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import ComplexEffect, Context, Image, Undo
 from rim_camera_ros.parameters import quantity
 
+#: Below this sigma in pixels a sampled Gaussian is one pixel, to the last digit.
+_POINT = 0.02
+
 
 @dataclass(frozen=True)
 class MixedPixels(ComplexEffect):
@@ -26,7 +29,7 @@ class MixedPixels(ComplexEffect):
     blur: float = quantity("px", "sigma of the Gaussian", minimum=0.0, maximum=20.0, typical=0.5)
 
     def apply(self, phasor: Image, context: Context) -> Image:
-        if self.blur == 0:
+        if self.blur < _POINT:
             return phasor
         result = np.empty_like(phasor)
         for name in ("real", "imag"):
@@ -36,7 +39,7 @@ class MixedPixels(ComplexEffect):
 
     def phasor_columns(self, phasor: Image, context: Context) -> dict[str, Image]:
         """By the heat equation, of the sampled kernel: d/d sigma of exp(-k^2 / 2 sigma^2) / sum."""
-        if self.blur == 0:
+        if self.blur < _POINT:
             return {"blur": np.zeros_like(phasor)}
         reach = int(8.0 * self.blur + 0.5)
         k = np.arange(-reach, reach + 1, dtype=float)
@@ -55,8 +58,8 @@ class MixedPixels(ComplexEffect):
 
     def sentence(self) -> str:
         return (
-            f"mixed pixels: the light of each point is blurred over {self.blur:.2g} px (sigma); pixels at edges "
-            "measure a distance between the two surfaces"
+            f"mixed pixels: the light of each point is blurred over {self.blur:.2g} px (sigma); "
+            "pixels at edges measure a distance between the two surfaces"
         )
 
     @classmethod

@@ -51,7 +51,8 @@ class Motion(Effect):
             geometry, amplitude = context.geometry_at((k - 1.5) * interval)
             moved = factor * to_phasor(geometry.distance, amplitude, context.ambiguity)
             parts.append(np.real(moved * (-1j) ** k))
-        return ((parts[0] - parts[2]) + 1j * (parts[1] - parts[3])) / 2
+        result: Image = ((parts[0] - parts[2]) + 1j * (parts[1] - parts[3])) / 2
+        return result
 
     def simulate(self, signal: Signal, context: Context) -> Signal:
         if context.geometry_at is None or not context.moving:

@@ -90,22 +90,37 @@ def _bounce(signal: Signal, geometry: Geometry, context: Context) -> Image:
     reflectivity = geometry.reflectivity.ravel()[hit]
     length = geometry.distance.ravel()[hit]
     wave = 2 * np.pi / context.ambiguity
+    # the path's phase is the sender's, the receiver's and that of the way between, in float32 for speed:
+    # its errors are 1e-6 of a weak light
+    sent = senders.amplitude * np.exp(0.5j * wave * senders.outward)
+    area = senders.area.astype(np.float32)
+    sender_plane = np.einsum("jk,jk->j", senders.normals, senders.points)
     received = np.empty(len(points), complex)
     for start in range(0, len(points), _CHUNK):
         part = slice(start, start + _CHUNK)
-        between = points[part, None, :] - senders.points[None]
-        square = np.einsum("ijk,ijk->ij", between, between)
+        own_plane = np.einsum("ik,ik->i", normals[part], points[part])
         # both cosines times r: sender's normal . r, receiver's normal . -r
-        leaving = np.maximum(np.einsum("ijk,jk->ij", between, senders.normals), 0)
-        arriving = np.maximum(-np.einsum("ijk,ik->ij", between, normals[part]), 0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            factor = leaving * arriving / square * senders.area / (np.pi * square + senders.area)
-        factor[square == 0] = 0
-        half_path = 0.5 * (senders.outward + np.sqrt(square) + length[part, None])
-        received[part] = reflectivity[part] * ((factor * np.exp(1j * wave * half_path)) @ senders.amplitude)
+        factor = (points[part] @ senders.normals.T - sender_plane).astype(np.float32)
+        np.maximum(factor, 0, out=factor)
+        arriving = (normals[part] @ senders.points.T - own_plane[:, None]).astype(np.float32)
+        factor *= np.maximum(arriving, 0, out=arriving)
+        square = _square_distances(points[part], senders.points)
+        factor /= square
+        factor *= area
+        factor /= np.float32(np.pi) * square + area
+        phase = np.sqrt(square, out=square)
+        phase *= np.float32(0.5 * wave)
+        arrived = (factor * np.cos(phase)) @ sent + 1j * ((factor * np.sin(phase)) @ sent)
+        received[part] = reflectivity[part] * arrived * np.exp(0.5j * wave * length[part])
     result = np.zeros(hit.shape, complex)
     result[hit] = received
     return result.reshape(geometry.distance.shape)
+
+
+def _square_distances(a: Image, b: Image) -> Image:
+    """Return |a_i - b_j|^2 in m^2 (N, M) as float32, never 0."""
+    square = np.einsum("ik,ik->i", a, a)[:, None] + np.einsum("jk,jk->j", b, b) - 2.0 * (a @ b.T)
+    return np.maximum(square, 1e-9).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -143,5 +158,3 @@ def _senders(signal: Signal, geometry: Geometry, camera: Camera) -> _Senders:
         # from the emitter to the patch: twice the delivered distance less the way back
         outward=mean((2 * signal.distance - geometry.distance)[hit]),
     )
-
-

@@ -38,7 +38,9 @@ class ReferencePath(Effect):
             return
         u0, v0, u1, v1 = self.pixels
         if not (0 <= u0 <= u1 < camera.sensor.width and 0 <= v0 <= v1 < camera.sensor.height):
-            raise ValueError(f"pixels {list(self.pixels)} do not lie within {camera.shape[1]} x {camera.shape[0]}")
+            raise ValueError(
+                f"pixels {list(self.pixels)} do not lie within {camera.shape[1]} x {camera.shape[0]}"
+            )
 
     def region(self) -> tuple[slice, slice] | None:
         """Return the rows and columns of the reference pixels."""
@@ -61,14 +63,14 @@ class ReferencePath(Effect):
 
     def sentence(self) -> str:
         return (
-            f"reference path: {self.nominal:.3f} m inside the camera; the scene drifts {self.scale:.2g} times "
-            "as much as it"
+            f"reference path: {self.nominal:.3f} m inside the camera; the scene drifts {self.scale:.2g} "
+            "times as much as it"
         )
 
     @classmethod
     def example(cls, camera: Camera) -> ReferencePath:
-        w = camera.sensor.width
-        return cls(nominal=0.85, scale=0.9, pixels=(w - 3, 0, w - 1, 1))
+        w, h = camera.sensor.width, camera.sensor.height
+        return cls(nominal=0.85, scale=0.9, pixels=(max(w - 3, 0), 0, w - 1, min(1, h - 1)))
 
 
 def mean_reading(values: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> float | None:

@@ -59,6 +59,11 @@ class Scattering(ComplexEffect):
             raise ValueError("give kernels or a ghost")
         if self.total_weight > 0.95:
             raise ValueError(f"the weights add up to {self.total_weight:.3g}, at most 0.95 is allowed")
+        if self.ghost is not None and self.ghost.weight >= 1.0 - self.total_weight:
+            raise ValueError(
+                f"the ghost's weight {self.ghost.weight:.3g} must stay below that of the light in its place, "
+                f"{1.0 - self.total_weight:.3g}"
+            )
 
     @property
     def total_weight(self) -> float:
@@ -95,10 +100,12 @@ class Scattering(ComplexEffect):
             moved = shift(phasor, columns=du, rows=dv)
             result["ghost.weight"] = moved - phasor
             result["ghost.shift.0"] = self.ghost.weight * (
-                shift(phasor, columns=np.floor(du) + 1, rows=dv) - shift(phasor, columns=np.floor(du), rows=dv)
+                shift(phasor, columns=np.floor(du) + 1, rows=dv)
+                - shift(phasor, columns=np.floor(du), rows=dv)
             )
             result["ghost.shift.1"] = self.ghost.weight * (
-                shift(phasor, columns=du, rows=np.floor(dv) + 1) - shift(phasor, columns=du, rows=np.floor(dv))
+                shift(phasor, columns=du, rows=np.floor(dv) + 1)
+                - shift(phasor, columns=du, rows=np.floor(dv))
             )
         return result
 

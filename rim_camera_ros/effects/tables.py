@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ def check_knots(knots: Sequence[Sequence[float]], shape: tuple[int, ...], names:
     if len(knots) != len(names):
         raise ValueError(f"knots: expected {len(names)} lists ({', '.join(names)}), found {len(knots)}")
     for name, one in zip(names, knots, strict=True):
-        if not one or any(b <= a for a, b in zip(one, one[1:], strict=False)):
+        if not one or any(b <= a for a, b in pairwise(one)):
             raise ValueError(f"knots of {name} must be an increasing list")
     expected = tuple(len(one) for one in knots)
     if shape != expected:
@@ -27,7 +27,10 @@ def interpolate(
     knots: Sequence[Sequence[float]], values: NDArray[np.float64], coordinates: Sequence[Image | float]
 ) -> Image | float:
     """Return the multilinear interpolation at coordinates that broadcast together; NaN stays NaN."""
-    cells = [_cell(np.asarray(axis, float), np.asarray(x, float)) for axis, x in zip(knots, coordinates, strict=True)]
+    cells = [
+        _cell(np.asarray(axis, float), np.asarray(x, float))
+        for axis, x in zip(knots, coordinates, strict=True)
+    ]
     total: Image | float = 0.0
     for corner in product((0, 1), repeat=len(cells)):
         weight: Image | float = 1.0

@@ -44,7 +44,9 @@ class WarmUpDrift(DistanceTerm):
     def rate(self, uptime: float) -> float:
         """Return the drift in metres per second at an uptime in seconds."""
         return float(
-            sum(-one.amplitude / one.time_constant * np.exp(-uptime / one.time_constant) for one in self.terms)
+            sum(
+                -one.amplitude / one.time_constant * np.exp(-uptime / one.time_constant) for one in self.terms
+            )
         )
 
     def columns(self, signal: Signal, context: Context) -> dict[str, Column]:

@@ -44,6 +44,8 @@ class IncidenceEstimator:
         self._usable = height >= WINDOW and width >= WINDOW
         if not self._usable:
             return
+        # a pixel without a ray is never valid; NaN would spread along the box filter's running sums
+        rays = np.nan_to_num(rays)
         self._rays = np.ascontiguousarray(rays.transpose(2, 0, 1))
         self._rays32 = self._rays.astype(np.float32)
         self._rays_by_pixel = np.ascontiguousarray(rays.reshape(-1, 3), np.float32)
@@ -51,7 +53,7 @@ class IncidenceEstimator:
         self._centres = (slice(half, height - half, STRIDE), slice(half, width - half, STRIDE))
         product = np.einsum("vui,vuj->ijvu", rays, rays)
         sums = np.array([[_box(product[i, j])[self._centres] for j in range(3)] for i in range(3)])
-        self._inverse = np.linalg.inv(sums.transpose(2, 3, 0, 1)).transpose(2, 3, 0, 1).copy()
+        self._inverse = np.linalg.pinv(sums.transpose(2, 3, 0, 1), hermitian=True).transpose(2, 3, 0, 1).copy()
         self._grid = self._inverse.shape[2:]
         # the window of each pixel: the one whose centre is nearest
         row = np.clip((np.arange(height) - half + STRIDE // 2) // STRIDE, 0, self._grid[0] - 1)

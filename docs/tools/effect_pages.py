@@ -1,0 +1,120 @@
+#!/usr/bin/env python3
+"""Write docs/effects/*.md from the effects' own classes; ``--check`` says whether they are up to date."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import inspect
+import sys
+import typing
+from pathlib import Path
+
+from rim_camera_ros.camera_file import load_camera
+from rim_camera_ros.effects import ORDER, SECTIONS
+from rim_camera_ros.effects.base import Effect
+from rim_camera_ros.files import find_camera
+
+FOLDER = Path(__file__).resolve().parents[1] / "effects"
+UNDO = {
+    "exact": "exactly, from one frame",
+    "planes": "on planes, from one frame: the normals come from the frame itself",
+    "partial": "as far as one frame tells",
+    "none": "not from one frame: pixels are flagged where they can be told, the rest stays",
+}
+
+
+def rows(kind: type, prefix: str = "") -> list[str]:
+    """Return the table rows of a parameter dataclass and of those inside it."""
+    result = []
+    hints = typing.get_type_hints(kind)
+    for field in dataclasses.fields(kind):
+        inner = next((one for one in _classes(hints[field.name])), None)
+        unit, doc = field.metadata.get("unit", ""), field.metadata.get("doc", "")
+        default = "" if field.default is dataclasses.MISSING else f" (default {field.default})"
+        if inner is not None and dataclasses.fields(inner)[0].metadata:
+            result.append(f"| `{prefix}{field.name}` | | {doc}{default} |")
+            result += rows(inner, f"{prefix}{field.name}[].")
+        else:
+            result.append(f"| `{prefix}{field.name}` | {unit} | {doc}{default} |")
+    return result
+
+
+def _classes(hint: object) -> list[type]:
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        return [hint]
+    return [one for argument in typing.get_args(hint) for one in _classes(argument)]
+
+
+def page(effect: type[Effect]) -> str:
+    """Return the page of one effect."""
+    example = effect.example(load_camera(find_camera("sr3000")))
+    first, *rest = inspect.cleandoc(inspect.getdoc(effect) or "").split("\n\n")
+    source = (inspect.getmodule(effect).__doc__ or "").strip().splitlines()[0]
+    paragraphs = "\n\n".join([" ".join(first.split()), *(" ".join(one.split()) for one in rest)])
+    return "\n".join(
+        [
+            f"# {effect.name}",
+            "",
+            source,
+            "",
+            f"    {paragraphs.splitlines()[0]}",
+            *([""] + paragraphs.splitlines()[1:] if len(paragraphs.splitlines()) > 1 else []),
+            "",
+            "| parameter | unit | |",
+            "|---|---|---|",
+            *rows(effect),
+            "",
+            f"- **Undone** {UNDO[effect.undo]}.",
+            f"- **A recording shows it** if it contains {effect.observable}.",
+            f"- **Refuted by** {effect.refuted_by}.",
+            f"- **In words**, for an example: {example.sentence()}.",
+            "",
+        ]
+    )
+
+
+def pages() -> dict[Path, str]:
+    """Return the content of every page by its path."""
+    result = {FOLDER / f"{one.name}.md": page(one) for one in ORDER}
+    lines = [
+        "# Effects, in the order along the light",
+        "",
+        "Scene and optics effects act on the complex image A exp(i 2 pi d / L) and deliver one distance and one",
+        "amplitude per pixel; every other term is evaluated at that distance and amplitude, and the terms add up.",
+        "",
+        "| effect | what it is | undone |",
+        "|---|---|---|",
+        *(f"| [{one.name}]({one.name}.md) | {one.title} | {one.undo} |" for one in ORDER),
+        "",
+        "These pages are written by `docs/tools/effect_pages.py` from the classes in `rim_camera_ros/effects`.",
+        "The names "
+        + ", ".join(f"`{one}`" for one in SECTIONS)
+        + " belong to the vocabulary as well; their parameters",
+        "are sections of the camera file (" + ", ".join(sorted(set(SECTIONS.values()))) + ").",
+        "",
+        "Another package adds an effect by a subclass of `rim_camera_ros.effects.Effect` and the entry-point group",
+        "`rim_camera_ros.effects`.",
+        "",
+    ]
+    result[FOLDER / "README.md"] = "\n".join(lines)
+    return result
+
+
+def main() -> int:
+    """Write the pages, or compare them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; 1 if a page differs")
+    check = parser.parse_args().check
+    FOLDER.mkdir(exist_ok=True)
+    stale = [path for path, text in pages().items() if not path.is_file() or path.read_text() != text]
+    if not check:
+        for path, text in pages().items():
+            path.write_text(text)
+    for path in stale:
+        print(f"{path.name}: {'out of date' if check else 'written'}")
+    return int(check and bool(stale))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

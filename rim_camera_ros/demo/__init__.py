@@ -1,0 +1,1 @@
+"""The demonstration: simulate, correct and record over DDS, then compare with the known scene."""

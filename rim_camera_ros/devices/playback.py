@@ -1,0 +1,168 @@
+"""A recording, played back as if the camera delivered it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+from typing import Literal
+
+from rim_camera_ros.bags import Recording, Topics
+from rim_camera_ros.devices.pace import Pace
+from rim_camera_ros.devices.simulator import checked_rate
+from rim_camera_ros.errors import DeviceError, InputError, RimError
+from rim_camera_ros.frame import NANOSECONDS, RawFrame
+
+#: Frame rate in Hz of a recording whose stamps state none.
+DEFAULT_RATE = 25.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Recorded:
+    """A frame as recorded; ``interval`` [ns] since the one before, ``carried`` its stamp [ns] over all rounds."""
+
+    frame: RawFrame
+    interval: int
+    carried: int
+
+
+class Playback:
+    """Plays a recording back as a `rim_camera_ros.devices.base.Device`.
+
+    ``real_time``: frames come at the intervals of their stamps divided by ``rate``, or with ``frame_rate``
+    [Hz] at a constant one; none is left out, playback that is late goes on later. Otherwise they come as
+    fast as they can be read. ``loop``: at its end the recording begins anew.
+
+    ``stamps``: ``now``, when a frame is due (default in real time), or ``recorded``; stamps of later rounds
+    of a loop go on increasing, by the recording's duration and one period each. Settings, temperatures and
+    poses are the recorded ones; pose stamps move with the first frame that carries the pose.
+    """
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        *,
+        topics: Topics | None = None,
+        real_time: bool = True,
+        loop: bool = False,
+        rate: float = 1.0,
+        frame_rate: float | None = None,
+        stamps: Literal["now", "recorded"] | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self.topics = topics
+        self.real_time = real_time
+        self.loop = loop
+        self.rate = checked_rate(rate)
+        self.stamps = stamps if stamps is not None else ("now" if real_time else "recorded")
+        self._given_rate = None if frame_rate is None else checked_rate(frame_rate)
+        self._recorded_rate = DEFAULT_RATE
+        self._pace = Pace()
+        self._stream: Iterator[_Recorded] | None = None
+        self.assumptions: list[str] = []
+
+    @property
+    def frame_rate(self) -> float:
+        """Frames per second: as set, or the recording's mean times ``rate``."""
+        return self._given_rate if self._given_rate is not None else self._recorded_rate * self.rate
+
+    def open(self) -> None:
+        """Open the recording and read its first frame; a no-op when it is open.
+
+        Raises `InputError` where it cannot be read or holds no frame.
+        """
+        if self._stream is not None:
+            return
+        self._pace = Pace()
+        self._poses: dict[str, tuple[int, int]] = {}
+        stream = self._rounds()
+        self._first = next(stream, None)
+        self._stream = stream
+
+    def next_frame(self) -> RawFrame | None:
+        """Return the next frame when it is due; None at the end, or once closed.
+
+        Raises `DeviceError` where the recording cannot be read on; what was readable has come before.
+        """
+        stream = self._stream
+        if stream is None:
+            if self._pace.interrupted:
+                return None
+            raise DeviceError("the recording is not open", file=self.path, remedy="open it first")
+        recorded, self._first = self._first, None
+        try:
+            recorded = recorded or next(stream, None)
+        except RimError as error:
+            file = error.file or self.path
+            raise DeviceError(error.problem, file=file, place=error.place, remedy=error.remedy) from error
+        except Exception as error:  # whatever a file that changes under its reader provokes
+            problem = f"cannot be read on: {type(error).__name__} {error}"
+            raise DeviceError(problem, file=self.path, remedy="check the file") from error
+        if recorded is None:
+            return None
+        now = time.time_ns()
+        if self.real_time:
+            given = self._given_rate
+            interval = recorded.interval / self.rate if given is None else NANOSECONDS / given
+            due = self._pace.next(max(round(interval), 1), skip=False)
+            if not self._pace.wait(due):
+                return None
+            now = self._pace.wall(due)
+        return self._restamped(recorded.frame, recorded.carried if self.stamps == "recorded" else now)
+
+    def set_integration_time(self, value: float | None) -> None:
+        """Raise `InputError`: what is recorded cannot be changed (None is accepted)."""
+        if value is not None:
+            raise InputError(
+                "the integration time of a recording cannot be changed",
+                place="integration_time",
+                remedy="leave it at 0",
+            )
+
+    def set_frame_rate(self, value: float | None) -> None:
+        """Set a constant frame rate in Hz from the next frame on; None: as recorded.
+
+        Raises `InputError` where it is not positive.
+        """
+        self._given_rate = None if value is None else checked_rate(value)
+
+    def close(self) -> None:
+        """Let go of the recording, from any thread; a frame that is waited for does not come."""
+        self._pace.interrupt()
+        self._stream = None
+        self._first = None
+
+    def _rounds(self) -> Iterator[_Recorded]:
+        """Read the recording once, or again and again."""
+        offset, begin = 0, True
+        last: int | None = None
+        while begin or self.loop:
+            begin = False
+            first, count = None, 0
+            with Recording(self.path, topics=self.topics) as recording:
+                duration = recording.summary().duration
+                if recording.frame_count > 1 and duration > 0:
+                    self._recorded_rate = (recording.frame_count - 1) / duration
+                period = round(NANOSECONDS / self._recorded_rate)
+                for frame in recording.frames(on_backwards="count"):
+                    if first is None:
+                        first = frame.stamp
+                        if last is not None:
+                            offset += last + period - first
+                    step = 0 if last is None or not count else frame.stamp - last
+                    last, count = frame.stamp, count + 1
+                    yield _Recorded(frame, step if step > 0 else period, frame.stamp + offset)
+                    self.assumptions = list(recording.assumptions)
+
+    def _restamped(self, frame: RawFrame, stamp: int) -> RawFrame:
+        if stamp == frame.stamp:
+            return frame
+        poses: dict[str, int] = {}
+        for surface, recorded in frame.pose_stamps.items():
+            known = self._poses.get(surface)
+            if known is None or known[0] != recorded:
+                self._poses[surface] = known = (recorded, stamp)
+            poses[surface] = known[1]
+        return replace(frame, stamp=stamp, pose_stamps=poses)

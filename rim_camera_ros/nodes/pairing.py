@@ -1,0 +1,151 @@
+"""Messages of one exposure by their exact stamp, as they come; no ROS in here."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from rim_camera_ros.bags.pairing import History
+from rim_camera_ros.frame import RawFrame, Settings
+
+IMAGES = ("distance", "amplitude")
+#: Readings that belong to a frame by their stamp, or are the last ones before it.
+READINGS = ("temperature", "ambient", "reference")
+_SIDES = ("frame_info", *READINGS)
+
+#: Exposures that may wait for the rest of their messages.
+CAPACITY = 16
+#: Seconds that a pair of images waits for what came with the frames before it.
+PATIENCE = 0.1
+
+
+@dataclass(slots=True)
+class _Exposure:
+    parts: dict[str, Any] = field(default_factory=dict)
+    complete_since: float | None = None
+    refused: bool = False
+
+
+class StampPairing:
+    """Pairs the distance and amplitude of one stamp, with what else carries it.
+
+    ``publishes(role)`` tells whether anybody publishes frame_info or a reading. A pair waits, shortly, for
+    those that do and that came with the frame before; of the readings the last ones before the frame
+    will do. A pair without its frame_info, though somebody publishes it, is left out: its
+    integration time is not known. ``left_out`` counts, by reason, what did not become a frame.
+    """
+
+    def __init__(self, publishes: Callable[[str], bool]) -> None:
+        self.left_out: Counter[str] = Counter()
+        self._publishes = publishes
+        self._waiting: dict[int, _Exposure] = {}
+        self._readings: dict[str, History] = {}
+        self._expected: set[str] | None = None
+
+    def add(self, role: str, stamp: int, value: Any, now: float) -> list[RawFrame]:
+        """Take a part of an exposure at ``stamp`` [ns] and return the frames that are ready.
+
+        ``value``: an image (H, W), `Settings` with the device's name, or a number; ``now`` in s.
+        """
+        if role in READINGS:
+            self._readings.setdefault(role, History()).add(stamp, value)
+            if stamp not in self._waiting:
+                return []
+        exposure = self._exposure(stamp)
+        if exposure.refused:
+            return []
+        if role in IMAGES and role in exposure.parts:
+            self.left_out[f"{role} twice with one stamp"] += 1
+            return []
+        exposure.parts[role] = value
+        if exposure.complete_since is None and all(one in exposure.parts for one in IMAGES):
+            exposure.complete_since = now
+        return self._ready(now)
+
+    def refuse(self, stamp: int, reason: str) -> None:
+        """Leave out the exposure of a stamp of which one message was refused."""
+        exposure = self._exposure(stamp)
+        if not exposure.refused:
+            exposure.refused = True
+            exposure.parts.clear()
+            exposure.complete_since = None
+            self.left_out[reason] += 1
+
+    def overdue(self, now: float) -> list[RawFrame]:
+        """Return the frames that have waited long enough; ``now`` in s."""
+        return self._ready(now) if self._waiting else []
+
+    def _exposure(self, stamp: int) -> _Exposure:
+        exposure = self._waiting.get(stamp)
+        if exposure is None:
+            exposure = self._waiting[stamp] = _Exposure()
+            while len(self._waiting) > CAPACITY:
+                self._drop(next(iter(self._waiting)))
+        return exposure
+
+    def _ready(self, now: float) -> list[RawFrame]:
+        frames: list[RawFrame] = []
+        complete = [stamp for stamp, one in self._waiting.items() if one.complete_since is not None]
+        for i, stamp in enumerate(complete):
+            exposure = self._waiting[stamp]
+            assert exposure.complete_since is not None
+            newer = i + 1 < len(complete)
+            if newer or now - exposure.complete_since >= PATIENCE or self._has_all(exposure):
+                frames += self._take(stamp)
+            else:
+                break
+        return frames
+
+    def _has_all(self, exposure: _Exposure) -> bool:
+        missing = [one for one in _SIDES if one not in exposure.parts]
+        if not missing:
+            return True
+        expected = self._expected
+        return not any((expected is None or one in expected) and self._publishes(one) for one in missing)
+
+    def _take(self, stamp: int) -> list[RawFrame]:
+        for older in list(self._waiting):
+            if older == stamp:
+                break
+            self._drop(older)
+        parts = self._waiting.pop(stamp).parts
+        self._expected = {one for one in _SIDES if one in parts} | {"frame_info"}
+        if "frame_info" not in parts and self._publishes("frame_info"):
+            self.left_out["a pair without frame_info"] += 1
+            return []
+        settings, device = parts.get("frame_info", (Settings(), ""))
+        readings = {role: self._reading(role, stamp) for role in READINGS}
+        return [
+            RawFrame(
+                stamp=stamp,
+                distance=parts["distance"],
+                amplitude=parts["amplitude"],
+                settings=Settings(
+                    integration_time=settings.integration_time,
+                    modulation_frequency=settings.modulation_frequency,
+                    uptime=settings.uptime,
+                    body_temperature=readings["temperature"],
+                    ambient_temperature=readings["ambient"],
+                    reference_distance=readings["reference"],
+                    extra=settings.extra,
+                ),
+                device=device,
+            )
+        ]
+
+    def _reading(self, role: str, stamp: int) -> Any:
+        history = self._readings.get(role)
+        found = None if history is None else history.latest(stamp)
+        if history is None or found is None:
+            return None
+        history.forget(stamp)
+        return found[1]
+
+    def _drop(self, stamp: int) -> None:
+        exposure = self._waiting.pop(stamp)
+        there = [role for role in IMAGES if role in exposure.parts]
+        if len(there) == 1:
+            other = IMAGES[there == ["distance"]]
+            self.left_out[f"{there[0]} without {other}"] += 1

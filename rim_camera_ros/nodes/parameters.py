@@ -1,0 +1,168 @@
+"""Parameters of a node: declared with descriptors, checked together, applied together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, ParameterException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from rim_camera_ros.errors import InputError, RimError, nearest_name
+
+Values = Mapping[str, Any]
+
+_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
+
+
+@dataclass(frozen=True)
+class Spec:
+    """One parameter: its type is that of ``default``; numbers have ``limits``, texts may have ``choices``.
+
+    ``read_only`` parameters are set when the node starts.
+    """
+
+    name: str
+    default: bool | int | float | str
+    description: str
+    limits: tuple[float, float] | None = None
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+
+    def descriptor(self) -> ParameterDescriptor:
+        """Return the descriptor as tools show it."""
+        result = ParameterDescriptor(description=self.description, read_only=self.read_only)
+        if self.choices:
+            result.additional_constraints = "one of: " + ", ".join(self.choices)
+        if self.limits is not None:
+            low, high = self.limits
+            if isinstance(self.default, float):
+                result.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+            else:
+                result.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+        return result
+
+    def check(self, value: Any) -> None:
+        """Raise `InputError` where the value is not one of the choices or not finite."""
+        if self.choices and value not in self.choices:
+            raise InputError(f"'{value}' is not a choice", place=self.name, remedy="one of: " + ", ".join(self.choices))
+        if isinstance(value, float) and not math.isfinite(value):
+            raise InputError(f"{value} is not finite", place=self.name)
+
+
+#: What a checked change does once it is accepted.
+Apply = Callable[[], None]
+
+
+class Parameters:
+    """The parameters of a node, by name in ``values``.
+
+    After `watch`, each change, of one parameter or several at once, goes through ``prepare``, which
+    receives all values as they would be and returns what is done when they hold; an error that it raises
+    becomes the reason of the rejection, and the node stays as it is. ``also`` may return values that
+    change with others.
+
+    Raises `InputError` for a value that was given at the start and is wrong.
+    """
+
+    def __init__(self, node: Node, specs: Sequence[Spec]) -> None:
+        self._node = node
+        self._specs = {one.name: one for one in specs}
+        self.values: dict[str, Any] = {one.name: _declare(node, one) for one in specs}
+        self._staged: tuple[dict[str, Any], Apply] | None = None
+        self._prepare: Callable[[Values], Apply] | None = None
+        self._also: Callable[[Values, Values], Values] | None = None
+
+    def extend(self, specs: Sequence[Spec]) -> None:
+        """Declare further parameters."""
+        for one in specs:
+            self._specs[one.name] = one
+            self.values[one.name] = _declare(self._node, one)
+
+    def watch(
+        self, prepare: Callable[[Values], Apply], *, also: Callable[[Values, Values], Values] | None = None
+    ) -> None:
+        """Let changes happen from now on. ``also`` gets the values as they would be and the changed ones."""
+        self._prepare = prepare
+        self._also = also
+        self._node.add_pre_set_parameters_callback(self._complete)
+        self._node.add_on_set_parameters_callback(self._check)
+        self._node.add_post_set_parameters_callback(self._applied)
+
+    def warn_unknown(self) -> None:
+        """Warn of parameters that were given at the start and that the node does not have."""
+        given = getattr(self._node, "_parameter_overrides", {})  # rclpy has no public way to see them
+        for name in given:
+            if not self._node.has_parameter(name) and not name.startswith("qos_overrides."):
+                remedy = nearest_name(name, self._specs)
+                self._node.get_logger().warning(f"no parameter '{name}', it is ignored ({remedy})")
+
+    def _complete(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Turn whole numbers into those of a number's type, and add what changes with the given ones."""
+        parameters = [self._converted(one) for one in parameters]
+        changed = {one.name: one.value for one in parameters}
+        if self._also is not None and all(name in self.values for name in changed):
+            for name, value in self._also({**self.values, **changed}, changed).items():
+                if name not in changed and value != self.values[name]:
+                    parameters.append(Parameter(name, value=value))
+        return parameters
+
+    def _converted(self, parameter: Parameter) -> Parameter:
+        spec = self._specs.get(parameter.name)
+        whole = parameter.type_ == Parameter.Type.INTEGER
+        if spec is not None and isinstance(spec.default, float) and whole:
+            return Parameter(parameter.name, value=float(parameter.value))
+        return parameter
+
+    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        self._staged = None
+        mine = {one.name: one.value for one in parameters if one.name in self._specs}
+        if not mine or self._prepare is None:
+            return SetParametersResult(successful=True)
+        try:
+            for name, value in mine.items():
+                self._specs[name].check(value)
+            self._staged = (mine, self._prepare({**self.values, **mine}))
+        except RimError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        except Exception as error:
+            reason = f"unexpected {type(error).__name__}: {error} (please report this)"
+            self._node.get_logger().error(reason)
+            return SetParametersResult(successful=False, reason=reason)
+        return SetParametersResult(successful=True)
+
+    def _applied(self, parameters: list[Parameter]) -> None:
+        if self._staged is None:
+            return
+        (mine, apply), self._staged = self._staged, None
+        self.values.update(mine)
+        apply()
+
+
+def _declare(node: Node, spec: Spec) -> Any:
+    """Declare a parameter and return its value; a whole number will do where a number is expected."""
+    try:
+        value = _declared(node, spec)
+        spec.check(value)
+    except InvalidParameterTypeException:
+        raise InputError("has the wrong type", place=spec.name, remedy=f"expected {_WORDS[type(spec.default)]}") from None
+    except ParameterException as error:
+        raise InputError(" ".join(str(error).split()), place=spec.name, remedy=spec.description) from None
+    return value
+
+
+def _declared(node: Node, spec: Spec) -> Any:
+    default = spec.default
+    if isinstance(default, float):
+        # an override may be a whole number: look at it first
+        flexible = ParameterDescriptor(dynamic_typing=True)
+        given = node.declare_parameter(spec.name, default, flexible).value
+        node.undeclare_parameter(spec.name)
+        if isinstance(given, int) and not isinstance(given, bool):
+            value = node.declare_parameter(spec.name, float(given), spec.descriptor(), ignore_override=True).value
+            return value
+    return node.declare_parameter(spec.name, default, spec.descriptor()).value

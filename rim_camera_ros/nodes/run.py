@@ -1,0 +1,124 @@
+"""Running a node as a process: start, signals, errors in one line, exit status."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
+
+from rim_camera_ros.bags.topics import DEFAULT_NAMESPACE
+from rim_camera_ros.errors import RimError
+
+#: Namespace of a node that is given none: topics are then those of the documentation.
+NAMESPACE = DEFAULT_NAMESPACE.lstrip("/")
+
+#: Seconds between two warnings of a kind.
+_QUIET = 5.0
+
+
+class Service(Protocol):
+    """A node's life: ``status`` becomes other than None when it is to end by itself."""
+
+    status: int | None
+
+    @property
+    def node(self) -> Node: ...
+
+    def close(self) -> None: ...
+
+
+def run(name: str, make: Callable[[], Service]) -> int:
+    """Run a node until it ends or a signal comes, and return the exit status.
+
+    0: ended, or asked to end by SIGINT or SIGTERM, however often. An error at the start is one line on
+    standard error, status 2 (bad input) or 1.
+    """
+    # rclpy's own handlers, installed later, end the executor; these keep Python from raising on top of it
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _no_matter)
+    try:
+        return _run(name, make)
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+
+
+def _run(name: str, make: Callable[[], Service]) -> int:
+    single_threaded()
+    try:
+        rclpy.init(args=sys.argv)
+    except Exception as error:
+        return _failed(name, f"{error} (see ros2 run --help, or the documentation of --ros-args)", 2)
+    try:
+        unknown = remove_ros_args(sys.argv)[1:]
+        if unknown:
+            return _failed(name, f"unknown argument {unknown[0]} (parameters: --ros-args -p name:=value)", 2)
+        try:
+            service = make()
+        except RimError as error:
+            return _failed(name, str(error), error.exit_status)
+        return _spin(service)
+    finally:
+        rclpy.try_shutdown()
+
+
+def _spin(service: Service) -> int:
+    executor = SingleThreadedExecutor()
+    executor.add_node(service.node)
+    try:
+        while rclpy.ok() and service.status is None:
+            executor.spin_once()
+    except ExternalShutdownException:
+        pass
+    finally:
+        service.close()
+        executor.remove_node(service.node)
+        executor.shutdown(timeout_sec=0)
+        service.node.destroy_node()
+    return service.status or 0
+
+
+def single_threaded() -> None:
+    """Pin OpenCV to one thread; BLAS and OpenMP are pinned by `rim_camera_ros.nodes`."""
+    try:
+        import cv2
+    except ImportError:
+        return
+    cv2.setNumThreads(1)
+
+
+def _failed(name: str, problem: str, status: int) -> int:
+    text = " ".join(problem.split())
+    print(f"{name}: {text}", file=sys.stderr, flush=True)
+    return status
+
+
+def _no_matter(number: int, frame: Any) -> None:
+    """Leave a signal to rclpy."""
+
+
+class Throttle:
+    """Warnings, of each kind at most one in five seconds, with the number of those left out."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._last: dict[str, float] = {}
+        self._left_out: dict[str, int] = {}
+
+    def warn(self, kind: str, text: str) -> None:
+        """Log a warning of a kind, unless one was just logged."""
+        now = time.monotonic()
+        if kind in self._last and now - self._last[kind] < _QUIET:
+            self._left_out[kind] = self._left_out.get(kind, 0) + 1
+            return
+        more = self._left_out.pop(kind, 0)
+        self._last[kind] = now
+        self._node.get_logger().warning(text + (f" [{more} more like it]" if more else ""))
+
