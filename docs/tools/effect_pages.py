@@ -49,17 +49,17 @@ def _classes(hint: object) -> list[type]:
 def page(effect: type[Effect]) -> str:
     """Return the page of one effect."""
     example = effect.example(load_camera(find_camera("sr3000")))
-    first, *rest = inspect.cleandoc(inspect.getdoc(effect) or "").split("\n\n")
+    formula, *text = inspect.cleandoc(inspect.getdoc(effect) or "").split("\n\n")
     source = (inspect.getmodule(effect).__doc__ or "").strip().splitlines()[0]
-    paragraphs = "\n\n".join([" ".join(first.split()), *(" ".join(one.split()) for one in rest)])
+    formula = " ".join(formula.split())
     return "\n".join(
         [
             f"# {effect.name}",
             "",
             source,
             "",
-            f"    {paragraphs.splitlines()[0]}",
-            *([""] + paragraphs.splitlines()[1:] if len(paragraphs.splitlines()) > 1 else []),
+            f"    {formula}",
+            *(line for one in text for line in ("", " ".join(one.split()))),
             "",
             "| parameter | unit | |",
             "|---|---|---|",
@@ -80,21 +80,19 @@ def pages() -> dict[Path, str]:
     lines = [
         "# Effects, in the order along the light",
         "",
-        "Scene and optics effects act on the complex image A exp(i 2 pi d / L) and deliver one distance and one",
-        "amplitude per pixel; every other term is evaluated at that distance and amplitude, and the terms add up.",
+        "Scene and optics effects act on the complex image A exp(i 2 pi d / L) and deliver one distance and",
+        "one amplitude per pixel; every other term is evaluated at those, and the terms add up.",
         "",
         "| effect | what it is | undone |",
         "|---|---|---|",
         *(f"| [{one.name}]({one.name}.md) | {one.title} | {one.undo} |" for one in ORDER),
         "",
-        "These pages are written by `docs/tools/effect_pages.py` from the classes in `rim_camera_ros/effects`.",
-        "The names "
-        + ", ".join(f"`{one}`" for one in SECTIONS)
-        + " belong to the vocabulary as well; their parameters",
-        "are sections of the camera file (" + ", ".join(sorted(set(SECTIONS.values()))) + ").",
+        "These pages are written by `docs/tools/effect_pages.py` from the classes in `effects/`.",
+        "The names " + ", ".join(f"`{one}`" for one in SECTIONS) + " belong to the vocabulary as well;",
+        f"their parameters are sections of the camera file ({', '.join(sorted(set(SECTIONS.values())))}).",
         "",
-        "Another package adds an effect by a subclass of `rim_camera_ros.effects.Effect` and the entry-point group",
-        "`rim_camera_ros.effects`.",
+        "Another package adds an effect by a subclass of `rim_camera_ros.effects.Effect` and the entry-point",
+        "group `rim_camera_ros.effects`.",
         "",
     ]
     result[FOLDER / "README.md"] = "\n".join(lines)

@@ -1,4 +1,4 @@
-"""``make demo``: driver, correction, recorder and a listener as processes of their own, then the comparison."""
+"""``make demo``: driver, correction, recorder and listener as processes, then the comparison."""
 
 from __future__ import annotations
 
@@ -61,9 +61,9 @@ def run(out: Path, *, frames: int, seed: int) -> None:
     correcting_file = out / "correction_camera.yaml"
     save_camera(correcting, correcting_file, header=f"# {SIMULATED} with parameters drawn, seed {seed}\n")
     print(
-        f"A simulated SR-3000 with every effect on looks at a room ({frames} frames at {RATE:g} Hz). It is corrected\n"
-        f"with parameters drawn within their stated sigma (seed {seed}); driver, correction, recorder and\n"
-        "listener are four processes over DDS.",
+        f"A simulated SR-3000 with every effect on looks at a room ({frames} frames at {RATE:g} Hz).\n"
+        f"It is corrected with parameters drawn within their stated sigma (seed {seed}); driver,\n"
+        "correction, recorder and listener are four processes over DDS.",
         flush=True,
     )
     recording, live = _record(out, correcting_file, frames=frames, seed=seed)
@@ -167,9 +167,8 @@ def _print_table(c: Comparison, shares: Any, live: dict[str, Any]) -> None:
         ("before", c.before, c.systematic_before),
         ("after", c.after, c.systematic_after),
     ):
-        print(
-            f"{name:16}{error.bias * 1e3:9.1f}{error.rms * 1e3:9.1f}{error.median * 1e3:12.1f}{mean * 1e3:20.1f}"
-        )
+        row = (error.bias, error.rms, error.median, mean)
+        print("{:16}{:9.1f}{:9.1f}{:12.1f}{:20.1f}".format(name, *(1e3 * value for value in row)))
     print(f"{'predicted sigma':16}{'':9}{c.noise * 1e3:9.1f}   (noise of one frame, after)")
     print("\nshare of each effect [mm RMS, one frame without noise]\n")
     print(f"{'effect':26}{'before':>9}{'after':>9}")
@@ -186,8 +185,8 @@ def _print_table(c: Comparison, shares: Any, live: dict[str, Any]) -> None:
                 "(from the frame's stamp)"
             )
     print(
-        f"frames          {live['raw_frames']} raw seen, {live.get('missing_in_raw', 0)} missing between them, "
-        f"{live['without_points']} without points"
+        f"frames          {live['raw_frames']} raw seen, {live.get('missing_in_raw', 0)} missing "
+        f"between them, {live['without_points']} without points"
     )
 
 

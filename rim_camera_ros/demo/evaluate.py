@@ -71,7 +71,7 @@ def compare(pairs: Iterable[tuple[RawFrame, CorrectedFrame]], camera: Camera, sc
     """
     simulation = Simulation(camera, scene)
     before, after, sigmas, shares = [], [], [], []
-    maps: tuple[Image, ...] = ()
+    maps: tuple[Image, Image, Image, Image] | None = None
     means: dict[float | None, _Mean] = {}
     for raw, corrected in pairs:
         truth = simulation.true_distance(recorded_exposure(raw, scene))
@@ -85,15 +85,17 @@ def compare(pairs: Iterable[tuple[RawFrame, CorrectedFrame]], camera: Camera, sc
         shares.append(usable.mean())
         means.setdefault(raw.settings.integration_time, _Mean(truth.shape)).add(usable, raw_error, error)
         maps = (truth, raw_error, np.where(usable, error, np.nan), corrected.distance)
-    if not maps:
+    if maps is None:
         raise ValueError("no frames to compare")
+    systematic = np.concatenate([one.means() for one in means.values()], axis=1)
     noise = float(np.sqrt(np.mean(np.square(np.concatenate(sigmas)))))
     return Comparison(
         len(before),
         Error.of(np.concatenate(before)),
         Error.of(np.concatenate(after)),
         noise,
-        *(_rms(np.concatenate([one.means()[k] for one in means.values()])) for k in (0, 1)),
+        _rms(systematic[0]),
+        _rms(systematic[1]),
         float(np.mean(shares)),
         *maps,
     )

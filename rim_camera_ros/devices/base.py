@@ -11,11 +11,13 @@ class Device(Protocol):
     """Whatever delivers raw frames: open, change settings, next frame, close.
 
     ``next_frame`` blocks until the next frame is due (for a device in real time), and returns None
-    at the end of what there is. All methods raise `RimError` in one line; a device that failed can be
+    at the end of what there is and once closed. All methods raise `RimError` in one line; a device that failed can be
     closed and opened again.
     """
 
-    frame_rate: float
+    @property
+    def frame_rate(self) -> float:
+        """Frames per second at present."""
 
     def open(self) -> None:
         """Make the device ready; a no-op when it is."""
@@ -23,11 +25,14 @@ class Device(Protocol):
     def next_frame(self) -> RawFrame | None:
         """Return the next frame, or None at the end."""
 
-    def set_integration_time(self, value: float) -> None:
-        """Change the integration time (device's own unit) from the next frame on."""
+    def set_integration_time(self, value: float | None) -> None:
+        """Change the integration time (device's own unit) from the next frame on; None: the device's default.
 
-    def set_frame_rate(self, value: float) -> None:
-        """Change the frame rate in Hz from the next frame on."""
+        Raises `InputError` where the device cannot do that.
+        """
+
+    def set_frame_rate(self, value: float | None) -> None:
+        """Change the frame rate in Hz from the next frame on; None: the device's default."""
 
     def close(self) -> None:
-        """Release the device; a no-op when it is closed."""
+        """Release the device, from any thread; a frame that is waited for then is None. No-op when closed."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rim_camera_ros.camera_file import load_camera
+from rim_camera_ros.devices.base import Device
 from rim_camera_ros.devices.playback import Playback
 from rim_camera_ros.devices.simulator import Simulator
 from rim_camera_ros.errors import InputError, nearest_name
@@ -41,6 +42,27 @@ class Source:
         device = self._playback() if self.source == "playback" else self._simulator()
         device.open()
         return device
+
+    @property
+    def retries(self) -> bool:
+        """Whether a device that failed may deliver again: a recording that is played once does not."""
+        return self.source != "playback" or self.loop
+
+    def describe(self) -> str:
+        """Return the source in words."""
+        if self.source == "playback":
+            return f"recording {self.recording}"
+        return f"simulation of {self.camera} in {self.scene}"
+
+    def check_settings(self, device: Device) -> None:
+        """Raise `InputError` for a setting that the device cannot take."""
+        if isinstance(device, Playback):
+            device.set_integration_time(self.integration_time or None)
+
+    def set_settings(self, device: Device) -> None:
+        """Change the settings of a device that runs."""
+        device.set_integration_time(self.integration_time or None)
+        device.set_frame_rate(self.frame_rate or None)
 
     def _simulator(self) -> Simulator:
         if self.source not in SOURCES:

@@ -182,8 +182,8 @@ class Timeline:
 def exposures_like(frames: Iterable[RawFrame], scene: Scene, camera: Camera) -> Iterator[Exposure]:
     """Yield exposures with the stamps, settings, temperatures and truth poses of recorded frames.
 
-    Surfaces with ``pose: truth`` take the recorded pose, which holds at each frame as recorded; the others the
-    scene file's, carried on by the camera's motion from the first frame. Frames with the same pose
+    Surfaces with ``pose: truth`` take the recorded pose, which holds at each frame as recorded; the
+    others the scene file's, carried on by the camera's motion from the first frame. Frames with the same pose
     messages form one station. Raises `InputError` where a truth pose is missing.
     """
     first: int | None = None

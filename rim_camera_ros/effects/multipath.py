@@ -120,7 +120,8 @@ def _bounce(signal: Signal, geometry: Geometry, context: Context) -> Image:
 def _square_distances(a: Image, b: Image) -> Image:
     """Return |a_i - b_j|^2 in m^2 (N, M) as float32, never 0."""
     square = np.einsum("ik,ik->i", a, a)[:, None] + np.einsum("jk,jk->j", b, b) - 2.0 * (a @ b.T)
-    return np.maximum(square, 1e-9).astype(np.float32)
+    result: Image = np.maximum(square, 1e-9).astype(np.float32)
+    return result
 
 
 @dataclass(frozen=True)

@@ -51,8 +51,9 @@ class Arrivals:
 
 
 def listen(*, namespace: str, frames: int, timeout: float) -> Arrivals:
-    """Return the arrivals of up to ``frames`` frames; ends early when nothing comes for ``timeout`` seconds."""
+    """Return the arrivals of up to ``frames`` frames; ends when nothing comes for ``timeout`` seconds."""
     import rclpy
+    import rclpy.utilities
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from sensor_msgs.msg import Image, PointCloud2
 
@@ -80,7 +81,7 @@ def listen(*, namespace: str, frames: int, timeout: float) -> Arrivals:
                 break
     finally:
         node.destroy_node()
-        rclpy.try_shutdown()
+        rclpy.utilities.try_shutdown()
     return arrivals
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from array import array
-from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
 from typing import Any
@@ -132,6 +132,8 @@ def _bytes(values: NDArray[Any]) -> array[int]:
     return data
 
 
-def key_values(message: Any) -> Mapping[str, str]:
-    """Return the key/value pairs of a frame_info message."""
-    return {str(pair.key): str(pair.value) for status in message.status for pair in status.values}
+def topic_part(name: str) -> str:
+    """Return a surface's name as part of a topic: letters, digits and _ only, no digit first."""
+    text = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    return f"_{text}" if not text or text[0].isdigit() else text
+

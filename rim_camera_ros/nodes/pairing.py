@@ -47,12 +47,12 @@ class StampPairing:
     def add(self, role: str, stamp: int, value: Any, now: float) -> list[RawFrame]:
         """Take a part of an exposure at ``stamp`` [ns] and return the frames that are ready.
 
-        ``value``: an image (H, W), `Settings` with the device's name, or a number; ``now`` in s.
+        ``value``: an image (H, W); of frame_info the `Settings` and the device's name; a reading, or None
+        where it has no value. ``now`` in s.
         """
         if role in READINGS:
             self._readings.setdefault(role, History()).add(stamp, value)
-            if stamp not in self._waiting:
-                return []
+            return self._ready(now)
         exposure = self._exposure(stamp)
         if exposure.refused:
             return []
@@ -92,26 +92,32 @@ class StampPairing:
             exposure = self._waiting[stamp]
             assert exposure.complete_since is not None
             newer = i + 1 < len(complete)
-            if newer or now - exposure.complete_since >= PATIENCE or self._has_all(exposure):
+            if newer or now - exposure.complete_since >= PATIENCE or not self._awaited(stamp):
                 frames += self._take(stamp)
             else:
                 break
         return frames
 
-    def _has_all(self, exposure: _Exposure) -> bool:
-        missing = [one for one in _SIDES if one not in exposure.parts]
-        if not missing:
-            return True
-        expected = self._expected
-        return not any((expected is None or one in expected) and self._publishes(one) for one in missing)
+    def _awaited(self, stamp: int) -> bool:
+        """Whether something is published that came with the last frame and has not come with this one."""
+        missing = [role for role in _SIDES if not self._came(role, stamp)]
+        expected = _SIDES if self._expected is None else self._expected
+        return any(role in expected and self._publishes(role) for role in missing)
+
+    def _came(self, role: str, stamp: int) -> bool:
+        if role == "frame_info":
+            return role in self._waiting[stamp].parts
+        history = self._readings.get(role)
+        found = None if history is None else history.latest(stamp)
+        return found is not None and found[0] == stamp
 
     def _take(self, stamp: int) -> list[RawFrame]:
         for older in list(self._waiting):
             if older == stamp:
                 break
             self._drop(older)
+        self._expected = {role for role in _SIDES if self._came(role, stamp)} | {"frame_info"}
         parts = self._waiting.pop(stamp).parts
-        self._expected = {one for one in _SIDES if one in parts} | {"frame_info"}
         if "frame_info" not in parts and self._publishes("frame_info"):
             self.left_out["a pair without frame_info"] += 1
             return []

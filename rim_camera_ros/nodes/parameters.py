@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,15 +56,16 @@ class Spec:
 
 #: What a checked change does once it is accepted.
 Apply = Callable[[], None]
+Prepare = Callable[[Values, Set[str]], Apply]
 
 
 class Parameters:
     """The parameters of a node, by name in ``values``.
 
     After `watch`, each change, of one parameter or several at once, goes through ``prepare``, which
-    receives all values as they would be and returns what is done when they hold; an error that it raises
-    becomes the reason of the rejection, and the node stays as it is. ``also`` may return values that
-    change with others.
+    receives all values as they would be and the names of those that were set (perhaps to the value they
+    had), and returns what is done when they hold; an error that it raises becomes the reason of the
+    rejection, and the node stays as it is. ``also`` may return values that change with others.
 
     Raises `InputError` for a value that was given at the start and is wrong.
     """
@@ -74,7 +75,7 @@ class Parameters:
         self._specs = {one.name: one for one in specs}
         self.values: dict[str, Any] = {one.name: _declare(node, one) for one in specs}
         self._staged: tuple[dict[str, Any], Apply] | None = None
-        self._prepare: Callable[[Values], Apply] | None = None
+        self._prepare: Prepare | None = None
         self._also: Callable[[Values, Values], Values] | None = None
 
     def extend(self, specs: Sequence[Spec]) -> None:
@@ -84,7 +85,7 @@ class Parameters:
             self.values[one.name] = _declare(self._node, one)
 
     def watch(
-        self, prepare: Callable[[Values], Apply], *, also: Callable[[Values, Values], Values] | None = None
+        self, prepare: Prepare, *, also: Callable[[Values, Values], Values] | None = None
     ) -> None:
         """Let changes happen from now on. ``also`` gets the values as they would be and the changed ones."""
         self._prepare = prepare
@@ -126,7 +127,7 @@ class Parameters:
         try:
             for name, value in mine.items():
                 self._specs[name].check(value)
-            self._staged = (mine, self._prepare({**self.values, **mine}))
+            self._staged = (mine, self._prepare({**self.values, **mine}, mine.keys()))
         except RimError as error:
             return SetParametersResult(successful=False, reason=str(error))
         except Exception as error:

@@ -1,4 +1,4 @@
-"""What the two real recordings are known to show, computed from clouds (independent of the package's effects)."""
+"""What the two real recordings are known to show, computed from clouds alone."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def ray_residual(points: Array, normal: Array, offset: float) -> Array:
 
 
 def board_frame(points: Array, position: Array, orientation: Array) -> Array:
-    """Return the board coordinates (H, W, 2) of the rays' intersections with the board's plane at its pose."""
+    """Return the board coordinates (H, W, 2) of where the rays meet the board at its pose."""
     rotation = Rotation.from_quat(orientation).as_matrix()
     length = np.linalg.norm(points, axis=-1, keepdims=True)
     rays = points / length
@@ -101,8 +101,8 @@ def wall_residual(clouds: Iterable[Array], *, wall_beyond: float = 1.6) -> dict[
     """Return what the wall of the O3D303 recording shows, in metres.
 
     The mean cloud of the frames; pixels farther than ``wall_beyond`` are the wall. ``low``, ``high``: 1st and
-    99th percentile of the smooth (7 x 7 median) residual from its plane; ``pattern``: RMS of the residual that
-    is not smooth, in the mean of the frames; ``noise``: of that mean.
+    99th percentile of the smooth (7 x 7 median) residual from its plane; ``pattern``: RMS of the rest
+    of it, in the mean of the frames; ``noise``: of that mean.
     """
     stack = np.stack([cloud[..., :3] for cloud in clouds]).astype(float)
     length = np.linalg.norm(stack, axis=-1)

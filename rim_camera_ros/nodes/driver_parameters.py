@@ -1,0 +1,75 @@
+"""The driver's parameters, and the source of frames that they describe."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+from rim_camera_ros.devices.source import SOURCES, STAMPS, Source
+from rim_camera_ros.nodes.parameters import Spec, Values
+from rim_camera_ros.nodes.qos import CHOICES, SENSOR_DATA
+
+SPECS = (
+    Spec("source", "simulator", "where frames come from", choices=SOURCES),
+    Spec("camera", "sr3000", "camera that is simulated: a camera file, or the name of a shipped one"),
+    Spec("scene", "room", "scene that is simulated: a scene file, or the name of a shipped one"),
+    Spec("recording", "", "recording that is played back: rosbag2 (folder, mcap, sqlite3) or a ROS 1 bag"),
+    Spec(
+        "frame_rate",
+        0.0,
+        "frames per second [Hz]; 0: as the scene or the stamps of the recording say",
+        limits=(0.0, 1000.0),
+    ),
+    Spec(
+        "integration_time",
+        0.0,
+        "integration time in the camera's own unit (register for SwissRanger, ms for PMD); 0: as the scene says",
+        limits=(0.0, 1e6),
+    ),
+    Spec(
+        "as_fast_as_possible",
+        False,
+        "frames are not paced; stamps advance by the frame rate (simulator) or are the recorded ones",
+    ),
+    Spec("loop", True, "the scene's schedule, or the recording, begins anew at its end"),
+    Spec("seed", 0, "seed of the simulated noise", limits=(0, 2**62)),
+    Spec(
+        "waveform",
+        "",
+        "empty: the camera file's cyclic error; or the modulation that makes it: sinusoid, square:DUTY, "
+        "harmonics:3=0.1,5=-0.02",
+    ),
+    Spec("playback_rate", 1.0, "speed of playback, 1: as recorded", limits=(0.01, 100.0)),
+    Spec(
+        "stamps", "auto", "stamps of playback; auto: now, or recorded if as_fast_as_possible", choices=STAMPS
+    ),
+    Spec("frame_id", "camera_optical_frame", "optical frame (REP 103) in the headers"),
+    Spec("publish_truth", True, "publish the poses of the scene's surfaces to /ground_truth/<surface>/pose"),
+    Spec("frames", 0, "number of frames to publish; 0: no limit", limits=(0, 2**62), read_only=True),
+    Spec(
+        "exit_at_end", False, "end the process after the last frame, status 0 (1: the device failed)", read_only=True
+    ),
+    Spec(
+        "wait_for_subscribers",
+        0,
+        "publish nothing until distance, amplitude and frame_info have that many subscribers each",
+        limits=(0, 100),
+        read_only=True,
+    ),
+    Spec("qos.images", SENSOR_DATA, "delivery of distance and amplitude", choices=CHOICES, read_only=True),
+    Spec(
+        "qos.info",
+        SENSOR_DATA,
+        "delivery of camera_info, frame_info, temperatures, reference",
+        choices=CHOICES,
+        read_only=True,
+    ),
+)
+
+#: Parameters that can be changed while a device runs; the others that describe it make another one.
+_WHILE_RUNNING = {"frame_rate", "integration_time"}
+RESTARTING = frozenset(one.name for one in fields(Source)) - _WHILE_RUNNING
+
+
+def source_of(values: Values) -> Source:
+    """Return the source of frames that parameters describe; it is not opened and hardly checked."""
+    return Source(**{one.name: values[one.name] for one in fields(Source)})
