@@ -11,8 +11,8 @@ class Device(Protocol):
     """Whatever delivers raw frames: open, change settings, next frame, close.
 
     ``next_frame`` blocks until the next frame is due (for a device in real time), and returns None
-    at the end of what there is and once closed. All methods raise `RimError` in one line; a device that failed can be
-    closed and opened again.
+    at the end of what there is and once closed. All methods raise `RimError` in one line; a device that
+    failed can be closed and opened again.
     """
 
     @property

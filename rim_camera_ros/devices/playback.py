@@ -21,7 +21,7 @@ DEFAULT_RATE = 25.0
 
 @dataclass(frozen=True, slots=True)
 class _Recorded:
-    """A frame as recorded; ``interval`` [ns] since the one before, ``carried`` its stamp [ns] over all rounds."""
+    """A frame as recorded: ``interval`` [ns] since the last one, ``carried``: stamp [ns] over all rounds."""
 
     frame: RawFrame
     interval: int

@@ -138,9 +138,7 @@ class Simulator:
             return None
         # the timeline runs on a clock that is never set; only what leaves the device is on the wall clock
         shift = self._pace.wall(due) - (self._begin + due - self._origin)
-        return replace(
-            frame, stamp=frame.stamp + shift, pose_stamps=shifted(frame.pose_stamps, shift)
-        )
+        return replace(frame, stamp=frame.stamp + shift, pose_stamps=shifted(frame.pose_stamps, shift))
 
     def set_integration_time(self, value: float | None) -> None:
         """Set the integration time (device's own unit) from the next frame on; None: as the schedule says.

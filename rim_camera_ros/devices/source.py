@@ -66,7 +66,9 @@ class Source:
 
     def _simulator(self) -> Simulator:
         if self.source not in SOURCES:
-            raise InputError(f"no source '{self.source}'", place="source", remedy=nearest_name(self.source, SOURCES))
+            raise InputError(
+                f"no source '{self.source}'", place="source", remedy=nearest_name(self.source, SOURCES)
+            )
         return Simulator(
             load_scene(find_scene(self.scene)),
             load_camera(find_camera(self.camera)),
@@ -81,7 +83,9 @@ class Source:
     def _playback(self) -> Playback:
         if not self.recording:
             raise InputError(
-                "source playback needs a recording", place="recording", remedy="set the parameter recording to a bag"
+                "source playback needs a recording",
+                place="recording",
+                remedy="set the parameter recording to a bag",
             )
         device = Playback(
             self.recording,

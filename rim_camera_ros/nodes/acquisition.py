@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from typing import Protocol
 
 from rim_camera_ros.devices.base import Device
@@ -104,7 +103,7 @@ class Acquisition:
             if failed:
                 pause, failed = _RETRY, False
                 self._listener.on_recovery()
-            if not self._stopping and not self._listener.on_frame(frame):
+            if not self._listener.on_frame(frame):
                 return
 
     @property

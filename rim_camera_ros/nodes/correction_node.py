@@ -30,7 +30,9 @@ from rim_camera_ros.pipeline.correct import Correction
 _EFFECT = "effects."
 
 SPECS = (
-    Spec("camera", "sr3000", "camera file, or the name of a shipped one; setting it again reads the file anew"),
+    Spec(
+        "camera", "sr3000", "camera file, or the name of a shipped one; setting it again reads the file anew"
+    ),
     Spec(
         "minimum_amplitude",
         -1.0,
@@ -74,6 +76,7 @@ class CorrectionNode:
         self._frame_id = ""
         self._last: RawFrame | None = None
         self._noted: set[str] = set()
+        self._left_out: dict[str, int] = {}
         self.refused = 0
         self._make_publishers()
         self._make_subscriptions()
@@ -108,7 +111,12 @@ class CorrectionNode:
         profile = qos.profile(self._parameters.values["qos.input"])
         self._from = {
             role: qos.subscription(
-                self.node, messages.ros_class(ROLES[role][1]), ROLES[role][0], take, profile, parameter="qos.input"
+                self.node,
+                messages.ros_class(ROLES[role][1]),
+                ROLES[role][0],
+                take,
+                profile,
+                parameter="qos.input",
             )
             for role, take in (
                 ("temperature", lambda message: self._take("temperature", message)),
@@ -120,10 +128,10 @@ class CorrectionNode:
                 ("distance", lambda message: self._take("distance", message)),
             )
         }
-        self._pairing = StampPairing(
-            lambda role: self.node.count_publishers(self._from[role].topic_name) > 0
+        self._pairing = StampPairing(lambda role: self.node.count_publishers(self._from[role].topic_name) > 0)
+        self._timer = self.node.create_timer(
+            _TICK, lambda: self._correct(self._pairing.overdue(time.monotonic()))
         )
-        self._timer = self.node.create_timer(_TICK, lambda: self._correct(self._pairing.overdue(time.monotonic())))
 
     # --- messages in ----------------------------------------------------------------------------
 
@@ -136,7 +144,9 @@ class CorrectionNode:
             self.refused += 1
             self._pairing.refuse(stamp, f"a {role} that was refused")
             problem = str(error) if isinstance(error, RimError) else f"{type(error).__name__} {error}"
-            self._throttle.warn(f"refused {role}", f"{self._from[role].topic_name}: message refused: {problem}")
+            self._throttle.warn(
+                f"refused {role}", f"{self._from[role].topic_name}: message refused: {problem}"
+            )
             return
         self._correct(self._pairing.add(role, stamp, value, time.monotonic()))
 
@@ -165,13 +175,11 @@ class CorrectionNode:
         if stated is None or (stated.height, stated.width) != self._camera.shape:
             return
         ours = self._camera.intrinsics
-        apart = max(
-            abs(getattr(stated, name) - getattr(ours, name)) for name in ("fx", "fy", "cx", "cy")
-        )
+        apart = max(abs(getattr(stated, name) - getattr(ours, name)) for name in ("fx", "fy", "cx", "cy"))
         if apart > _SAME_OPTICS:
             self._note(
-                f"camera_info differs from the camera file's optics by up to {apart:.1f} px; points are computed "
-                "with the camera file"
+                f"camera_info differs from the camera file's optics by up to {apart:.1f} px; points are "
+                "computed with the camera file"
             )
 
     # --- frames out -----------------------------------------------------------------------------
@@ -191,8 +199,9 @@ class CorrectionNode:
                 self._throttle.warn(f"uncorrected {type(error).__name__}", f"frame not corrected: {problem}")
         for note in self._correction.notes - self._noted:
             self._note(note)
-        if self._pairing.left_out:
-            for reason, count in self._pairing.left_out.items():
+        for reason, count in self._pairing.left_out.items():
+            if count > self._left_out.get(reason, 0):
+                self._left_out[reason] = count
                 self._throttle.warn(reason, f"{reason}: {count} left out so far")
 
     def _publish(self, corrected: CorrectedFrame, wanted: set[str]) -> None:
@@ -227,9 +236,7 @@ class CorrectionNode:
             camera = load_camera(find_camera(values["camera"]))
         except RimError:
             return {}  # the check says it
-        off = {
-            name for name in self._camera.effects if not self._parameters.values[_EFFECT + name]
-        }
+        off = {name for name in self._camera.effects if not self._parameters.values[_EFFECT + name]}
         return {_EFFECT + name: name in camera.effects and name not in off for name in registry()}
 
     def _prepare(self, values: Values, changed: Set[str]) -> Apply:
@@ -237,18 +244,19 @@ class CorrectionNode:
         anew = "camera" in changed
         camera = load_camera(find_camera(values["camera"])) if anew else self._camera
         correction = _correction(camera, values)
+        correction.carry_on(self._correction)
         last = self._last
-        if not anew:
-            correction.carry_on(self._correction)
-        elif last is not None and last.shape != camera.shape:
+        if last is not None and last.shape != camera.shape:
             (height, width), (rows, columns) = last.shape, camera.shape
             raise InputError(
                 f"the file is for {columns} x {rows} px, the images are {width} x {height}",
                 file=values["camera"],
                 remedy="give the file of this sensor",
             )
-        if last is not None and last.shape == camera.shape:
-            correction.prepare(last.settings)
+        if last is not None:
+            correction.correct(
+                last
+            )  # whether it can, and so that the next frame need not wait for its tables
 
         def apply() -> None:
             self._camera, self._correction = camera, correction
@@ -259,11 +267,13 @@ class CorrectionNode:
 
 
 def _effect_spec(name: str, on: bool) -> Spec:
-    return Spec(_EFFECT + name, on, f"undo {registry()[name].title}; only effects of the camera file can be on")
+    return Spec(
+        _EFFECT + name, on, f"undo {registry()[name].title}; only effects of the camera file can be on"
+    )
 
 
 def _correction(camera: Camera, values: Values) -> Correction:
-    """Return the correction that parameters describe. Raises `InputError` for what does not fit the camera."""
+    """Return the correction that parameters describe; `InputError` for what does not fit the camera."""
     on = {name for name in registry() if values[_EFFECT + name]}
     foreign = sorted(on - set(camera.effects))
     if foreign:

@@ -16,7 +16,6 @@ from rclpy.publisher import Publisher
 
 from rim_camera_ros.bags.topics import CAMERA_INFO, POSE, ROLES, SURFACE
 from rim_camera_ros.devices.base import Device
-from rim_camera_ros.devices.source import Source
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.frame import Pose, RawFrame
 from rim_camera_ros.nodes import driver_parameters, messages, qos
@@ -25,7 +24,7 @@ from rim_camera_ros.nodes.parameters import Apply, Parameters, Values
 from rim_camera_ros.nodes.run import NAMESPACE, run
 
 #: Topics whose subscribers count for wait_for_subscribers.
-_GATE = ("distance", "amplitude", "frame_info")
+_GATE = ("frame_info", "amplitude", "distance")
 #: Seconds to wait at the end until reliable subscribers have received the last frames.
 _LINGER = 2.0
 
@@ -66,7 +65,9 @@ class DriverNode:
 
     def on_frame(self, frame: RawFrame) -> bool:
         """Publish a frame; False once enough have been."""
-        while self._wait_for and min(self._of[role].get_subscription_count() for role in _GATE) < self._wait_for:
+        while (
+            self._wait_for and min(self._of[role].get_subscription_count() for role in _GATE) < self._wait_for
+        ):
             if self._stopped.wait(0.01):
                 return False
         self._wait_for = 0
@@ -115,22 +116,21 @@ class DriverNode:
     # --- publishing -----------------------------------------------------------------------------
 
     def _make_publishers(self) -> None:
-        values = self._parameters.values
         self._of: dict[str, Publisher] = {}
-        for role in ("distance", "amplitude", "camera_info", "frame_info", "temperature", "ambient", "reference"):
+        # what is waited for comes last, so that whoever has found it has found the rest
+        beside = ROLES["distance"][0].rpartition("/")[0] + "/camera_info"
+        self._of["distance_camera_info"] = self._publisher(CAMERA_INFO, beside, "qos.info")
+        for role in ("temperature", "ambient", "reference", "camera_info", *_GATE):
             parameter = "qos.images" if role in ("distance", "amplitude") else "qos.info"
             topic, kind = ROLES[role]
             self._of[role] = self._publisher(kind, topic, parameter)
-        beside = ROLES["distance"][0].rpartition("/")[0] + "/camera_info"
-        self._of["distance_camera_info"] = self._publisher(CAMERA_INFO, beside, "qos.info")
-        self._log.debug(f"images {values['qos.images']}, the rest {values['qos.info']}")
 
     def _publisher(self, kind: str, topic: str, parameter: str) -> Publisher:
         profile = qos.profile(self._parameters.values[parameter])
         return qos.publisher(self.node, messages.ros_class(kind), topic, profile, parameter=parameter)
 
     def _publish(self, frame: RawFrame) -> None:
-        """Publish what somebody listens to: what belongs to the images first, so that they complete the frame."""
+        """Publish what somebody listens to; the images come last and complete the frame."""
         frame_id, stamp, settings = self._frame_id, frame.stamp, frame.settings
         head = messages.header(stamp, frame_id)
         if self._truth:

@@ -22,7 +22,7 @@ SPECS = (
     Spec(
         "integration_time",
         0.0,
-        "integration time in the camera's own unit (register for SwissRanger, ms for PMD); 0: as the scene says",
+        "integration time in the camera's own unit (SwissRanger: register, PMD: ms); 0: as the scene says",
         limits=(0.0, 1e6),
     ),
     Spec(
@@ -46,7 +46,10 @@ SPECS = (
     Spec("publish_truth", True, "publish the poses of the scene's surfaces to /ground_truth/<surface>/pose"),
     Spec("frames", 0, "number of frames to publish; 0: no limit", limits=(0, 2**62), read_only=True),
     Spec(
-        "exit_at_end", False, "end the process after the last frame, status 0 (1: the device failed)", read_only=True
+        "exit_at_end",
+        False,
+        "end the process after the last frame, status 0 (1: the device failed)",
+        read_only=True,
     ),
     Spec(
         "wait_for_subscribers",

@@ -55,7 +55,7 @@ def image(pixels: NDArray[Any], head: Header) -> Image:
 
 
 def cloud(points: NDArray[np.float32], head: Header) -> PointCloud2:
-    """Return an organised cloud of (H, W, 4) float32: x y z in metres, intensity in counts; 16 bytes a point."""
+    """Return an organised cloud of (H, W, 4) float32: x y z [m], intensity [counts]; 16 bytes a point."""
     height, width, _ = points.shape
     plain = np.ascontiguousarray(points, "<f4")
     return PointCloud2(
@@ -99,7 +99,7 @@ def pose(value: Pose, stamp: int, frame_id: str) -> Any:
 
 
 def to_ros(message: Any) -> Any:
-    """Return the rclpy message of a message object of the rosbags library: what is published is what is recorded."""
+    """Return the rclpy message of a message object of rosbags: what is published is what is recorded."""
     kind = ros_class(message.__msgtype__)
     return kind(**{one.name: _value(getattr(message, one.name)) for one in dataclasses.fields(message)})
 
@@ -136,4 +136,3 @@ def topic_part(name: str) -> str:
     """Return a surface's name as part of a topic: letters, digits and _ only, no digit first."""
     text = re.sub(r"[^A-Za-z0-9_]", "_", name)
     return f"_{text}" if not text or text[0].isdigit() else text
-

@@ -49,7 +49,9 @@ class Spec:
     def check(self, value: Any) -> None:
         """Raise `InputError` where the value is not one of the choices or not finite."""
         if self.choices and value not in self.choices:
-            raise InputError(f"'{value}' is not a choice", place=self.name, remedy="one of: " + ", ".join(self.choices))
+            raise InputError(
+                f"'{value}' is not a choice", place=self.name, remedy="one of: " + ", ".join(self.choices)
+            )
         if isinstance(value, float) and not math.isfinite(value):
             raise InputError(f"{value} is not finite", place=self.name)
 
@@ -84,9 +86,7 @@ class Parameters:
             self._specs[one.name] = one
             self.values[one.name] = _declare(self._node, one)
 
-    def watch(
-        self, prepare: Prepare, *, also: Callable[[Values, Values], Values] | None = None
-    ) -> None:
+    def watch(self, prepare: Prepare, *, also: Callable[[Values, Values], Values] | None = None) -> None:
         """Let changes happen from now on. ``also`` gets the values as they would be and the changed ones."""
         self._prepare = prepare
         self._also = also
@@ -150,9 +150,12 @@ def _declare(node: Node, spec: Spec) -> Any:
         value = _declared(node, spec)
         spec.check(value)
     except InvalidParameterTypeException:
-        raise InputError("has the wrong type", place=spec.name, remedy=f"expected {_WORDS[type(spec.default)]}") from None
+        raise InputError(
+            "has the wrong type", place=spec.name, remedy=f"expected {_WORDS[type(spec.default)]}"
+        ) from None
     except ParameterException as error:
-        raise InputError(" ".join(str(error).split()), place=spec.name, remedy=spec.description) from None
+        reason = " ".join(str(error).split()).rpartition("Reason: ")[2].removesuffix(f": {spec.name}")
+        raise InputError(reason.removesuffix("."), place=spec.name, remedy=spec.description) from None
     return value
 
 
@@ -164,6 +167,7 @@ def _declared(node: Node, spec: Spec) -> Any:
         given = node.declare_parameter(spec.name, default, flexible).value
         node.undeclare_parameter(spec.name)
         if isinstance(given, int) and not isinstance(given, bool):
-            value = node.declare_parameter(spec.name, float(given), spec.descriptor(), ignore_override=True).value
-            return value
+            return node.declare_parameter(
+                spec.name, float(given), spec.descriptor(), ignore_override=True
+            ).value
     return node.declare_parameter(spec.name, default, spec.descriptor()).value

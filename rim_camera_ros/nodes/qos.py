@@ -31,8 +31,10 @@ def latched() -> QoSProfile:
     )
 
 
-def publisher(node: Node, kind: Any, topic: str, qos: QoSProfile, *, parameter: str | None = None) -> Publisher:
-    """Return a publisher that warns about incompatible subscribers; ``parameter`` is the one that sets ``qos``."""
+def publisher(
+    node: Node, kind: Any, topic: str, qos: QoSProfile, *, parameter: str | None = None
+) -> Publisher:
+    """Return a publisher that warns of incompatible subscribers; ``parameter`` is what sets ``qos``."""
 
     def incompatible(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
@@ -42,7 +44,8 @@ def publisher(node: Node, kind: Any, topic: str, qos: QoSProfile, *, parameter: 
         if policy != "RELIABILITY":
             remedy = f"choose a compatible {policy.lower()} there"
         node.get_logger().warning(
-            f"a subscriber of {made.topic_name} asks for another {policy} than is offered and receives nothing: {remedy}"
+            f"a subscriber of {made.topic_name} asks for another {policy} than is offered and receives "
+            f"nothing: {remedy}"
         )
 
     made = node.create_publisher(
@@ -54,13 +57,13 @@ def publisher(node: Node, kind: Any, topic: str, qos: QoSProfile, *, parameter: 
 def subscription(
     node: Node, kind: Any, topic: str, callback: Any, qos: QoSProfile, *, parameter: str
 ) -> Subscription:
-    """Return a subscription that warns about incompatible publishers; ``parameter`` is the one that sets ``qos``."""
+    """Return a subscription that warns of incompatible publishers; ``parameter`` is what sets ``qos``."""
 
     def incompatible(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         node.get_logger().warning(
-            f"a publisher of {made.topic_name} offers another {policy} than is asked for, nothing comes from it: "
-            f"start this node with {parameter}:={SENSOR_DATA}, or that publisher with reliable delivery"
+            f"a publisher of {made.topic_name} offers another {policy} than is asked for, nothing comes from "
+            f"it: start this node with {parameter}:={SENSOR_DATA}, or that publisher with reliable delivery"
         )
 
     made = node.create_subscription(

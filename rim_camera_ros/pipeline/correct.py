@@ -118,6 +118,11 @@ class Correction:
         """Return the minimum amplitude in counts that holds at these settings."""
         return self._fold(settings).amplitude.minimum
 
+    def carry_on(self, before: Correction) -> None:
+        """Take over what another correction knows of the past (the lagging temperature)."""
+        self._memory = dict(before._memory)
+        self._start, self._last = before._start, before._last
+
     # --- preparation ----------------------------------------------------------------------------
 
     def _check(self, frame: RawFrame) -> None:

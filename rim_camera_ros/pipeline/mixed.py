@@ -26,33 +26,29 @@ def mixed_pixels(distance: NDArray[Any], sigma: NDArray[Any] | float = 0.0) -> N
     result = np.zeros(distance.shape, bool)
     width = distance.shape[1]
     with np.errstate(invalid="ignore", divide="ignore"):
-        least = np.maximum(np.float32(LEAST_STEP), np.float32(LEAST_SIGMAS) * sigma)
         flat = np.ascontiguousarray(distance).ravel()
-        limit = np.broadcast_to(least, distance.shape).ravel()
-        step = np.empty_like(flat)
+        number = flat.dtype.type
+        limit = np.broadcast_to(np.asarray(sigma, number) * number(LEAST_SIGMAS), distance.shape)
+        limit = np.clip(limit, number(LEAST_STEP), number(np.inf)).ravel()
         for stride in (1, width):
-            if flat.size <= 6 * stride:
+            # three pixels before and behind along this axis
+            margin = 3 * stride
+            if flat.size <= 2 * margin:
                 continue
-            reach = 2 * stride
-            np.subtract(flat[2 * reach :], flat[: -2 * reach], out=step[reach:-reach])
-            np.abs(step[reach:-reach], out=step[reach:-reach])
-            inner = slice(3 * stride, flat.size - 3 * stride)
-            at = np.flatnonzero(step[inner] > limit[inner]) + 3 * stride
+            size = flat.size - 2 * margin
+            before, behind = flat[stride:], flat[5 * stride :]
+            slope = flat[stride:] - flat[:-stride]
+            np.abs(slope, out=slope)
+            excess = behind[:size] - before[:size]
+            np.abs(excess, out=excess)
+            slopes = slope[:size] + slope[-size:]
+            slopes *= number(4.0)
+            excess -= slopes
+            at = np.flatnonzero(excess > limit[margin:-margin]) + margin
             if stride == 1:
                 place = at % width
                 at = at[(place >= 3) & (place < width - 3)]
-            _mark(flat, limit, result.ravel(), at, stride)
+            low = flat[at - 2 * stride]
+            share = (flat[at] - low) / (flat[at + 2 * stride] - low)
+            result.ravel()[at[(share > LEAST_SHARE) & (share < 1 - LEAST_SHARE)]] = True
     return result
-
-
-def _mark(
-    d: NDArray[Any], limit: NDArray[Any], marked: NDArray[np.bool_], at: NDArray[np.intp], stride: int
-) -> None:
-    """Mark those of the candidate pixels ``at`` that are mixed along one axis."""
-    low, high = d[at - 2 * stride], d[at + 2 * stride]
-    step = high - low
-    share = (d[at] - low) / step
-    between = (share > LEAST_SHARE) & (share < 1 - LEAST_SHARE)
-    at, low, high, step = at[between], low[between], high[between], step[between]
-    slope = np.abs(low - d[at - 3 * stride]) + np.abs(d[at + 3 * stride] - high)
-    marked[at[np.abs(step) - 4 * slope > limit[at]]] = True

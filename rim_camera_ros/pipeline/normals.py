@@ -1,10 +1,11 @@
 """Angle of incidence from a frame's own distances: planes fitted over 5 x 5 pixels.
 
-On a plane n . X = p the inverse distance is linear in the ray, 1 / d = m . ray with m = n / p. So m
-follows from sums over the window that box filters deliver, with one fixed 3 x 3 inverse per window.
-Windows stand at every second pixel. One whose residuals exceed the noise holds a step and is not used;
-a pixel beside a step takes the plane of a window near it that passes through it (Kahlmann 2007,
-sec. 3.3.6: the surface is smooth in parts).
+On a plane n . X = p the inverse depth W = 1 / z is linear in the ray's ideal image coordinates,
+W = m . (x, y, 1) with m = n / p. Mean and slopes of W over a window are linear in W, so that m follows
+from them with the mean and the slopes of x and y over the same window, exactly, also for a distorted
+lens. Windows stand at every second pixel. One whose residuals exceed the noise holds a step and is
+not used; a pixel beside a step takes the plane of a window near it that passes through it
+(Kahlmann 2007, sec. 3.3.6: the surface is smooth in parts).
 """
 
 from __future__ import annotations
@@ -23,13 +24,18 @@ RESIDUAL = 0.006
 #: ... and above this many times the noise.
 EXCESS = 1.15
 #: The plane of a window beside it serves a pixel if it passes within this many metres of it, or two
-#: standard deviations of its distance; the nearest one without a search within SURE, or 1.5 of them.
+#: standard deviations of its distance; the nearest one without a search within SURE, or fewer of them.
 NEAR = 0.03
 SURE = 0.004
-#: Farthest such window, in windows.
-REACH = 2
+_SURE_SIGMAS = 1.5
+#: Farthest such window: two windows along either axis, in the metric of OpenCV's 3 x 3 mask.
+_FARTHEST = 2.8
 
-_DIRECTIONS = np.array([(-2, 0), (2, 0), (0, -2), (0, 2), (-2, -2), (-2, 2), (2, -2), (2, 2)])
+_DIRECTIONS = ((-2, 0), (2, 0), (0, -2), (0, 2), (-2, -2), (-2, 2), (2, -2), (2, 2))
+_PIXELS = WINDOW**2
+#: Sum over the window of the squares of a pixel's column (or row) beside the centre.
+_SPREAD = 50.0
+_Plane = NDArray[np.float32]
 
 
 class IncidenceEstimator:
@@ -44,23 +50,33 @@ class IncidenceEstimator:
         self._usable = height >= WINDOW and width >= WINDOW
         if not self._usable:
             return
-        # a pixel without a ray is never valid; NaN would spread along the box filter's running sums
-        rays = np.nan_to_num(rays)
-        self._rays = np.ascontiguousarray(rays.transpose(2, 0, 1))
-        self._rays32 = self._rays.astype(np.float32)
-        self._rays_by_pixel = np.ascontiguousarray(rays.reshape(-1, 3), np.float32)
+        self._rays = np.ascontiguousarray(rays.transpose(2, 0, 1), np.float32)
+        self._fits = fits = _Fits(self.shape, np.float32)
+        rows, columns, stride = fits.rows, fits.columns, fits.stride
+        x, y = (_Fits(self.shape, np.float64).of(rays[..., i] / rays[..., 2]) for i in (0, 1))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            determinant = x.along_row * y.along_column - x.along_column * y.along_row
+            self._inverse = tuple(
+                (part / determinant).astype(np.float32)
+                for part in (y.along_column, -y.along_row, -x.along_column, x.along_row)
+            )
+        self._mean = x.mean.astype(np.float32), y.mean.astype(np.float32)
         half = WINDOW // 2
-        self._centres = (slice(half, height - half, STRIDE), slice(half, width - half, STRIDE))
-        product = np.einsum("vui,vuj->ijvu", rays, rays)
-        sums = np.array([[_box(product[i, j])[self._centres] for j in range(3)] for i in range(3)])
-        self._inverse = np.linalg.pinv(sums.transpose(2, 3, 0, 1), hermitian=True).transpose(2, 3, 0, 1).copy()
-        self._grid = self._inverse.shape[2:]
+        self._centre_z = np.ones((rows, stride), np.float32)
+        self._centre_z[:, :columns] = self._rays[2, half::STRIDE, half::STRIDE][:rows, :columns]
         # the window of each pixel: the one whose centre is nearest
-        row = np.clip((np.arange(height) - half + STRIDE // 2) // STRIDE, 0, self._grid[0] - 1)
-        column = np.clip((np.arange(width) - half + STRIDE // 2) // STRIDE, 0, self._grid[1] - 1)
-        self._row, self._column = row, column
-        self._window = (row[:, None] * self._grid[1] + column).astype(np.intp)
-        self._square = cv2.getStructuringElement(cv2.MORPH_RECT, (WINDOW, WINDOW))
+        row = np.clip((np.arange(height) - half + STRIDE // 2) // STRIDE, 0, rows - 1)
+        column = np.clip((np.arange(width) - half + STRIDE // 2) // STRIDE, 0, columns - 1)
+        self._window = (row[:, None] * stride + column).astype(np.intp)
+        v, u = np.divmod(np.arange(rows * stride), stride)
+        self._neighbours = np.stack(
+            [
+                np.clip(v + dv, 0, rows - 1) * stride + np.clip(u + du, 0, columns - 1)
+                for dv, du in _DIRECTIONS
+            ]
+        )
+        self._fetched = np.empty(self.shape, np.complex128)
+        self._parts = [np.empty(self.shape, np.float32) for _ in range(4)]
 
     def cosine(self, distance: NDArray[Any], sigma: NDArray[Any] | float = 0.0) -> NDArray[np.float32]:
         """Return |ray . normal| (H, W) for distances in metres; NaN where no plane is found.
@@ -69,112 +85,217 @@ class IncidenceEstimator:
         """
         if not self._usable:
             return np.full(self.shape, np.nan, np.float32)
-        valid = distance > 0
-        # float64, because the residuals of a window are a small difference of large sums
-        inverse = np.zeros(self.shape)
-        np.divide(1.0, distance, out=inverse, where=valid)
-        sums = [_box(inverse * ray)[self._centres] for ray in self._rays]
-        m = [
-            self._inverse[i, 0] * sums[0] + self._inverse[i, 1] * sums[1] + self._inverse[i, 2] * sums[2]
-            for i in range(3)
-        ]
-        good = self._good_windows(inverse, valid, sums, m, sigma)
-        planes = np.stack(m, axis=-1).reshape(-1, 3).astype(np.float32)
-        norm = np.sqrt(m[0] ** 2 + m[1] ** 2 + m[2] ** 2)
-        norm[~good | (norm == 0)] = np.nan
-        cosine = np.zeros(self.shape, np.float32)
-        for part, ray in zip(m, self._rays32, strict=True):
-            normal = np.take((part / norm).astype(np.float32), self._window)
-            normal *= ray
-            cosine += normal
+        distance = distance.astype(np.float32, copy=False)
+        # a pixel without distance makes everything of its windows NaN
+        inverse = distance * self._rays[2]
+        np.divide(np.float32(1.0), inverse, out=inverse)
+        missing = ~(distance > 0)
+        if missing.any():
+            inverse[missing] = np.nan
+        planes, good = self._planes(inverse, sigma)
+        # 16 bytes a window: one access per pixel fetches all of it
+        windows = planes.view(np.complex128).ravel()
+        np.take(self._nearest_good(windows, good), self._window, out=self._fetched, mode="wrap")
+        x, y, z, scale = cv2.split(self._fetched.view(np.float32).reshape(*self.shape, 4), self._parts)
+        x *= self._rays[0]
+        y *= self._rays[1]
+        z *= self._rays[2]
+        z += x
+        z += y
+        cosine: NDArray[np.float32] = z * scale
         np.abs(cosine, out=cosine)
-        beside = np.flatnonzero(valid & ~np.take(good, self._window))
-        if beside.size and good.any():
-            noise = np.take(sigma, beside) if np.ndim(sigma) else np.full(beside.size, sigma)
-            cosine.ravel()[beside] = self._beside_steps(
-                beside, np.take(distance, beside), noise.astype(np.float32), planes, good
+        unsure = ~(scale > 0)
+        if unsure.any():
+            miss = np.divide(np.float32(1.0), z, out=z)
+            miss -= distance
+            np.abs(miss, out=miss)
+            noise = np.asarray(sigma, np.float32)
+            unsure &= ~((miss < noise * np.float32(_SURE_SIGMAS)) | (miss < np.float32(SURE)))
+            unsure &= ~missing
+            at = np.flatnonzero(unsure)
+            noise = noise.ravel()[at] if noise.ndim else noise
+            cosine.ravel()[at] = self._search(
+                at, cosine.ravel()[at], miss.ravel()[at], distance.ravel()[at], noise, windows
             )
-        np.minimum(cosine, np.float32(1.0), out=cosine)
-        cosine[~valid] = np.nan
-        return cosine
+        return np.minimum(cosine, np.float32(1.0), out=cosine)
 
-    def _good_windows(
-        self,
-        inverse: NDArray[Any],
-        valid: NDArray[np.bool_],
-        sums: list[NDArray[Any]],
-        m: list[NDArray[Any]],
-        sigma: NDArray[Any] | float,
-    ) -> NDArray[np.bool_]:
-        """Windows of valid pixels whose plane leaves no more than the noise explains."""
-        square = _box(inverse * inverse)[self._centres] - sum(a * b for a, b in zip(m, sums, strict=True))
-        if np.ndim(sigma):
-            variance = np.nan_to_num(np.square(sigma), nan=0.0, posinf=0.0)
-            mean_variance = _box(variance)[self._centres] / WINDOW**2
-        else:
-            mean_variance = np.square(sigma)
-        # residuals of 1 / d times d^2 are metres; 25 observations, 3 unknowns
-        scale = np.square(_box(inverse)[self._centres] / WINDOW**2)
-        limit = np.maximum(RESIDUAL**2, EXCESS**2 * mean_variance) * scale * scale * (WINDOW**2 - 3)
-        whole = cv2.erode(valid.view(np.uint8), self._square, borderType=cv2.BORDER_REPLICATE)
-        result: NDArray[np.bool_] = (square <= limit) & (whole[self._centres] > 0)
-        return result
+    def _planes(
+        self, inverse: _Plane, sigma: NDArray[Any] | float
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Return by window m and 1 / |m| (rows, columns, 4), and which ones noise explains; m is 0 elsewhere."""
+        fit = self._fits.of(inverse)
+        a, b, c, d = self._inverse
+        m_x = a * fit.along_row + b * fit.along_column
+        m_y = c * fit.along_row + d * fit.along_column
+        m_z = fit.mean - m_x * self._mean[0]
+        m_z -= m_y * self._mean[1]
+        # a change of W by W^2 z is a metre along a ray of that z; 25 observations, 3 unknowns
+        scale = fit.mean * fit.mean
+        scale *= self._centre_z
+        scale *= scale
+        scale *= np.float32(_PIXELS - 3)
+        scale *= self._greatest_variance(sigma)
+        good: NDArray[np.bool_] = fit.residual <= scale
+        good[:, self._fits.columns :] = False
+        bad = ~good
+        for part in (m_x, m_y, m_z):
+            np.copyto(part, np.float32(0.0), where=bad)
+        norm = np.sqrt(m_x * m_x + m_y * m_y + m_z * m_z)
+        planes: NDArray[np.float32] = cv2.merge([m_x, m_y, m_z, np.divide(np.float32(1.0), norm, out=norm)])
+        return planes, good
 
-    def _beside_steps(
-        self,
-        pixel: NDArray[np.intp],
-        own: NDArray[Any],
-        noise: NDArray[np.float32],
-        planes: NDArray[np.float32],
-        good: NDArray[np.bool_],
-    ) -> NDArray[np.float32]:
-        """Return the cosines at pixels without a good window of their own, NaN where none beside fits.
+    def _greatest_variance(self, sigma: NDArray[Any] | float) -> _Plane | np.float32:
+        """Return the greatest mean square of residuals in m^2 that noise explains, by window."""
+        least = np.float32(RESIDUAL**2)
+        if not np.ndim(sigma):
+            return np.maximum(least, np.float32(EXCESS**2 * np.square(sigma)))
+        # the mean over nine of the window's pixels
+        few = np.zeros((self._fits.rows + 3, self._fits.stride), np.float32)
+        sparse = np.asarray(sigma)[::STRIDE, ::STRIDE]
+        few[: len(sparse)] = sparse
+        few *= few
+        row, size = self._fits.stride, self._fits.mean.size
+        flat = few.ravel()
+        down = flat[: size + 2] + flat[row : size + 2 + row]
+        down += flat[2 * row : size + 2 + 2 * row]
+        total = down[:-2] + down[1:-1]
+        total += down[2:]
+        total *= np.float32(EXCESS**2 / 9)
+        return np.clip(total, least, np.float32(np.inf), out=total).reshape(-1, row)
 
-        The nearest good window first; where its plane misses the pixel (it lies on the other side of
-        a step) the best of those four pixels away in the eight directions.
+    def _nearest_good(
+        self, windows: NDArray[np.complex128], good: NDArray[np.bool_]
+    ) -> NDArray[np.complex128]:
+        """Return the windows with the bad ones replaced by the nearest good one, 1 / |m| negative in those.
+
+        Without a good one within reach a window is NaN.
         """
-        _, labels = cv2.distanceTransformWithLabels(
+        if good.all():
+            return windows
+        away, labels = cv2.distanceTransformWithLabels(
             (~good).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_3, labelType=cv2.DIST_LABEL_PIXEL
         )
-        at_good = np.flatnonzero(good)
-        window_of = np.empty(int(labels.max()) + 1, np.intp)
-        window_of[labels.ravel()[at_good]] = at_good
-        width = self._grid[1]
-        v, u = np.divmod(pixel, self.shape[1])
-        row, column = self._row[v], self._column[u]
-        nearest = window_of[labels[row, column]]
-        far = np.maximum(np.abs(nearest // width - row), np.abs(nearest % width - column)) > REACH
-        rays = np.take(self._rays_by_pixel, pixel, axis=0)
-        found = np.take(planes, nearest, axis=0)
-        miss = _miss(found, rays, own)
-        miss[far] = np.inf
-        open_ = np.flatnonzero(~(miss < np.maximum(np.float32(SURE), np.float32(1.5) * noise)))
-        if open_.size:
-            rows = np.clip(row[open_] + _DIRECTIONS[:, :1], 0, self._grid[0] - 1)
-            at = rows * width + np.clip(column[open_] + _DIRECTIONS[:, 1:], 0, width - 1)
-            candidates = np.take(planes, at, axis=0)
-            error = _miss(candidates, rays[open_], own[open_])
-            error[~np.take(good, at)] = np.inf
-            choice = np.argmin(error, axis=0)
-            least = error[choice, np.arange(open_.size)]
-            better = np.flatnonzero(least < miss[open_])
-            miss[open_[better]] = least[better]
-            found[open_[better]] = candidates[choice[better], better]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            along = np.abs(np.einsum("ij,ij->i", found, rays)) / np.sqrt(np.einsum("ij,ij->i", found, found))
-        along[~(miss < np.maximum(np.float32(NEAR), 2 * noise))] = np.nan
-        return along
+        # labels count the good windows from 1; without any they are 0
+        source = np.zeros(int(np.count_nonzero(good)) + 1, np.intp)
+        source[1:] = np.flatnonzero(good)
+        result = np.take(windows, np.take(source, labels.ravel()))
+        scale = result.view(np.float32)[3::4]
+        scale *= np.where(good.ravel(), np.float32(1.0), np.float32(-1.0))
+        far = np.flatnonzero(away > _FARTHEST)
+        result[far] = np.nan
+        return result
+
+    def _search(
+        self,
+        at: NDArray[np.intp],
+        cosine: NDArray[np.float32],
+        miss: NDArray[np.float32],
+        distance: NDArray[np.float32],
+        noise: NDArray[np.float32],
+        windows: NDArray[np.complex128],
+    ) -> NDArray[np.float32]:
+        """Return the cosines of pixels whose nearest good window may lie on the other side of a step.
+
+        The best plane of it and of the good windows four pixels away in the eight directions; NaN where none
+        fits. ``cosine`` and ``miss`` [m] are those of the nearest.
+        """
+        around = np.take(windows, np.take(self._neighbours, np.take(self._window, at), axis=1))
+        x, y, z, scale = cv2.split(around.view(np.float32).reshape(len(_DIRECTIONS), -1, 4))
+        rays = np.take(self._rays.reshape(3, -1), at, axis=1)
+        x *= rays[0]
+        y *= rays[1]
+        z *= rays[2]
+        z += x
+        z += y
+        error = np.divide(np.float32(1.0), z)
+        error -= distance
+        np.abs(error, out=error)
+        choice = np.argmin(error, axis=0) * at.size + np.arange(at.size)
+        least = np.take(error, choice)
+        found = np.abs(np.take(z, choice) * np.take(scale, choice))
+        found = np.where(miss <= least, cosine, found)
+        fits = np.fmin(least, miss) < np.maximum(noise * np.float32(2.0), np.float32(NEAR))
+        found[~fits] = np.nan
+        return found
 
 
-def _miss(m: NDArray[Any], rays: NDArray[Any], own: NDArray[Any]) -> NDArray[Any]:
-    """Metres along the ray between pixels' points and planes (..., 3); inf where there is none."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        result: NDArray[Any] = np.abs(1.0 / np.einsum("...j,...j->...", m, rays) - own)
-    result[np.isnan(result)] = np.inf
-    return result
+class _Fits:
+    """Planes through an image of W over all windows: `mean`, slopes per pixel, sum of squares about the plane.
 
+    Relative to the window's centre, so that float32 suffices. The grid of windows is (rows, stride):
+    all sums run over flat arrays, in which the last columns of the grid mix rows; they are no windows.
+    """
 
-def _box(values: NDArray[Any]) -> NDArray[Any]:
-    return cv2.boxFilter(
-        np.ascontiguousarray(values), -1, (WINDOW, WINDOW), normalize=False, borderType=cv2.BORDER_REPLICATE
-    )
+    def __init__(self, shape: tuple[int, int], dtype: Any) -> None:
+        height, width = shape
+        self.rows, self.columns = ((n - WINDOW) // STRIDE + 1 for n in shape)
+        self.stride = (width + 1) // 2
+        self._shape = shape
+        self._size = self.rows * self.stride
+        # even and odd rows, with a column more where the width is odd, and elements that shifts run into
+        self._apart = np.zeros((2, self.rows + 2, 2 * self.stride), dtype)
+        # of the five rows of a window, by column: middle, sum, slope, sum of squares
+        self._down = np.zeros((4, self.rows, 2 * self.stride), dtype)
+        self._halves = np.zeros((2, 4 * self._size + 2), dtype)
+
+    def of(self, values: NDArray[Any]) -> _Fits:
+        """Fit to the image (H, W)."""
+        width = self._shape[1]
+        even, odd = self._apart
+        for rows, half in ((values[::2], even), (values[1::2], odd)):
+            count = min(len(rows), len(half))
+            half[:count, :width] = rows[:count]
+        n = self.rows
+        middle, total, slope, square = self._down
+        np.copyto(middle, even[1 : n + 1])
+        above2, above = even[:n] - middle, odd[:n] - middle
+        below, below2 = odd[1 : n + 1] - middle, even[2 : n + 2] - middle
+        np.add(above2, above, out=total)
+        total += below
+        total += below2
+        np.subtract(below2, above2, out=slope)
+        slope += slope
+        slope += below
+        slope -= above
+        np.multiply(above2, above2, out=square)
+        for one in (above, below, below2):
+            one *= one
+            square += one
+        self._along_rows()
+        return self
+
+    def _along_rows(self) -> None:
+        """Sum what the columns hold over the five columns of a window."""
+        # even and odd columns apart, so that a window's columns are slices
+        size = self._size
+        apart = [half[: 4 * size].reshape(-1, self.stride) for half in self._halves]
+        cv2.split(self._down.reshape(4 * self.rows, self.stride, 2), apart)
+        middle, total, slope, square = (
+            [self._halves[j % 2, k * size + j // 2 :][:size] for j in range(WINDOW)] for k in range(4)
+        )
+        centre, first, along_column, second = (one[2].copy() for one in (middle, total, slope, square))
+        number = centre.dtype.type
+        sums = []
+        for j in (0, 1, 3, 4):
+            step = middle[j] - centre
+            sum_ = step * number(WINDOW)
+            sum_ += total[j]
+            first += sum_
+            along_column += slope[j]
+            second += square[j]
+            step *= sum_ + total[j]
+            second += step
+            sums.append(sum_)
+        along_row = sums[3] - sums[0]
+        along_row += along_row
+        along_row += sums[2]
+        along_row -= sums[1]
+        first *= number(1 / _PIXELS)
+        along_row *= number(1 / _SPREAD)
+        along_column *= number(1 / _SPREAD)
+        second -= number(_PIXELS) * first * first
+        second -= number(_SPREAD) * (along_row * along_row + along_column * along_column)
+        centre += first
+        grid = (self.rows, self.stride)
+        self.mean, self.residual = centre.reshape(grid), second.reshape(grid)
+        self.along_row, self.along_column = along_row.reshape(grid), along_column.reshape(grid)

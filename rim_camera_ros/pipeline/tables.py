@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,8 +21,9 @@ from rim_camera_ros.noise import sigma_amplitude
 
 #: Entries of the table of distance: half a step times the slope of the cyclic error stays below 0.01 mm.
 _DISTANCES = 1 << 17
-#: Entries where it is interpolated, and the step in rad of the phase beside it.
-_BILINEAR = 1 << 12
+#: Entries where slopes lead on from the nearest entry, and the step in rad of the phase beside it: half
+#: steps squared times half the curvature of the cyclic error stay below 0.005 mm.
+_SLOPED = 1 << 12
 _PHASE_STEP = 0.012
 #: Relative step of the numerical slope of the amplitude terms.
 _STEP = 1e-4
@@ -102,6 +104,12 @@ class AmplitudeModel:
         amplitude = np.where(np.isfinite(amplitude), amplitude, published)
         return ByAmplitude(amplitude, term, sigma, flags)
 
+    def amplitude_at(self, raw: NDArray[np.uint16]) -> Image:
+        """Return the amplitude after undoing the compression, a new float32 array, for counts."""
+        if self._response is None:
+            return raw.astype(np.float32)
+        return look_up(self.table.amplitude, raw)
+
     @property
     def table(self) -> ByAmplitude:
         """Everything for each of the 65,536 counts, in float32."""
@@ -116,11 +124,31 @@ class AmplitudeModel:
         return self._table
 
 
+def _open_cv_looks_up_counts() -> bool:
+    """Whether `cv2.LUT` takes 16-bit indices (OpenCV 5)."""
+    try:
+        cv2.LUT(np.zeros((1, 1), np.uint16), np.zeros(FULL_SCALE, np.float32))
+    except cv2.error:
+        return False
+    return True
+
+
+_BY_OPEN_CV = _open_cv_looks_up_counts()
+
+
+def look_up(table: NDArray[Any], raw: NDArray[np.uint16]) -> NDArray[Any]:
+    """Return the entries of a table of 65,536 for counts (H, W), a new array."""
+    if _BY_OPEN_CV:
+        return cv2.LUT(np.ascontiguousarray(raw), table)
+    return np.take(table, raw, mode="wrap")
+
+
 class DistanceSolver:
     """Solves d + sum of terms(d) = y, for terms of the distance and the cyclic error.
 
-    ``exact`` iterates. Else the solution is a table over y: of the nearest entry where the terms depend
-    on the distance alone, bilinear in y and in the phase that the gradient adds where they do not.
+    ``exact`` iterates. Else y - d is a table over y: its nearest entry where the terms depend on the
+    distance alone; where the cyclic error's phase changes over the array, a table over y and the
+    phase, whose entries hold the value and its slopes along both.
     """
 
     def __init__(
@@ -132,40 +160,53 @@ class DistanceSolver:
         self._wraps = camera.sensor.wraps
         self._range = self._ambiguity if self._wraps else FULL_SCALE * camera.sensor.lsb
         self._exact = exact
-        self._rows: NDArray[np.int32] | None = None
+        self._cyclic = next((one for one in self.terms if isinstance(one, CyclicError)), None)
+        self._beside: NDArray[np.float32] | None = None
         if not exact and self.terms:
-            self._tabulate(context)
+            if self._cyclic is not None and any(self._cyclic.gradient):
+                self._tabulate_by_phase(camera.shape, self._cyclic)
+            else:
+                self._size = _DISTANCES
+                self._table = self._solved(self._grid(), 0.0).astype(np.float32)
 
-    def _tabulate(self, context: Context) -> None:
-        cyclic = next((one for one in self.terms if isinstance(one, CyclicError)), None)
-        phases = np.zeros(1)
-        self._size = _DISTANCES
-        if cyclic is not None and any(cyclic.gradient):
-            shift = np.asarray(cyclic.phase_shift(context))
-            low, high = float(shift.min()), float(shift.max())
-            steps = max(2, int(np.ceil((high - low) / _PHASE_STEP)) + 1)
-            phases = np.linspace(low, high, steps)
-            position = (shift - low) / max(phases[1] - phases[0], 1e-12)
-            rows = np.minimum(position.astype(np.int32), steps - 2)
-            self._size = _BILINEAR
-            self._rows = rows * self._size
-            self._share = (position - rows).astype(np.float32)
-        y = np.arange(self._size) * (self._range / self._size)
-        table = np.stack([self._solved(y, phase, cyclic, context) for phase in phases])
-        self._table = np.ascontiguousarray(table.ravel(), np.float32)
+    def _grid(self) -> NDArray[np.float64]:
+        """Measured distance in metres of the entries."""
+        result: NDArray[np.float64] = np.arange(self._size) * (self._range / self._size)
+        return result
 
-    def _solved(
-        self, y: Image, phase: float, cyclic: CyclicError | None, context: Context
-    ) -> NDArray[np.float64]:
+    def _tabulate_by_phase(self, shape: tuple[int, int], cyclic: CyclicError) -> None:
+        shift = np.broadcast_to(cyclic.phase_shift(self._context), shape)
+        low = float(shift.min())
+        rows = int(np.ceil((float(shift.max()) - low) / _PHASE_STEP)) + 1
+        nearest = np.rint((shift - low) / _PHASE_STEP)
+        self._size = _SLOPED
+        self._row = nearest.astype(np.int32) * self._size
+        #: of each pixel: its phase beyond its row's, in steps
+        self._beside = ((shift - low) / _PHASE_STEP - nearest).astype(np.float32)
+        y = self._grid()
+        step = self._range / self._size
+        table = np.zeros((rows, self._size, 4), np.float32)
+        for row, entries in enumerate(table):
+            phase = low + row * _PHASE_STEP
+            entries[:, 0] = self._solved(y, phase)
+            entries[:, 1] = (self._solved(y + step / 2, phase) - self._solved(y - step / 2, phase))
+            entries[:, 2] = self._solved(y, phase + _PHASE_STEP / 2) - self._solved(y, phase - _PHASE_STEP / 2)
+        # 16 bytes an entry: one access per pixel fetches all of it
+        self._entries = table.view(np.complex128).ravel()
+        self._index = np.empty(shape, np.intp)
+        self._fetched = np.empty(shape, np.complex128)
+        self._planes = [np.empty(shape, np.float32) for _ in range(4)]
+
+    def _solved(self, y: Image, phase: float) -> NDArray[np.float64]:
         """Return y - d over a grid of y for one phase."""
+        cyclic = self._cyclic
         terms = [
-            CyclicError(
-                harmonics=tuple(replace(h, phase=h.phase + phase) for h in cyclic.harmonics)
-            )
+            CyclicError(harmonics=tuple(replace(h, phase=h.phase + phase) for h in cyclic.harmonics))
             if one is cyclic and cyclic is not None
             else one
             for one in self.terms
         ]
+        context = self._context
         d = solve_terms(y, lambda x: sum(one.term(x, x, context) for one in terms), context, tolerance=1e-8)
         correction: NDArray[np.float64] = y - d
         if self._wraps:
@@ -173,87 +214,82 @@ class DistanceSolver:
         return correction
 
     def solve(self, y: Image) -> Image:
-        """Return d for y (H, W) in metres; not wrapped. NaN stays NaN."""
+        """Return d for y (H, W) in metres, a new array; not wrapped. NaN stays NaN."""
         if not self.terms:
-            return y
+            return y.copy()
         if self._exact:
             return solve_terms(
                 y, lambda d: sum(one.term(d, d, self._context) for one in self.terms), self._context
             )
         at = y * np.float32(self._size / self._range)
-        if self._rows is None:
-            at += np.float32(self._size + 0.5 if self._wraps else 0.5)
-            index = at.astype(np.int32)
-            if self._wraps:
-                index &= self._size - 1
-            work = np.take(self._table, index, mode="clip")
-            return np.subtract(y, work, out=work)
-        at += np.float32(self._size if self._wraps else 0)
-        index = at.astype(np.int32)
-        at -= index
-        following = index + 1
+        at += np.float32(0.5)
+        if self._beside is None:
+            result = np.take(self._table, self._entry(at), mode="clip")
+            return np.subtract(y, result, out=result)
+        nearest = np.floor(at)
+        np.add(self._entry(nearest), self._row, out=self._index)
+        # the index is in range: "clip" and "wrap" are the modes without a check before
+        np.take(self._entries, self._index, out=self._fetched, mode="wrap")
+        value, by_distance, by_phase, _ = cv2.split(
+            self._fetched.view(np.float32).reshape(*y.shape, 4), self._planes
+        )
+        at -= nearest
+        at -= np.float32(0.5)
+        at *= by_distance
+        at += value
+        by_phase *= self._beside
+        at += by_phase
+        return np.subtract(y, at, out=at)
+
+    def _entry(self, at: Image) -> NDArray[np.int32]:
+        """Whole entries; modulo the table where the camera wraps. NaN becomes any entry."""
+        index: NDArray[np.int32] = np.floor(at).astype(np.int32) if self._wraps else at.astype(np.int32)
         if self._wraps:
             index &= self._size - 1
-            following &= self._size - 1
         else:
-            np.clip(index, 0, self._size - 2, out=index)
-            np.add(index, 1, out=following)
-        index += self._rows
-        following += self._rows
-        near = self._along(index, following, at)
-        index += self._size
-        following += self._size
-        far = self._along(index, following, at)
-        far -= near
-        far *= self._share
-        near += far
-        return np.subtract(y, near, out=near)
-
-    def _along(self, index: Image, following: Image, share: Image) -> Image:
-        low = np.take(self._table, index, mode="clip")
-        high = np.take(self._table, following, mode="clip")
-        high -= low
-        high *= share
-        low += high
-        return low
+            np.clip(index, 0, self._size - 1, out=index)
+        return index
 
 
 class PlaneTable:
-    """Terms of pixel and distance that are linear between knots of the distance, as one stack of maps."""
+    """Terms of pixel and distance that are linear between knots of the distance, held constant outside.
+
+    As a sum over the knots k of slope_k(v, u) * max(d, k), with d held between the first and the last.
+    """
 
     def __init__(self, camera: Camera, terms: Sequence[DistanceTerm], context: Context) -> None:
         knots = sorted({float(k) for one in terms for k in distance_knots(one)})
-        self._knots = np.array(knots)
-        planes = []
         amplitude = np.ones(camera.shape)
+        values = []
         for knot in knots:
             distance = np.full(camera.shape, knot)
             total = np.zeros(camera.shape)
             for one in terms:
                 total = total + one.term(distance, amplitude, context)
-            planes.append(total)
-        self._flat = np.stack(planes).astype(np.float32).ravel()
-        self._size = camera.shape[0] * camera.shape[1]
-        self._pixel = np.arange(self._size, dtype=np.int32).reshape(camera.shape)
-        # position among the knots by distance, tabulated finely enough that its error stays below 1e-3 of a knot
-        self._step = max(float(np.diff(self._knots).min()) / 1024 if len(knots) > 1 else 1.0, 1e-4)
-        bins = int((self._knots[-1] - self._knots[0]) / self._step) + 2
-        at = self._knots[0] + np.arange(bins) * self._step
-        self._position = np.interp(at, self._knots, np.arange(len(knots), dtype=float)).astype(np.float32)
+            values.append(total)
+        slopes = [
+            (above - below) / (k1 - k0)
+            for k0, k1, below, above in zip(knots, knots[1:], values, values[1:], strict=False)
+        ]
+        self._first, self._last = np.float32(knots[0]), np.float32(knots[-1])
+        # max(d, k) is k before the knot k: taken from the constant
+        base, before = values[0].copy(), np.zeros(camera.shape)
+        self._hinges = []
+        for knot, slope in zip(knots, slopes, strict=False):
+            self._hinges.append((np.float32(knot), (slope - before).astype(np.float32)))
+            base -= (slope - before) * knot
+            before = slope
+        self._base = base.astype(np.float32)
 
     def term(self, distance: Image) -> Image:
         """Return the sum of the terms in metres at distances (H, W) in metres."""
-        index = ((distance - np.float32(self._knots[0])) * np.float32(1.0 / self._step)).astype(np.int32)
-        position = np.take(self._position, index, mode="clip")
-        lower = np.minimum(position.astype(np.int32), len(self._knots) - 2) if len(self._knots) > 1 else 0
-        if len(self._knots) == 1:
-            return np.take(self._flat, self._pixel)
-        share = position - lower
-        at = lower * self._size + self._pixel
-        below = np.take(self._flat, at, mode="clip")
-        above = np.take(self._flat, at + self._size, mode="clip")
-        result: Image = below + share * (above - below)
-        return result
+        total: Image = self._base.copy()
+        held = np.minimum(distance, self._last)
+        for knot, slope in self._hinges:
+            beyond = np.maximum(held, knot)
+            beyond *= slope
+            total += beyond
+        return total
 
 
 def distance_knots(term: DistanceTerm) -> tuple[float, ...]:

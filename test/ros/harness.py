@@ -1,0 +1,308 @@
+"""Starts nodes as processes and collects what they publish, without loss and without sleeping.
+
+    with World(tmp_path) as world:
+        world.start("correction_node", camera="sr3000", **{"qos.input": "reliable"})
+        points = world.collect(PointCloud2, "/camera/points")
+        ...
+        assert world.until(lambda: len(points) == 20)
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.context import Context
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from rim_camera_ros.bags.messages import image_array, points_array, range_from, settings_from, temperature_from
+from rim_camera_ros.frame import NANOSECONDS, RawFrame, Settings
+
+#: Seconds after which a condition is given up.
+PATIENCE = 30.0
+
+RELIABLE = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATCHED = QoSProfile(
+    depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+
+#: Parameters with which a chain of nodes loses nothing.
+LOSSLESS_DRIVER = {"qos.images": "reliable", "qos.info": "reliable"}
+LOSSLESS_CORRECTION = {"qos.input": "reliable", "qos.points": "reliable", "qos.images": "reliable"}
+
+_domains = itertools.count(os.getpid() * 13 + 1000 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]))
+
+
+def next_domain() -> int:
+    """Return a ROS domain that no other test of this process uses (above 101 ports may be taken)."""
+    return 1 + next(_domains) % 101
+
+
+def stamp_of(message: Any) -> int:
+    """Return a message's stamp in ns."""
+    return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
+
+
+@dataclass
+class Collected:
+    """Messages of one topic in the order in which they came, and how many publishers are connected."""
+
+    topic: str
+    messages: list[Any] = field(default_factory=list)
+    matched: int = 0
+
+    def __len__(self) -> int:
+        return len(self.messages)
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self.messages)
+
+    @property
+    def last(self) -> Any:
+        return self.messages[-1]
+
+    def by_stamp(self) -> dict[int, Any]:
+        """Return the messages by stamp in ns."""
+        return {stamp_of(one): one for one in self.messages}
+
+
+class Process:
+    """A node as a process; its output goes to a file."""
+
+    def __init__(self, command: list[str], environment: dict[str, str], output: Path) -> None:
+        self.output = output
+        with output.open("wb") as file:
+            self._process = subprocess.Popen(
+                command, env=environment, stdout=file, stderr=subprocess.STDOUT, start_new_session=True
+            )
+
+    @property
+    def text(self) -> str:
+        """What it has written so far."""
+        return self.output.read_text(errors="replace")
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    @property
+    def running(self) -> bool:
+        return self._process.poll() is None
+
+    def send(self, number: signal.Signals) -> None:
+        self._process.send_signal(number)
+
+    def wait(self, timeout: float = PATIENCE) -> int:
+        """Return the exit status."""
+        return self._process.wait(timeout)
+
+    def kill(self) -> None:
+        if self.running:
+            self._process.kill()
+            self._process.wait()
+
+
+class World:
+    """A ROS domain of its own with nodes as processes and a listener in this process.
+
+    ``namespace`` is that of the nodes; parameters are given as keywords.
+    """
+
+    def __init__(self, folder: Path, *, namespace: str = "/camera") -> None:
+        self.namespace = namespace
+        self.domain = next_domain()
+        self._folder = folder
+        self._processes: list[Process] = []
+        self.environment = os.environ | {
+            "ROS_DOMAIN_ID": str(self.domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_LOG_DIR": str(folder / "log"),
+            "RCUTILS_COLORIZED_OUTPUT": "0",
+        }
+
+    def __enter__(self) -> World:
+        before = {name: os.environ.get(name) for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR")}
+        os.environ.update({name: self.environment[name] for name in before})
+        try:
+            self._context = Context()
+            rclpy.init(context=self._context, domain_id=self.domain)
+            self.node = Node("test_listener", context=self._context)
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for one in self._processes:
+            one.kill()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    # --- nodes ----------------------------------------------------------------------------------
+
+    def start(self, executable: str, *arguments: str, **parameters: Any) -> Process:
+        """Start ``driver_node`` or ``correction_node`` with parameters (dots as in ``**{"qos.images": ...}``)."""
+        command = [sys.executable, "-m", f"rim_camera_ros.nodes.{executable}", "--ros-args"]
+        for name, value in parameters.items():
+            shown = str(value).lower() if isinstance(value, bool) else f"'{value}'" if isinstance(value, str) else value
+            command += ["-p", f"{name}:={shown}"]
+        output = self._folder / f"{executable}_{len(self._processes)}.txt"
+        process = Process([*command, *arguments], self.environment, output)
+        self._processes.append(process)
+        return process
+
+    def until(self, condition: Callable[[], object], seconds: float = PATIENCE) -> bool:
+        """Take messages until the condition holds; False where it does not in time, or a process failed."""
+        end = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > end:
+                return False
+            self._executor.spin_once(timeout_sec=0.02)
+        return True
+
+    def output(self) -> str:
+        """Return what all processes have written, for the message of a failed assertion."""
+        return "\n".join(one.text for one in self._processes)
+
+    # --- topics ---------------------------------------------------------------------------------
+
+    def collect(self, kind: Any, topic: str, qos: QoSProfile = RELIABLE) -> Collected:
+        """Subscribe, and return what will come; relative topics are those of the namespace."""
+        name = topic if topic.startswith("/") else f"{self.namespace}/{topic}"
+        collected = Collected(name)
+
+        def matched(event: Any) -> None:
+            collected.matched = event.current_count
+
+        self.node.create_subscription(
+            kind, name, collected.messages.append, qos, event_callbacks=SubscriptionEventCallbacks(matched=matched)
+        )
+        return collected
+
+    def publisher(self, kind: Any, topic: str, qos: QoSProfile = RELIABLE) -> Any:
+        """Return a publisher; wait for its subscribers with `until`."""
+        return self.node.create_publisher(kind, f"{self.namespace}/{topic}", qos)
+
+    # --- parameters -----------------------------------------------------------------------------
+
+    def set(self, node: str, **values: Any) -> str:
+        """Set parameters of a node (``driver``, ``correction``) at once; return the reason of a rejection, or ''."""
+        client = self._client(node)
+        future = client.set_parameters_atomically([Parameter(name, value=value) for name, value in values.items()])
+        assert self.until(future.done), f"{node} does not answer\n{self.output()}"
+        result = future.result().result
+        assert result.successful == (not result.reason)
+        return str(result.reason)
+
+    def get(self, node: str, *names: str) -> list[Any]:
+        """Return the values of parameters of a node."""
+        future = self._client(node).get_parameters(list(names))
+        assert self.until(future.done), f"{node} does not answer\n{self.output()}"
+        return [rclpy.parameter.parameter_value_to_python(one) for one in future.result().values]
+
+    def describe(self, node: str) -> dict[str, Any]:
+        """Return the descriptors of all parameters of a node."""
+        client = self._client(node)
+        names = client.list_parameters()
+        assert self.until(names.done), f"{node} does not answer\n{self.output()}"
+        found = client.describe_parameters(list(names.result().result.names))
+        assert self.until(found.done), f"{node} does not answer\n{self.output()}"
+        return {one.name: one for one in found.result().descriptors}
+
+    def _client(self, node: str) -> AsyncParameterClient:
+        client = AsyncParameterClient(self.node, f"{self.namespace}/{node}")
+        assert self.until(client.services_are_ready), f"no node {node}\n{self.output()}"
+        return client
+
+
+class Chain:
+    """A driver and a correction from which nothing is lost: all frames, and what became of them.
+
+    ``driver`` and ``correction`` are the nodes' parameters. The driver ends after its last frame.
+    """
+
+    def __init__(self, world: World, *, driver: dict[str, Any], correction: dict[str, Any]) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+        from sensor_msgs.msg import Image, PointCloud2, Range, Temperature
+
+        self._world = world
+        self.correction = world.start("correction_node", **{**LOSSLESS_CORRECTION, **correction})
+        self.points = world.collect(PointCloud2, "points")
+        self.sigma = world.collect(Image, "sigma/image")
+        self.flags = world.collect(Image, "flags/image")
+        corrected = (self.points, self.sigma, self.flags)
+        assert world.until(lambda: all(one.matched for one in corrected)), world.output()
+        self._readings = {
+            "body_temperature": world.collect(Temperature, "temperature"),
+            "ambient_temperature": world.collect(Temperature, "ambient_temperature"),
+            "reference_distance": world.collect(Range, "reference"),
+        }
+        self.frame_info = world.collect(DiagnosticArray, "frame_info")
+        self.amplitude = world.collect(Image, "amplitude/image_raw")
+        self.distance = world.collect(Image, "distance/image_raw")
+        ends = {"exit_at_end": True, "wait_for_subscribers": 2}
+        self.driver = world.start("driver_node", **{**LOSSLESS_DRIVER, **ends, **driver})
+
+    def finish(self, seconds: float = 120.0) -> None:
+        """Wait until the driver has ended and all that it published has come back corrected."""
+        world = self._world
+        assert world.until(lambda: not self.driver.running, seconds), world.output()
+        assert self.driver.wait() == 0, world.output()
+        assert world.until(lambda: len(self.flags) >= len(self.distance) > 0), (
+            f"{len(self.distance)} frames, {len(self.flags)} corrected\n{world.output()}"
+        )
+
+    def raw_frames(self) -> list[RawFrame]:
+        """Return the raw frames as the messages hold them, those with all their parts."""
+        infos, amplitudes = self.frame_info.by_stamp(), self.amplitude.by_stamp()
+        readings = {name: one.by_stamp() for name, one in self._readings.items()}
+        frames = []
+        for message in self.distance:
+            stamp = stamp_of(message)
+            settings, device = settings_from(infos[stamp])
+            values: dict[str, float | None] = {}
+            for name, by_stamp in readings.items():
+                read = range_from if name == "reference_distance" else temperature_from
+                values[name] = read(by_stamp[stamp]) if stamp in by_stamp else None
+            frames.append(
+                RawFrame(
+                    stamp=stamp,
+                    distance=image_array(message),
+                    amplitude=image_array(amplitudes[stamp]),
+                    settings=Settings(
+                        integration_time=settings.integration_time,
+                        modulation_frequency=settings.modulation_frequency,
+                        uptime=settings.uptime,
+                        **values,
+                        extra=settings.extra,
+                    ),
+                    device=device,
+                )
+            )
+        return frames
+
+    def clouds(self) -> dict[int, np.ndarray[Any, np.dtype[np.float32]]]:
+        """Return the clouds (H, W, 4) by stamp in ns."""
+        return {stamp: points_array(one) for stamp, one in self.points.by_stamp().items()}
