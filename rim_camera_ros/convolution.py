@@ -54,26 +54,23 @@ def shift(image: NDArray[Any], *, columns: float, rows: float) -> NDArray[Any]:
 
     Rows are axis 0, columns the last axis.
     """
+    result = np.zeros_like(image)
+    _add_shifted(result, image, 1.0, columns=columns, rows=rows)
+    return result
+
+
+def _add_shifted(to: NDArray[Any], image: NDArray[Any], factor: float, *, columns: float, rows: float) -> None:
+    """Add factor * image(u - columns, v - rows) to an image in place."""
     whole_u, whole_v = int(np.floor(columns)), int(np.floor(rows))
     part_u, part_v = columns - whole_u, rows - whole_v
-    result = np.zeros_like(image)
     for du, weight_u in ((whole_u, 1 - part_u), (whole_u + 1, part_u)):
         for dv, weight_v in ((whole_v, 1 - part_v), (whole_v + 1, part_v)):
-            weight = weight_u * weight_v
+            weight = factor * weight_u * weight_v
             if weight == 0 or abs(du) >= image.shape[-1] or abs(dv) >= image.shape[0]:
                 continue
             to_v, from_v = _overlap(image.shape[0], dv)
             to_u, from_u = _overlap(image.shape[-1], du)
-            result[to_v, ..., to_u] += image.dtype.type(weight) * image[from_v, ..., from_u]
-    return result
-
-
-def _less_shifted(image: Real, of: Real, weight: float, *, columns: float, rows: float) -> Real:
-    """Return image - weight * of(u - columns, v - rows)."""
-    result = shift(of, columns=columns, rows=rows)
-    result *= -result.dtype.type(weight)
-    result += image
-    return result
+            to[to_v, ..., to_u] += image.dtype.type(weight) * image[from_v, ..., from_u]
 
 
 def _overlap(size: int, step: int) -> tuple[slice, slice]:
@@ -155,12 +152,15 @@ class Spreading:
         solution = self._solve_wide(image) if guess is None else guess
         rest = factor if guess is None else factor * _GUESS
         while True:
-            following = self._solve_wide(_less_shifted(image, solution, weight, columns=columns, rows=rows))
+            lit = image.copy()
+            _add_shifted(lit, solution, -weight, columns=columns, rows=rows)
+            following = self._solve_wide(lit)
             change = following - solution
             if rest * factor < _LOCAL:
                 break
             solution, rest = following, rest * factor
-        return _less_shifted(following, change, factor, columns=columns, rows=rows)
+        _add_shifted(following, change, -factor, columns=columns, rows=rows)
+        return following
 
     def first_order(self, image: Real) -> Real:
         """Return H^-1 image but for the narrow kernels and the ghost, whose light is only scaled."""

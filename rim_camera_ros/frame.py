@@ -98,17 +98,26 @@ class RawFrame:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CorrectedFrame:
-    """One exposure after the correction, all (H, W).
+class CorrectedDistance:
+    """Distances and amplitudes of one exposure after the correction, all (H, W).
 
-    ``distance`` float32: corrected radial distance in metres, NaN where invalid. ``sigma`` float32:
-    its standard deviation in metres, NaN where invalid. ``amplitude`` float32: counts after undoing
-    compression and scattering. ``flags`` uint8, see `Flag`.
+    ``distance`` float32: corrected radial distance in metres, NaN where invalid. ``amplitude``
+    float32: counts after undoing compression and scattering.
     """
 
     stamp: int
     distance: NDArray[np.float32]
     amplitude: NDArray[np.float32]
+    settings: Settings = field(default_factory=Settings)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CorrectedFrame(CorrectedDistance):
+    """One exposure after the correction with its precision and flags, all (H, W).
+
+    ``sigma`` float32: standard deviation of the distance in metres, NaN where invalid. ``flags``
+    uint8, see `Flag`.
+    """
+
     sigma: NDArray[np.float32]
     flags: NDArray[np.uint8]
-    settings: Settings = field(default_factory=Settings)

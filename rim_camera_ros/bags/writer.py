@@ -6,7 +6,7 @@ import contextlib
 import errno
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -175,6 +175,10 @@ class RecordingWriter:
         """
         self._write(topic, msgtype, stamp, message, None)
 
+    def write_serialised(self, role: str, topic: str, msgtype: str, stamp: int, data: bytes) -> None:
+        """Write a message as it came from the middleware (CDR); ``stamp`` is its time of recording in ns."""
+        self._write_bytes(topic, msgtype, stamp, data, role)
+
     @property
     def _parent(self) -> Path:
         return self.path.absolute().parent
@@ -221,19 +225,29 @@ class RecordingWriter:
         self._write(self.topics[role], ROLES[role][1], stamp, message, role)
 
     def _write(self, topic: str, msgtype: str, stamp: int, message: Any, role: str | None) -> None:
+        self._write_bytes(topic, msgtype, stamp, lambda: messages.encode(message, msgtype), role)
+
+    def _write_bytes(
+        self,
+        topic: str,
+        msgtype: str,
+        stamp: int,
+        data: bytes | Callable[[], memoryview],
+        role: str | None,
+    ) -> None:
         if self._writer is None:
             raise RuntimeError("the recording is not open: use it in a with statement")
         messages.split_stamp(stamp)
         connection = self._connections.get(topic)
         if connection is not None and connection.msgtype != msgtype:
             raise RimError(f"{topic} is of type {connection.msgtype}, not {msgtype}", file=self.path)
-        data = messages.encode(message, msgtype)
+        encoded = data if isinstance(data, bytes) else data()
         with self._faults():
             if connection is None:
                 connection = self._connections[topic] = self._writer.add_connection(
                     topic, msgtype, typestore=messages.typestore(), offered_qos_profiles=_qos(role)
                 )
-            self._writer.write(connection, int(stamp), data)
+            self._writer.write(connection, int(stamp), encoded)
         self.message_count += 1
 
     def _check_target(self) -> None:

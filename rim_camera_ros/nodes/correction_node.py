@@ -142,7 +142,7 @@ class CorrectionNode:
             value = self._value(role, message)
         except Exception as error:  # whatever hostile messages provoke: the node goes on
             self.refused += 1
-            self._pairing.refuse(stamp, f"a {role} that was refused")
+            self._pairing.refuse(stamp, f"{role} refused")
             problem = str(error) if isinstance(error, RimError) else f"{type(error).__name__} {error}"
             self._throttle.warn(
                 f"refused {role}", f"{self._from[role].topic_name}: message refused: {problem}"

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.utilities import ok, remove_ros_args
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from rim_camera_ros.bags.topics import DEFAULT_NAMESPACE
 from rim_camera_ros.errors import RimError
@@ -42,21 +45,20 @@ def run(name: str, make: Callable[[], Service]) -> int:
     0: ended, or asked to end by SIGINT or SIGTERM, however often. An error at the start is one line on
     standard error, status 2 (bad input) or 1.
     """
-    # rclpy's own handlers, installed later, end the executor; these keep Python from raising on top of it
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _no_matter)
+    signals = _Signals()
     try:
-        return _run(name, make)
+        return _run(name, make, signals)
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
+        signals.ignore()
 
 
-def _run(name: str, make: Callable[[], Service]) -> int:
+def _run(name: str, make: Callable[[], Service], signals: _Signals) -> int:
     single_threaded()
-    use_shipped_profile()
     try:
-        rclpy.init(args=sys.argv)
+        use_shipped_profile()
+        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    except RimError as error:
+        return _failed(name, str(error), error.exit_status)
     except Exception as error:
         reason = str(error).partition(", at /")[0].rstrip(".")
         return _failed(name, f"{reason} (parameters: --ros-args -p name:=value)", 2)
@@ -68,25 +70,64 @@ def _run(name: str, make: Callable[[], Service]) -> int:
             service = make()
         except RimError as error:
             return _failed(name, str(error), error.exit_status)
-        return _spin(service)
+        return _spin(service, signals)
     finally:
         rclpy.try_shutdown()  # type: ignore[attr-defined]
 
 
-def _spin(service: Service) -> int:
+def _spin(service: Service, signals: _Signals) -> int:
     executor = SingleThreadedExecutor()
     executor.add_node(service.node)
+    # a guard condition of a node counts as work: only work makes spin_once return
+    signals.wake = service.node.create_guard_condition(lambda: None).trigger
     try:
-        while ok() and service.status is None:
+        while not signals.came and service.status is None:
             executor.spin_once()
-    except ExternalShutdownException:
-        pass
     finally:
+        signals.wake = None
         service.close()
         executor.remove_node(service.node)
         executor.shutdown(timeout_sec=0)
         service.node.destroy_node()
     return service.status or 0
+
+
+class _Signals:
+    """SIGINT and SIGTERM end the executor between two callbacks; those that come later do nothing.
+
+    rclpy's own handlers shut the context down under a running executor, which then may raise anything.
+    Python's run in the main thread, which waits inside of it: hence the pipe, into which Python writes at
+    once, and a thread that reads it.
+    """
+
+    _NUMBERS = (signal.SIGINT, signal.SIGTERM)
+
+    def __init__(self) -> None:
+        self.came = False
+        self.wake: Callable[[], None] | None = None
+        self._read, write = os.pipe()
+        os.set_blocking(write, False)
+        signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+        for number in self._NUMBERS:
+            signal.signal(number, _no_matter)
+        threading.Thread(target=self._wait, name="signals", daemon=True).start()
+
+    def ignore(self) -> None:
+        """Ignore the signals from now on, also while the interpreter ends."""
+        for number in self._NUMBERS:
+            signal.signal(number, signal.SIG_IGN)
+
+    def _wait(self) -> None:
+        while os.read(self._read, 1):
+            self.came = True
+            wake = self.wake
+            if wake is not None:
+                with contextlib.suppress(Exception):  # the executor may be going already
+                    wake()
+
+
+def _no_matter(number: int, frame: Any) -> None:
+    """Python's part in a signal."""
 
 
 def use_shipped_profile() -> None:
@@ -116,10 +157,6 @@ def _failed(name: str, problem: str, status: int) -> int:
     text = " ".join(problem.split())
     print(f"{name}: {text}", file=sys.stderr, flush=True)
     return status
-
-
-def _no_matter(number: int, frame: Any) -> None:
-    """Leave a signal to rclpy."""
 
 
 class Throttle:

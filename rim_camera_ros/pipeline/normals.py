@@ -23,15 +23,15 @@ STRIDE = 2
 RESIDUAL = 0.006
 #: ... and above this many times the noise.
 EXCESS = 1.15
-#: The plane of a window beside it serves a pixel if it passes within this many metres of it, or two
-#: standard deviations of its distance; the nearest one without a search within SURE, or fewer of them.
+#: The plane of a window beside it serves a pixel if it passes within this many metres of it, or three
+#: standard deviations of its distance; the nearest one without a search within SURE, or as many of them.
 NEAR = 0.03
 SURE = 0.004
-_SURE_SIGMAS = 1.5
-#: Farthest such window: two windows along either axis, in the metric of OpenCV's 3 x 3 mask.
-_FARTHEST = 2.8
-
-_DIRECTIONS = ((-2, 0), (2, 0), (0, -2), (0, 2), (-2, -2), (-2, 2), (2, -2), (2, 2))
+SIGMAS = 3.0
+#: Where windows are searched for such a plane: four pixels away along the diagonals.
+_DIRECTIONS = ((-2, -2), (-2, 2), (2, -2), (2, 2))
+_SQUARE_3, _SQUARE_5 = (np.ones((n, n), np.uint8) for n in (3, 5))
+_TINY = np.float32(1e-20)
 _PIXELS = WINDOW**2
 #: Sum over the window of the squares of a pixel's column (or row) beside the centre.
 _SPREAD = 50.0
@@ -68,13 +68,18 @@ class IncidenceEstimator:
         row = np.clip((np.arange(height) - half + STRIDE // 2) // STRIDE, 0, rows - 1)
         column = np.clip((np.arange(width) - half + STRIDE // 2) // STRIDE, 0, columns - 1)
         self._window = (row[:, None] * stride + column).astype(np.intp)
+        self._window += 1
         v, u = np.divmod(np.arange(rows * stride), stride)
-        self._neighbours = np.stack(
-            [
-                np.clip(v + dv, 0, rows - 1) * stride + np.clip(u + du, 0, columns - 1)
-                for dv, du in _DIRECTIONS
-            ]
-        )
+        around = [
+            np.clip(v + dv, 0, rows - 1) * stride + np.clip(u + du, 0, columns - 1) + 1
+            for dv, du in _DIRECTIONS
+        ]
+        # entry 0 of the windows is none
+        self._neighbours = np.zeros((len(_DIRECTIONS), rows * stride + 1), np.intp)
+        self._neighbours[:, 1:] = around
+        self._numbers = np.arange(1.0, rows * stride + 1, dtype=np.float32).reshape(rows, stride)
+        self._level = 1 << (rows * stride + 1).bit_length()
+        self._windows = np.full(rows * stride + 1, complex(np.nan, np.nan))
         self._fetched = np.empty(self.shape, np.complex128)
         self._parts = [np.empty(self.shape, np.float32) for _ in range(4)]
 
@@ -92,10 +97,9 @@ class IncidenceEstimator:
         missing = ~(distance > 0)
         if missing.any():
             inverse[missing] = np.nan
-        planes, good = self._planes(inverse, sigma)
+        good = self._planes(inverse, sigma)
         # 16 bytes a window: one access per pixel fetches all of it
-        windows = planes.view(np.complex128).ravel()
-        np.take(self._nearest_good(windows, good), self._window, out=self._fetched, mode="wrap")
+        np.take(self._nearest_good(good), self._window, out=self._fetched, mode="wrap")
         x, y, z, scale = cv2.split(self._fetched.view(np.float32).reshape(*self.shape, 4), self._parts)
         x *= self._rays[0]
         y *= self._rays[1]
@@ -110,19 +114,17 @@ class IncidenceEstimator:
             miss -= distance
             np.abs(miss, out=miss)
             noise = np.asarray(sigma, np.float32)
-            unsure &= ~((miss < noise * np.float32(_SURE_SIGMAS)) | (miss < np.float32(SURE)))
+            unsure &= ~((miss < noise * np.float32(SIGMAS)) | (miss < np.float32(SURE)))
             unsure &= ~missing
             at = np.flatnonzero(unsure)
             noise = noise.ravel()[at] if noise.ndim else noise
             cosine.ravel()[at] = self._search(
-                at, cosine.ravel()[at], miss.ravel()[at], distance.ravel()[at], noise, windows
+                at, cosine.ravel()[at], miss.ravel()[at], distance.ravel()[at], noise
             )
         return np.minimum(cosine, np.float32(1.0), out=cosine)
 
-    def _planes(
-        self, inverse: _Plane, sigma: NDArray[Any] | float
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Return by window m and 1 / |m| (rows, columns, 4), and which ones noise explains; m is 0 elsewhere."""
+    def _planes(self, inverse: _Plane, sigma: NDArray[Any] | float) -> NDArray[np.bool_]:
+        """Fit all windows: m and 1 / |m|, 0 where noise does not explain the residuals. Return where it does."""
         fit = self._fits.of(inverse)
         a, b, c, d = self._inverse
         m_x = a * fit.along_row + b * fit.along_column
@@ -141,8 +143,11 @@ class IncidenceEstimator:
         for part in (m_x, m_y, m_z):
             np.copyto(part, np.float32(0.0), where=bad)
         norm = np.sqrt(m_x * m_x + m_y * m_y + m_z * m_z)
-        planes: NDArray[np.float32] = cv2.merge([m_x, m_y, m_z, np.divide(np.float32(1.0), norm, out=norm)])
-        return planes, good
+        norm += _TINY
+        np.divide(np.float32(1.0), norm, out=norm)
+        entries = self._windows[1:].view(np.float32).reshape(*good.shape, 4)
+        cv2.merge([m_x, m_y, m_z, norm], entries)
+        return good
 
     def _greatest_variance(self, sigma: NDArray[Any] | float) -> _Plane | np.float32:
         """Return the greatest mean square of residuals in m^2 that noise explains, by window."""
@@ -163,26 +168,31 @@ class IncidenceEstimator:
         total *= np.float32(EXCESS**2 / 9)
         return np.clip(total, least, np.float32(np.inf), out=total).reshape(-1, row)
 
-    def _nearest_good(
-        self, windows: NDArray[np.complex128], good: NDArray[np.bool_]
-    ) -> NDArray[np.complex128]:
-        """Return the windows with the bad ones replaced by the nearest good one, 1 / |m| negative in those.
+    def _nearest_good(self, good: NDArray[np.bool_]) -> NDArray[np.complex128]:
+        """Return the windows with bad ones replaced by a good one within reach, 1 / |m| negative in those.
 
-        Without a good one within reach a window is NaN.
+        Without a good one within reach a window is NaN. By maximum filters instead of a distance
+        transform: those need no branches, which nobody could predict here.
         """
-        if good.all():
-            return windows
-        away, labels = cv2.distanceTransformWithLabels(
-            (~good).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_3, labelType=cv2.DIST_LABEL_PIXEL
-        )
-        # labels count the good windows from 1; without any they are 0
-        source = np.zeros(int(np.count_nonzero(good)) + 1, np.intp)
-        source[1:] = np.flatnonzero(good)
-        result = np.take(windows, np.take(source, labels.ravel()))
-        scale = result.view(np.float32)[3::4]
-        scale *= np.where(good.ravel(), np.float32(1.0), np.float32(-1.0))
-        far = np.flatnonzero(away > _FARTHEST)
-        result[far] = np.nan
+        if good[:, : self._fits.columns].all():
+            return self._windows
+        level = np.float32(self._level)
+        # numbers of windows from 1, bad ones far below 0; near ones one level above those farther off
+        number = np.where(good, self._numbers, np.float32(-10.0) * level)
+        nearest = cv2.dilate(number, _SQUARE_5)
+        next_ = cv2.dilate(number, _SQUARE_3)
+        next_ += level
+        np.maximum(nearest, next_, out=nearest)
+        number += level + level
+        np.maximum(nearest, number, out=nearest)
+        nearest += (nearest < 0) * (np.float32(10.0) * level)
+        source = np.zeros(good.size + 1, np.int32)
+        source[1:] = nearest.ravel()
+        source &= self._level - 1
+        np.multiply(source[1:], (nearest > 0).ravel(), out=source[1:])
+        result = np.take(self._windows, source)
+        scale = result.view(np.float32)[7::4]
+        scale *= good.ravel() * np.float32(2.0) - np.float32(1.0)
         return result
 
     def _search(
@@ -192,29 +202,31 @@ class IncidenceEstimator:
         miss: NDArray[np.float32],
         distance: NDArray[np.float32],
         noise: NDArray[np.float32],
-        windows: NDArray[np.complex128],
     ) -> NDArray[np.float32]:
         """Return the cosines of pixels whose nearest good window may lie on the other side of a step.
 
-        The best plane of it and of the good windows four pixels away in the eight directions; NaN where none
+        The best plane of it and of the good windows four pixels away along the diagonals; NaN where none
         fits. ``cosine`` and ``miss`` [m] are those of the nearest.
         """
-        around = np.take(windows, np.take(self._neighbours, np.take(self._window, at), axis=1))
-        x, y, z, scale = cv2.split(around.view(np.float32).reshape(len(_DIRECTIONS), -1, 4))
+        around = np.take(self._neighbours, np.take(self._window, at), axis=1)
+        entries = np.take(self._windows, around).view(np.float32).reshape(*around.shape, 4)
+        x, y, z, scale = cv2.split(entries)
         rays = np.take(self._rays.reshape(3, -1), at, axis=1)
         x *= rays[0]
         y *= rays[1]
         z *= rays[2]
         z += x
         z += y
-        error = np.divide(np.float32(1.0), z)
+        scale *= z
+        error = np.divide(np.float32(1.0), z, out=z)
         error -= distance
         np.abs(error, out=error)
-        choice = np.argmin(error, axis=0) * at.size + np.arange(at.size)
-        least = np.take(error, choice)
-        found = np.abs(np.take(z, choice) * np.take(scale, choice))
+        least = error.min(axis=0)
+        # of the best
+        scale *= error == least
+        found = np.abs(scale).max(axis=0)
         found = np.where(miss <= least, cosine, found)
-        fits = np.fmin(least, miss) < np.maximum(noise * np.float32(2.0), np.float32(NEAR))
+        fits = np.fmin(least, miss) < np.maximum(noise * np.float32(SIGMAS), np.float32(NEAR))
         found[~fits] = np.nan
         return found
 

@@ -103,7 +103,8 @@ class Simulation:
         geometry = self.geometry(exposure.poses)
         if not geometry.hit.any():
             raise InputError(
-                "no ray of the camera meets a surface", remedy="surfaces must lie before the camera, at positive z"
+                "no ray of the camera meets a surface",
+                remedy="surfaces must lie before the camera, at positive z",
             )
         integration_time = self.camera.integration_time(settings)
         power = self.power(exposure.station)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -42,20 +43,28 @@ class ByAmplitude:
     sigma: Image
     flags: NDArray[np.uint8]
 
+    def astype(self, dtype: Any) -> ByAmplitude:
+        """Return the same in another precision."""
+        numbers = (one.astype(dtype, copy=False) for one in (self.amplitude, self.term, self.sigma))
+        return ByAmplitude(*numbers, self.flags)
+
 
 class AmplitudeModel:
     """Evaluates `ByAmplitude` for float amplitudes, and tabulates it for counts."""
 
     def __init__(
-        self, camera: Camera, terms: Sequence[DistanceTerm], context: Context, minimum: float | None
+        self,
+        camera: Camera,
+        terms: Sequence[DistanceTerm],
+        response: Any,
+        context: Context,
+        minimum: float | None,
     ) -> None:
         self._camera = camera
         self._terms = terms
         self._context = context
-        response = camera.effects.get("amplitude_nonlinearity")
         self._response = response if isinstance(response, AmplitudeNonlinearity) else None
         self.minimum = self._default_minimum() if minimum is None else minimum
-        self._table: ByAmplitude | None = None
 
     def _term(self, amplitude: Image) -> Image:
         total = np.zeros_like(amplitude)
@@ -104,24 +113,57 @@ class AmplitudeModel:
         amplitude = np.where(np.isfinite(amplitude), amplitude, published)
         return ByAmplitude(amplitude, term, sigma, flags)
 
-    def amplitude_at(self, raw: NDArray[np.uint16]) -> Image:
-        """Return the amplitude after undoing the compression, a new float32 array, for counts."""
-        if self._response is None:
-            return raw.astype(np.float32)
-        return look_up(self.table.amplitude, raw)
+    def reading(self, raw: Image, dtype: Any) -> AmplitudeReading:
+        """Return what published amplitudes (H, W) say: by table for counts and float32, else evaluated."""
+        saturated = raw >= self._saturation(raw)
+        marked = saturated if saturated.any() else None
+        if raw.dtype == np.uint16 and dtype == np.float32:
+            table = self.table
+            if self._response is None:
+                amplitude = raw.astype(np.float32)
+            else:
+                amplitude = look_up(table.amplitude, raw)
+            return AmplitudeReading(amplitude, look_up(table.term, raw), marked, table, raw)
+        exact = self.evaluate(np.nan_to_num(raw.astype(np.float64), posinf=0.0, neginf=0.0)).astype(dtype)
+        return AmplitudeReading(exact.amplitude, exact.term, marked, exact, None)
 
-    @property
+    def _saturation(self, raw: Image) -> float | int:
+        # a whole number: else counts would be compared as float64
+        level = self._camera.sensor.saturation
+        return level if raw.dtype.kind == "f" else int(np.ceil(level))
+
+    @cached_property
     def table(self) -> ByAmplitude:
         """Everything for each of the 65,536 counts, in float32."""
-        if self._table is None:
-            exact = self.evaluate(np.arange(FULL_SCALE, dtype=float))
-            self._table = ByAmplitude(
-                exact.amplitude.astype(np.float32),
-                exact.term.astype(np.float32),
-                exact.sigma.astype(np.float32),
-                exact.flags,
-            )
-        return self._table
+        return self.evaluate(np.arange(FULL_SCALE, dtype=float)).astype(np.float32)
+
+
+class AmplitudeReading:
+    """What the published amplitudes (H, W) of one frame say, new arrays.
+
+    ``amplitude`` [counts] and ``term`` [m] as in `ByAmplitude`; ``saturated`` (H, W) bool, None where no
+    pixel is; ``sigma`` and ``flags`` are looked up when they are asked for.
+    """
+
+    def __init__(
+        self,
+        amplitude: Image,
+        term: Image,
+        saturated: NDArray[np.bool_] | None,
+        source: ByAmplitude,
+        raw: NDArray[np.uint16] | None,
+    ) -> None:
+        self.amplitude, self.term, self.saturated = amplitude, term, saturated
+        self._source, self._raw = source, raw
+
+    @cached_property
+    def sigma(self) -> Image:
+        """1-sigma in metres of a distance."""
+        return self._source.sigma if self._raw is None else look_up(self._source.sigma, self._raw)
+
+    @cached_property
+    def flags(self) -> NDArray[np.uint8]:
+        return self._source.flags if self._raw is None else look_up(self._source.flags, self._raw)
 
 
 def _open_cv_looks_up_counts() -> bool:
@@ -189,8 +231,10 @@ class DistanceSolver:
         for row, entries in enumerate(table):
             phase = low + row * _PHASE_STEP
             entries[:, 0] = self._solved(y, phase)
-            entries[:, 1] = (self._solved(y + step / 2, phase) - self._solved(y - step / 2, phase))
-            entries[:, 2] = self._solved(y, phase + _PHASE_STEP / 2) - self._solved(y, phase - _PHASE_STEP / 2)
+            entries[:, 1] = self._solved(y + step / 2, phase) - self._solved(y - step / 2, phase)
+            entries[:, 2] = self._solved(y, phase + _PHASE_STEP / 2) - self._solved(
+                y, phase - _PHASE_STEP / 2
+            )
         # 16 bytes an entry: one access per pixel fetches all of it
         self._entries = table.view(np.complex128).ravel()
         self._index = np.empty(shape, np.intp)
@@ -254,7 +298,8 @@ class DistanceSolver:
 class PlaneTable:
     """Terms of pixel and distance that are linear between knots of the distance, held constant outside.
 
-    As a sum over the knots k of slope_k(v, u) * max(d, k), with d held between the first and the last.
+    As base + slope * d + the sum over the inner knots k of bend_k * |d - k|, each by pixel, with d held
+    between the first and the last knot.
     """
 
     def __init__(self, camera: Camera, terms: Sequence[DistanceTerm], context: Context) -> None:
@@ -270,25 +315,28 @@ class PlaneTable:
         slopes = [
             (above - below) / (k1 - k0)
             for k0, k1, below, above in zip(knots, knots[1:], values, values[1:], strict=False)
-        ]
+        ] or [np.zeros(camera.shape)]
+        bends = [(after - before) / 2 for before, after in zip(slopes, slopes[1:], strict=False)]
+        slope = (slopes[0] + slopes[-1]) / 2
+        base = values[0] - slope * knots[0]
+        for knot, bend in zip(knots[1:], bends, strict=False):
+            base -= bend * (knot - knots[0])
         self._first, self._last = np.float32(knots[0]), np.float32(knots[-1])
-        # max(d, k) is k before the knot k: taken from the constant
-        base, before = values[0].copy(), np.zeros(camera.shape)
-        self._hinges = []
-        for knot, slope in zip(knots, slopes, strict=False):
-            self._hinges.append((np.float32(knot), (slope - before).astype(np.float32)))
-            base -= (slope - before) * knot
-            before = slope
-        self._base = base.astype(np.float32)
+        self._base, self._slope = base.astype(np.float32), slope.astype(np.float32)
+        self._bends = [
+            (np.float32(knot), bend.astype(np.float32)) for knot, bend in zip(knots[1:], bends, strict=False)
+        ]
 
     def term(self, distance: Image) -> Image:
         """Return the sum of the terms in metres at distances (H, W) in metres."""
-        total: Image = self._base.copy()
-        held = np.minimum(distance, self._last)
-        for knot, slope in self._hinges:
-            beyond = np.maximum(held, knot)
-            beyond *= slope
-            total += beyond
+        held = np.clip(distance, self._first, self._last)
+        total: Image = held * self._slope
+        total += self._base
+        for knot, bend in self._bends:
+            beside = held - knot
+            np.abs(beside, out=beside)
+            beside *= bend
+            total += beside
         return total
 
 

@@ -240,9 +240,9 @@ def test_camera_file_that_breaks_and_vanishes_while_running(
     for node in ("driver", "correction"):
         assert "plain.yaml: no such file" in world.set(node, camera=str(path))
     fresh(world, points)
-    path.write_text(good.replace("minimum_amplitude: 200", "minimum_amplitude: 3000"))
+    path.write_text(re.sub("minimum_amplitude: null", "minimum_amplitude: 3000", good))
     before = valid_pixels(points.last)
     assert world.set("correction", camera=str(path)) == ""  # the same name: the file is read anew
-    assert valid_pixels(fresh(world, points)) < before / 2
+    assert valid_pixels(fresh(world, points)) < 0.75 * before
     assert all(one.running for one in nodes)
     assert "Traceback" not in world.output()

@@ -1,0 +1,153 @@
+"""``rim correct``: a recording and a camera file make corrected images and clouds."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+from rim_camera_ros.bags import Recording, RecordingWriter
+from rim_camera_ros.commands.common import (
+    Progress,
+    add_command,
+    add_output,
+    add_topics,
+    camera_of,
+    say,
+    topics_of,
+)
+from rim_camera_ros.commands.ply import write_ply
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.frame import CorrectedFrame, RawFrame
+from rim_camera_ros.parameters import write_whole
+from rim_camera_ros.pipeline.correct import Correction
+
+_EXAMPLES = """
+rim correct bag --camera camera.yaml --out corrected_bag
+rim correct bag --camera sr3000 --ply cloud.ply --frame 12
+rim correct bag --camera camera.yaml --npz frame.npz --without scattering,incidence_angle
+"""
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = add_command(
+        commands,
+        "correct",
+        "Correct a recording by a camera file. Writes clouds, sigma, flags, corrected distances and depths.",
+        _EXAMPLES,
+    )
+    parser.add_argument("bag", metavar="BAG", type=Path, help="recording: rosbag2 or ROS 1")
+    parser.add_argument("--camera", required=True, help="camera file, or the name of a shipped one")
+    parser.add_argument("--out", type=Path, metavar="BAG", help="recording to write (mcap)")
+    parser.add_argument(
+        "--ply", type=Path, metavar="FILE", help="write the cloud of one frame as PLY [m, counts]"
+    )
+    parser.add_argument(
+        "--npz",
+        type=Path,
+        metavar="FILE",
+        help="write one frame as numpy arrays: distance, sigma [m], flags, amplitude [counts], points, stamp [ns]",
+    )
+    parser.add_argument(
+        "--frame", type=int, default=0, help="frame of --ply and --npz, from 0; -1: the last (0)"
+    )
+    parser.add_argument("--without", default="", metavar="A,B", help="effects that are left uncorrected")
+    parser.add_argument(
+        "--minimum-amplitude",
+        type=float,
+        metavar="COUNTS",
+        help="instead of the camera file's or the automatic one",
+    )
+    add_topics(parser)
+    add_output(parser)
+    parser.set_defaults(run=run)
+
+
+def run(given: argparse.Namespace) -> int:
+    """Correct, and write what was asked for."""
+    if given.out is None and given.ply is None and given.npz is None:
+        raise InputError("nothing to write", remedy="give --out BAG, --ply FILE or --npz FILE")
+    for path in (given.ply, given.npz):
+        if path is not None and path.exists() and not given.force:
+            raise InputError(
+                "exists already", file=path, remedy="give --force to replace it, or another name"
+            )
+    if given.minimum_amplitude is not None and not 0 <= given.minimum_amplitude < np.inf:
+        raise InputError(f"--minimum-amplitude must be 0 or more counts, found {given.minimum_amplitude:g}")
+    camera = camera_of(given.camera)
+    without = [one.strip() for one in given.without.split(",") if one.strip()]
+    correction = Correction(camera, without=without, minimum_amplitude=given.minimum_amplitude)
+    count = 0
+    chosen: tuple[int, CorrectedFrame] | None = None
+    with ExitStack() as stack:
+        bag = stack.enter_context(Recording(given.bag, topics=topics_of(given)))
+        say(given, bag.assumptions)
+        total = bag.frame_count
+        wanted = given.frame if given.frame >= 0 else total + given.frame
+        if not 0 <= wanted < total and (given.ply or given.npz):
+            raise InputError(f"--frame {given.frame}: the recording has {total} frames", file=given.bag)
+        writer = None
+        if given.out is not None:
+            writer = stack.enter_context(
+                RecordingWriter(given.out, topics=topics_of(given), force=given.force)
+            )
+        progress = stack.enter_context(Progress("corrected", total, quiet=given.quiet))
+        for raw in progress.over(_located(bag.frames, given)):
+            try:
+                corrected = correction.correct(raw)
+            except InputError as error:
+                raise error.located(given.bag) from None
+            if writer is not None:
+                writer.write_corrected(
+                    corrected,
+                    points=correction.cloud(corrected),
+                    depth=correction.depth(corrected),
+                    intrinsics=camera.intrinsics,
+                )
+            if count == wanted:
+                chosen = (count, corrected)
+            count += 1
+            if writer is None and chosen is not None:
+                break
+    if chosen is None and (given.ply or given.npz):
+        raise InputError(f"--frame {given.frame}: only {count} frames could be read", file=given.bag)
+    say(given, correction.notes)
+    written = [str(given.out)] if given.out else []
+    if chosen is not None:
+        written += _write_frame(given, correction, *chosen)
+    if not given.quiet:
+        print(f"{count} frames corrected: {', '.join(written)}")
+    return 0
+
+
+def _located(frames: Callable[[], Iterator[RawFrame]], given: argparse.Namespace) -> Iterator[RawFrame]:
+    try:
+        yield from frames()
+    except InputError as error:
+        raise error.located(given.bag) from None
+
+
+def _write_frame(
+    given: argparse.Namespace, correction: Correction, index: int, corrected: CorrectedFrame
+) -> list[str]:
+    points = correction.cloud(corrected)
+    written = []
+    if given.ply is not None:
+        n = write_ply(given.ply, points, comment=f"frame {index} of {given.bag}, stamp {corrected.stamp} ns")
+        written.append(f"{given.ply} ({n} points)")
+    if given.npz is not None:
+        arrays = {
+            "distance": corrected.distance,
+            "sigma": corrected.sigma,
+            "flags": corrected.flags,
+            "amplitude": corrected.amplitude,
+            "points": points,
+            "stamp": np.int64(corrected.stamp),
+        }
+        write_whole(given.npz, lambda stream: np.savez_compressed(stream, **arrays))
+        written.append(str(given.npz))
+    return written

@@ -1,0 +1,106 @@
+"""``rim info``: what is in a recording, a camera file or a scene file."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from rim_camera_ros.camera_file import CAMERA_FORMAT, load_camera
+from rim_camera_ros.commands.common import Progress, add_command, add_topics, camera_of, topics_of
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.files import find_camera, find_scene, shipped
+from rim_camera_ros.info.camera import camera_facts, camera_text
+from rim_camera_ros.info.recording import recording_facts, recording_text
+from rim_camera_ros.info.scene import scene_facts, scene_text
+from rim_camera_ros.parameters import read_yaml
+from rim_camera_ros.scene import SCENE_FORMAT, load_scene
+
+_EXAMPLES = """
+rim info bag
+rim info bag --camera camera.yaml          # distances in metres, noise against the camera file's model
+rim info sr3000
+rim info room --camera sr3000 --json
+"""
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = add_command(
+        commands,
+        "info",
+        "Tell what is in a recording, a camera file or a scene file. The kind is found by the content.",
+        _EXAMPLES,
+    )
+    parser.add_argument(
+        "what", metavar="BAG|CAMERA|SCENE", help="a file or folder, or the name of a shipped one"
+    )
+    parser.add_argument(
+        "--camera", help="camera file for a recording or a scene, or the name of a shipped one"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON for a program")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    add_topics(parser)
+    parser.set_defaults(run=run)
+
+
+def run(given: argparse.Namespace) -> int:
+    """Find the kind, gather, print."""
+    kind, path = find_kind(given.what)
+    camera = camera_of(given.camera) if given.camera else None
+    if kind == "camera":
+        facts, text = camera_facts(load_camera(path)), camera_text
+    elif kind == "scene":
+        facts, text = scene_facts(load_scene(path), camera), scene_text
+    else:
+        with Progress("read", None, quiet=given.quiet) as progress:
+            facts = recording_facts(path, topics_of(given), camera, progress.show)
+        text = recording_text
+    if given.json:
+        print(json.dumps({"kind": kind, **_finite(facts)}, indent=1))
+    else:
+        print(text(facts))
+    return 0
+
+
+def find_kind(name: str) -> tuple[str, Path]:
+    """Return ``camera``, ``scene`` or ``recording`` and the path. Raises `InputError` for none of them."""
+    path = Path(name)
+    if not path.exists():
+        if len(path.parts) == 1 and not path.suffix:
+            cameras, scenes = shipped("calibration"), shipped("config")
+            if name in cameras:
+                return "camera", find_camera(name)
+            if name in scenes:
+                return "scene", find_scene(name)
+            raise InputError(
+                "neither a file nor the name of a shipped camera or scene",
+                file=name,
+                remedy=f"cameras: {', '.join(cameras)}; scenes: {', '.join(scenes)}",
+            )
+        raise InputError("no such file", file=name, remedy="check the path")
+    if path.suffix in (".yaml", ".yml") and path.is_file():
+        data = read_yaml(path).data
+        stated = data.get("format") if isinstance(data, dict) else None
+        kinds = {CAMERA_FORMAT: "camera", SCENE_FORMAT: "scene"}
+        if stated not in kinds:
+            raise InputError(
+                f"neither a camera file nor a scene file: format is {stated!r}",
+                file=path,
+                remedy=f"expected {CAMERA_FORMAT} or {SCENE_FORMAT}",
+            )
+        return kinds[stated], path
+    return "recording", path
+
+
+def _finite(value: Any) -> Any:
+    """Return plain data without NaN and infinity, which JSON has not."""
+    if isinstance(value, dict):
+        return {str(key): _finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if isinstance(value, str | int | float | bool | None) else str(value)

@@ -1,0 +1,118 @@
+"""Facts on a scene file, and on what a camera would see of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.devices.timeline import Timeline
+from rim_camera_ros.info.text import number, section, span, table
+from rim_camera_ros.pipeline.simulate import Simulation
+from rim_camera_ros.scene import Scene, Surface
+
+
+def scene_facts(scene: Scene, camera: Camera | None = None) -> dict[str, Any]:
+    """Return plain facts: surfaces, schedule, motion, and with a camera what its pixels see of it first."""
+    stations = scene.schedule
+    facts: dict[str, Any] = {
+        "surfaces": [_surface(one) for one in scene.surfaces],
+        "needs_truth": list(scene.needs_truth),
+        "stations": len(stations),
+        "frames": sum(one.frames for one in stations) or None,
+        "duration_s": sum(one.frames / one.rate for one in stations) or None,
+        "integration_times": sorted({t for one in stations if (t := one.integration_time) is not None}),
+        "ambient_degc": sorted({t for one in stations if (t := one.ambient) is not None}),
+        "moving_camera": scene.camera_motion.moves,
+    }
+    if camera is not None and not scene.needs_truth:
+        facts["seen"] = _seen(scene, camera)
+    return facts
+
+
+def _surface(one: Surface) -> dict[str, Any]:
+    size: list[float] | None = list(one.size) if one.size else None
+    if one.radius is not None:
+        size = [one.radius]
+    reflectivity = [one.reflectivity, one.reflectivity]
+    if one.texture is not None:
+        values = one.texture.values.values
+        reflectivity = [float(values.min()), float(values.max())]
+    return {
+        "name": one.name,
+        "type": one.type,
+        "size_m": size,
+        "position_m": None if isinstance(one.pose, str) else list(one.pose.position),
+        "free": [] if isinstance(one.pose, str) else list(one.pose.free),
+        "reflectivity": reflectivity,
+        "pose_sigma": list(one.pose_sigma),
+    }
+
+
+def _seen(scene: Scene, camera: Camera) -> dict[str, Any]:
+    simulation = Simulation(camera, scene, noise=False)
+    exposure = Timeline(scene, camera).next()
+    assert exposure is not None
+    context = simulation.context(exposure)
+    signal = simulation.signal(context)
+    geometry = simulation.geometry(exposure.poses)
+    lit = geometry.hit & (signal.amplitude > 0)
+    shares = {one.name: float((geometry.surface == i).mean()) for i, one in enumerate(scene.surfaces)}
+    return {
+        "integration_time": context.integration_time,
+        "share_of_pixels": shares,
+        "nothing": float((~geometry.hit).mean()),
+        "distance_m": [float(np.min(geometry.distance[lit])), float(np.max(geometry.distance[lit]))],
+        "amplitude_counts": [float(x) for x in np.percentile(signal.amplitude[lit], [1, 50, 99])],
+        "saturated": float((signal.published_amplitude >= camera.sensor.saturation).mean()),
+    }
+
+
+def scene_text(facts: dict[str, Any]) -> str:
+    """Return the facts for a person."""
+    rows = []
+    shares = facts.get("seen", {}).get("share_of_pixels", {})
+    for one in facts["surfaces"]:
+        size = "-" if one["size_m"] is None else " x ".join(f"{x:g}" for x in one["size_m"])
+        if one["type"] in ("disc", "sphere"):
+            size = f"r {size}"
+        position = "truth" if one["position_m"] is None else " ".join(f"{x:g}" for x in one["position_m"])
+        row = [one["name"], one["type"], size, position, span(*one["reflectivity"])]
+        if shares:
+            row.append(f"{shares[one['name']]:.1%}")
+        rows.append(row)
+    headings = ["surface", "type", "size [m]", "position [m]", "reflectivity"] + (
+        ["of the image"] if shares else []
+    )
+    parts = ["surfaces\n" + table(headings, rows)]
+    lines = []
+    if facts["stations"]:
+        lines.append(
+            (
+                "schedule",
+                f"{facts['stations']} stations, {facts['frames']} frames, {facts['duration_s']:.4g} s",
+            )
+        )
+        if facts["integration_times"]:
+            lines.append(("integration times", ", ".join(map(number, facts["integration_times"]))))
+        if facts["ambient_degc"]:
+            lines.append(("ambient", span(min(facts["ambient_degc"]), max(facts["ambient_degc"]), "degC")))
+    else:
+        lines.append(("schedule", "none: 100 frames at 25 Hz"))
+    if facts["moving_camera"]:
+        lines.append(("camera", "moves"))
+    if facts["needs_truth"]:
+        lines.append(("poses from a recording", f"{', '.join(facts['needs_truth'])} (--poses BAG)"))
+    seen = facts.get("seen")
+    if seen:
+        low, median, high = seen["amplitude_counts"]
+        lines += [
+            ("seen at setting", number(seen["integration_time"])),
+            ("distances", span(*seen["distance_m"], "m")),
+            ("amplitudes", f"{low:.0f} .. {high:.0f} counts (1 .. 99 %), median {median:.0f}"),
+            ("saturated", f"{seen['saturated']:.2%} of the pixels"),
+            ("nothing seen", f"{seen['nothing']:.2%} of the pixels"),
+        ]
+    parts.append(section("", lines))
+    return "\n\n".join(parts)

@@ -1,0 +1,218 @@
+"""The effects of one camera at one setting, sorted by what they depend on and folded into tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
+from rim_camera_ros.effects.background_light import BackgroundLight
+from rim_camera_ros.effects.base import Context, DistanceTerm, outside_rows
+from rim_camera_ros.effects.incidence_angle import IncidenceAngle, incidence_gon
+from rim_camera_ros.effects.integration_time_offset import IntegrationTimeOffset
+from rim_camera_ros.effects.reference_path import ReferencePath, mean_reading
+from rim_camera_ros.effects.saturation_bleed import SaturationBleed
+from rim_camera_ros.effects.warm_up_drift import WarmUpDrift
+from rim_camera_ros.pipeline.tables import AmplitudeModel, DistanceSolver, PlaneTable, distance_knots
+
+Image = NDArray[Any]
+
+#: Entries of the table of the incidence terms over the cosine.
+_COSINES = 1 << 16
+#: Evaluations of terms of distance and place, and rounds of terms of the incidence, where exact.
+_EXACT_PLACED = 8
+_EXACT_ROUNDS = 3
+
+
+class Folded:
+    """What corrects frames of one setting; ``context`` is the effects' view, renewed with each frame."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        active: Mapping[str, Any],
+        context: Context,
+        minimum: float | None,
+        *,
+        exact: bool,
+    ) -> None:
+        self.context = context
+        self._exact = exact
+        self._dtype = np.float64 if exact else np.float32
+        self._sort([one for one in active.values() if isinstance(one, DistanceTerm)])
+        self.amplitude = AmplitudeModel(
+            camera, self._by_amplitude, active.get("amplitude_nonlinearity"), context, minimum
+        )
+        self.distance = DistanceSolver(camera, self._by_distance, context, exact=exact)
+        self.map = _sum_maps(self._by_pixel, camera, context, self._dtype)
+        planes = [] if exact else [one for one in self._placed if _folds_into_planes(one)]
+        self._placed_directly = [one for one in self._placed if one not in planes]
+        self._planes = PlaneTable(camera, planes, context) if planes else None
+        self._fold_incidence()
+        reference = active.get("reference_path")
+        self._reference = reference if isinstance(reference, ReferencePath) else None
+        #: pixels that see no scene
+        self.reference_region = self._reference.region() if self._reference is not None else None
+        self._constant = sum(self._number(one) for one in self._constants)
+        rows = [
+            getattr(one, name, None)
+            for one in active.values()
+            for name in ("hyperbola", "polynomial", "offset")
+        ]
+        t = context.settings.integration_time
+        #: whether the setting lies outside the calibrated rows
+        self.outside = any(outside_rows(one, t) for one in rows if isinstance(one, Mapping))
+
+    def _sort(self, terms: list[DistanceTerm]) -> None:
+        self._by_amplitude: list[DistanceTerm] = []
+        self._by_pixel: list[DistanceTerm] = []
+        self._by_distance: list[DistanceTerm] = []
+        self._placed: list[DistanceTerm] = []
+        self._by_incidence: list[DistanceTerm] = []
+        self._by_frame: list[DistanceTerm] = []
+        self._constants: list[DistanceTerm] = []
+        self._scalars: list[DistanceTerm] = []
+        self._drifts: list[DistanceTerm] = []
+        for one in terms:
+            needs = one.depends_on() - {"settings"}
+            if "incidence" in needs:
+                self._by_incidence.append(one)
+            elif isinstance(one, WarmUpDrift | AmbientTemperature):
+                self._drifts.append(one)
+            elif isinstance(one, IntegrationTimeOffset | BackgroundLight):
+                self._constants.append(one)
+            elif not needs:
+                self._scalars.append(one)
+            elif needs == {"amplitude"}:
+                self._by_amplitude.append(one)
+            elif needs == {"pixel"}:
+                self._by_pixel.append(one)
+            elif needs == {"distance"} or one.name == "cyclic_error":
+                self._by_distance.append(one)
+            elif "frame" in needs or "distance" not in needs:
+                self._by_frame.append(one)
+            else:
+                self._placed.append(one)
+
+    # --- terms that are evaluated once ----------------------------------------------------------
+
+    def _number(self, term: DistanceTerm) -> float:
+        nothing = np.empty((0,))
+        return float(np.asarray(term.term(nothing, nothing, self.context)))
+
+    def offset(self, metres: Image) -> float:
+        """Return the terms that are one number per frame, in metres, for its measured distances in metres.
+
+        The reference path replaces the drift terms where it reads.
+        """
+        total = self._constant + sum(self._number(one) for one in self._scalars)
+        reading = self.context.settings.reference_distance
+        if self.reference_region is not None:
+            reading = mean_reading(metres[self.reference_region])
+        if self._reference is not None and reading is not None:
+            return total + self._reference.drift(reading)
+        return total + sum(self._number(one) for one in self._drifts)
+
+    def subtract_frame_terms(self, y: Image, amplitude: Image) -> None:
+        """Subtract terms of whole frames, or of amplitude and place, from y in metres."""
+        saturated = self.context.saturated
+        for one in self._by_frame:
+            if isinstance(one, SaturationBleed):
+                if saturated is not None:
+                    # saturated pixels themselves have no distance
+                    y -= (one.row * saturated.any(axis=1)).astype(y.dtype)[:, None]
+                    y -= (one.column * saturated.any(axis=0)).astype(y.dtype)
+            else:
+                y -= np.asarray(one.term(y, amplitude, self.context), y.dtype)
+
+    # --- terms of distance, or of distance and place --------------------------------------------
+
+    def refined(self, distance: Image, y: Image, amplitude: Image) -> tuple[Image, Image | None]:
+        """Return the distance with the terms of distance and place in it, and those terms, in metres.
+
+        ``distance`` (H, W) solves y without them, or with nearly them: such terms change slowly with
+        distance.
+        """
+        if not self._placed:
+            return distance, None
+        placed = self.placed(distance, amplitude)
+        for _ in range(_EXACT_PLACED if self._exact else 1):
+            distance = self.distance.solve(y - placed)
+            again = self.placed(distance, amplitude)
+            if not self._exact:
+                self.follow(distance, placed, again)
+            placed = again
+        return distance, placed
+
+    def follow(self, distance: Image, before: Image, after: Image) -> None:
+        """Let a change of the terms of distance and place go straight through to the distance.
+
+        What that moves the other terms by is beyond the tolerance. ``before`` is overwritten.
+        """
+        before -= after
+        distance += before
+
+    def placed(self, distance: Image, amplitude: Image) -> Image:
+        """Return the terms of distance and place in metres at a distance (H, W); a new array."""
+        total: Image = np.zeros_like(distance) if self._planes is None else self._planes.term(distance)
+        for one in self._placed_directly:
+            total += np.asarray(one.term(distance, amplitude, self.context), distance.dtype)
+        return total
+
+    @property
+    def has_placed(self) -> bool:
+        """Whether there are terms of distance and place."""
+        return bool(self._placed)
+
+    # --- terms of the incidence -----------------------------------------------------------------
+
+    def _fold_incidence(self) -> None:
+        #: how often the terms of the incidence are evaluated
+        self.incidence_rounds = 0
+        #: RMS over the angles, in metres: what is not known where no plane is found
+        self.incidence_spread = 0.0
+        self._by_cosine: NDArray[np.float32] | None = None
+        if not self._by_incidence:
+            return
+        self.incidence_rounds = _EXACT_ROUNDS if self._exact else 1
+        angles = [one for one in self._by_incidence if isinstance(one, IncidenceAngle)]
+        gon = incidence_gon(np.linspace(0, np.pi / 2, 91))
+        spread = sum(np.asarray(one.at(gon, self.context)) for one in angles)
+        self.incidence_spread = float(np.sqrt(np.mean(np.square(spread))))
+        if len(angles) == len(self._by_incidence) and not self._exact:
+            gon = incidence_gon(np.arccos(np.arange(_COSINES) / (_COSINES - 1)))
+            self._by_cosine = np.zeros(_COSINES + 1, np.float32)
+            # the first entry is for pixels without a plane
+            self._by_cosine[1:] = sum(np.asarray(one.at(gon, self.context)) for one in angles)
+
+    def incidence_term(self, cosine: Image, amplitude: Image) -> Image:
+        """Return the terms of the incidence in metres (H, W); 0 where no plane was found. A new array."""
+        if self._by_cosine is not None:
+            # NaN becomes a negative entry, which is taken for the first
+            entry = cosine * np.float32(_COSINES - 1)
+            entry += np.float32(1.5)
+            return np.take(self._by_cosine, entry.astype(np.int32), mode="clip")
+        self.context.incidence = np.arccos(np.clip(cosine, 0.0, 1.0).astype(self._dtype))
+        result = np.zeros(cosine.shape, self._dtype)
+        for one in self._by_incidence:
+            result += np.asarray(one.term(result, amplitude, self.context), self._dtype)
+        result[np.isnan(cosine)] = 0
+        return result
+
+
+def _folds_into_planes(term: DistanceTerm) -> bool:
+    return bool(distance_knots(term)) and "amplitude" not in term.depends_on()
+
+
+def _sum_maps(terms: list[DistanceTerm], camera: Camera, context: Context, dtype: Any) -> Image | None:
+    if not terms:
+        return None
+    zero = np.zeros(camera.shape)
+    total = zero
+    for one in terms:
+        total = total + one.term(zero, zero, context)
+    return total.astype(dtype)
