@@ -170,7 +170,7 @@ def _print_table(c: Comparison, shares: Any, live: dict[str, Any]) -> None:
         row = (error.bias, error.rms, error.median, mean)
         print("{:16}{:9.1f}{:9.1f}{:12.1f}{:20.1f}".format(name, *(1e3 * value for value in row)))
     print(f"{'predicted sigma':16}{'':9}{c.noise * 1e3:9.1f}   (noise of one frame, after)")
-    print("\nshare of each effect [mm RMS, one frame without noise]\n")
+    print("\nshare of each effect [mm; 68 % of the pixels stay below it; one frame without noise]\n")
     print(f"{'effect':26}{'before':>9}{'after':>9}")
     ranked: list[tuple[str, Share]] = sorted(shares.items(), key=lambda item: -item[1].before)
     for name, share in ranked:

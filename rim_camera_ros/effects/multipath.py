@@ -52,14 +52,13 @@ class Multipath(Effect):
     def bounced(self, signal: Signal, context: Context) -> Image:
         """Return the complex image of the bounced light for strength 1."""
         geometry = require_geometry(context, self.name)
-        key = (id(geometry), signal.amplitude.tobytes())
         cached = context.memory.get(self.name)
-        if cached is not None and cached[0] == key:
-            result: Image = cached[1]
-            return result
+        if cached is not None and cached.geometry is geometry:
+            scale = cached.scale_to(signal)
+            if scale is not None:
+                return scale * cached.bounced
         result = _bounce(signal, geometry, context)
-        # the geometry is kept with the key, so that its id stays its own
-        context.memory[self.name] = (key, result, geometry)
+        context.memory[self.name] = _Cached(geometry, signal.distance, signal.amplitude, result)
         return result
 
     def simulate(self, signal: Signal, context: Context) -> Signal:
@@ -115,6 +114,25 @@ def _bounce(signal: Signal, geometry: Geometry, context: Context) -> Image:
     result = np.zeros(hit.shape, complex)
     result[hit] = received
     return result.reshape(geometry.distance.shape)
+
+
+@dataclass(frozen=True)
+class _Cached:
+    """The bounced light of a scene at rest, which is in proportion to its amplitude."""
+
+    geometry: Geometry
+    distance: Image
+    amplitude: Image
+    bounced: Image
+
+    def scale_to(self, signal: Signal) -> float | None:
+        """Return the factor to the amplitudes of a signal, None where they are not in proportion."""
+        total = float(self.amplitude.sum())
+        if total == 0 or not np.allclose(signal.distance, self.distance, rtol=0, atol=1e-9, equal_nan=True):
+            return None
+        scale = float(signal.amplitude.sum()) / total
+        difference = np.abs(signal.amplitude - scale * self.amplitude).max()
+        return scale if difference <= 1e-9 * float(signal.amplitude.max()) else None
 
 
 def _square_distances(a: Image, b: Image) -> Image:

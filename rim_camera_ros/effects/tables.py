@@ -27,27 +27,75 @@ def interpolate(
     knots: Sequence[Sequence[float]], values: NDArray[np.float64], coordinates: Sequence[Image | float]
 ) -> Image | float:
     """Return the multilinear interpolation at coordinates that broadcast together; NaN stays NaN."""
-    cells = [
-        _cell(np.asarray(axis, float), np.asarray(x, float))
-        for axis, x in zip(knots, coordinates, strict=True)
-    ]
+    arrays = [np.asarray(x, float) for x in coordinates]
+    shape = np.broadcast_shapes(*(x.shape for x in arrays))
+    table, open_ = _along_single_axes([np.asarray(one, float) for one in knots], values, arrays, shape)
+    if not open_:
+        return np.broadcast_to(table, shape) if shape else float(table)
+    # the axes of the open knots stand before those of the image: one flat index for all of them
+    sizes = table.shape[: len(open_)]
+    start: Image | int = 0
+    pixels = 1
+    if table.size > np.prod(sizes):
+        table = np.broadcast_to(table, sizes + shape)
+        pixels = int(np.prod(shape))
+        start = np.arange(pixels).reshape(shape)
+    strides = [int(np.prod(sizes[i + 1 :])) * pixels for i in range(len(sizes))]
+    cells = [_cell(np.asarray(knots[k], float), arrays[k]) for k in open_]
+    lowest = start + sum(lower * stride for (lower, _), stride in zip(cells, strides, strict=True))
+    flat = table.ravel()
     total: Image | float = 0.0
     for corner in product((0, 1), repeat=len(cells)):
-        weight: Image | float = 1.0
-        index = []
-        for side, (lower, upper, share) in zip(corner, cells, strict=True):
-            weight = weight * (share if side else 1.0 - share)
-            index.append(upper if side else lower)
-        total = total + weight * values[tuple(index)]
+        if any(side and n == 1 for side, n in zip(corner, sizes, strict=True)):
+            continue
+        step = sum(side * stride for side, stride in zip(corner, strides, strict=True))
+        part = np.take(flat, lowest + step)
+        for side, (_, share) in zip(corner, cells, strict=True):
+            part = part * (share if side else 1.0 - share)
+        total = total + part
     return total
 
 
-def _cell(axis: NDArray[np.float64], x: NDArray[np.float64]) -> tuple[Image, Image, Image]:
-    """Lower and upper knot and the share of the upper one."""
+def _along_single_axes(
+    knots: Sequence[NDArray[np.float64]],
+    values: NDArray[np.float64],
+    arrays: Sequence[NDArray[np.float64]],
+    shape: tuple[int, ...],
+) -> tuple[NDArray[np.float64], list[int]]:
+    """Interpolate by those coordinates that vary along one axis of the image (as rows and columns do).
+
+    Returns the table with the axes of the knots that are left before those of the image (1 where nothing
+    varies), and which coordinates are left.
+    """
+    table = values.reshape(values.shape + (1,) * len(shape))
+    open_: list[int] = []
+    done: set[int] = set()
+    for k, x in enumerate(arrays):
+        axes = [i + len(shape) - x.ndim for i, n in enumerate(x.shape) if n > 1]
+        if len(axes) > 1 or done & set(axes) or (x.size > 1 and x.size == np.prod(shape)) or x.size == 0:
+            open_.append(k)
+            continue
+        done |= set(axes)
+        lower, share = _cell(knots[k], x.ravel())
+        number = np.arange(x.size)
+        weights = np.zeros((x.size, len(knots[k])))
+        weights[number, lower] = 1.0 - share
+        weights[number, np.minimum(lower + 1, len(knots[k]) - 1)] += share
+        # the result's last axis takes its place among the image's
+        along = np.tensordot(table, weights, axes=(len(open_), 1))
+        if axes:
+            axis = axes[0] - len(shape) - 1
+            table = np.moveaxis(np.squeeze(along, axis=axis), -1, axis + 1)
+        else:
+            table = along[..., 0]
+    return table, open_
+
+
+def _cell(axis: NDArray[np.float64], x: NDArray[np.float64]) -> tuple[NDArray[np.intp], Image]:
+    """Lower knot and the share of the upper one; NaN where x is."""
     last = len(axis) - 1
     if last == 0:
-        zero = np.zeros(x.shape, np.intp)
-        return zero, zero, np.where(np.isnan(x), np.nan, 0.0)
+        return np.zeros(x.shape, np.intp), np.where(np.isnan(x), np.nan, 0.0)
     lower = np.clip(np.searchsorted(axis, x, side="right") - 1, 0, last - 1)
-    share = np.clip((x - axis[lower]) / (axis[lower + 1] - axis[lower]), 0.0, 1.0)
-    return lower, lower + 1, share
+    share = np.clip((x - axis[lower]) / np.diff(axis)[lower], 0.0, 1.0)
+    return lower, share

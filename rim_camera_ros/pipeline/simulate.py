@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import groupby, takewhile
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,18 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import FULL_SCALE, Camera
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
-from rim_camera_ros.effects.base import Context, DistanceTerm, Signal
+from rim_camera_ros.effects.base import ComplexEffect, Context, DistanceTerm, Effect, Signal, from_phasor
+from rim_camera_ros.effects.emission_pattern import EmissionPattern
+from rim_camera_ros.effects.emitter_offset import EmitterOffset
+from rim_camera_ros.effects.mixed_pixels import MixedPixels
+from rim_camera_ros.effects.multipath import Multipath
 from rim_camera_ros.effects.reference_path import ReferencePath, mean_reading
+from rim_camera_ros.effects.scattering import Scattering
 from rim_camera_ros.effects.warm_up_drift import WarmUpDrift
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import NANOSECONDS, Pose, RawFrame, Settings
 from rim_camera_ros.noise import sigma_amplitude
-from rim_camera_ros.phasor import Waveform, wrap, wrap_residual
+from rim_camera_ros.phasor import Waveform, to_phasor, wrap, wrap_residual
 from rim_camera_ros.scene import Geometry, Scene, see
 
 _MOTION_STEPS = 1e-9
@@ -33,6 +39,15 @@ class Exposure:
     poses: Mapping[str, Pose]
     station: int = 0
     pose_stamp: int | None = None
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """The light that the steady effects deliver, and what it was computed from."""
+
+    geometry: Geometry
+    amplitude: NDArray[Any]
+    delivered: Signal
 
 
 @dataclass
@@ -62,6 +77,7 @@ class Simulation:
         self._memory: dict[str, Any] = {}
         self._seen: dict[Any, Geometry] = {}
         self._start: int | None = None
+        self._kept: _Kept | None = None
 
     # --- scene ----------------------------------------------------------------------------------
 
@@ -77,7 +93,7 @@ class Simulation:
         return found
 
     def ideal_amplitude(self, geometry: Geometry, integration_time: float, power: float = 1.0) -> Any:
-        """Return gain * integration_time * reflectivity * cos(incidence) / distance^2 in counts, 0 without light."""
+        """Return gain * integration_time * reflectivity * cos(incidence) / distance^2 in counts, or 0."""
         scale = self.camera.radiometry.gain * integration_time * power
         with np.errstate(invalid="ignore"):
             amplitude = scale * geometry.reflectivity * geometry.cos_incidence / geometry.distance**2
@@ -134,17 +150,39 @@ class Simulation:
 
     def signal(self, context: Context) -> Signal:
         """Return the noise-free signal after all effects."""
-        assert context.geometry is not None and context.geometry_at is not None
-        _, amplitude = context.geometry_at(0.0)
-        signal = Signal(context.geometry.distance, amplitude)
+        effects = list(self.camera.effects.values())
+        steady = list(takewhile(_is_steady, effects))
+        signal = self._delivered(steady, context)
         terms_reached = False
-        for effect in self.camera.effects.values():
-            if isinstance(effect, DistanceTerm) and not terms_reached:
-                terms_reached = True
-                context.saturated = self._saturated(signal)
-            signal = effect.simulate(signal, context)
+        for kind, group in groupby(effects[len(steady) :], key=lambda one: isinstance(one, ComplexEffect)):
+            if kind:
+                signal = _through(list(group), signal, context)
+                continue
+            for effect in group:
+                if isinstance(effect, DistanceTerm) and not terms_reached:
+                    terms_reached = True
+                    context.saturated = self._saturated(signal)
+                signal = effect.simulate(signal, context)
         if self.waveform is not None:
             signal = self._at_sample_level(signal, context)
+        return signal
+
+    def _delivered(self, steady: list[Effect], context: Context) -> Signal:
+        """Return the light after the first effects, which do not change from frame to frame of a fixed scene."""
+        if context.geometry is None or context.geometry_at is None:
+            raise ValueError("the context of a simulation has a geometry")
+        _, amplitude = context.geometry_at(0.0)
+        kept = self._kept
+        if kept is not None and kept.geometry is context.geometry and np.array_equal(kept.amplitude, amplitude):
+            return kept.delivered
+        signal = Signal(context.geometry.distance, amplitude)
+        for kind, group in groupby(steady, key=lambda one: isinstance(one, ComplexEffect)):
+            if kind:
+                signal = _through(list(group), signal, context)
+                continue
+            for effect in group:
+                signal = effect.simulate(signal, context)
+        self._kept = _Kept(context.geometry, amplitude, signal)
         return signal
 
     def _saturated(self, signal: Signal) -> NDArray[np.bool_]:
@@ -243,6 +281,18 @@ class Simulation:
     def true_distance(self, exposure: Exposure) -> NDArray[np.float64]:
         """Return the true radial distance (H, W) in metres, NaN where nothing is seen."""
         return self.geometry(exposure.poses).distance
+
+
+def _is_steady(effect: Effect) -> bool:
+    return isinstance(effect, EmissionPattern | EmitterOffset | Multipath | MixedPixels | Scattering)
+
+
+def _through(effects: list[Any], signal: Signal, context: Context) -> Signal:
+    """Return the signal after consecutive effects on the complex image."""
+    phasor = to_phasor(signal.distance, signal.amplitude, context.ambiguity)
+    for effect in effects:
+        phasor = effect.apply(phasor, context)
+    return from_phasor(phasor, signal, context)
 
 
 def drift_of(camera: Camera, context: Context) -> float:
