@@ -9,6 +9,7 @@ import numpy as np
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import Column, Context, Dependency, DistanceTerm, Image, Signal
 from rim_camera_ros.parameters import quantity
+from rim_camera_ros.phasor import cosine_and_sine
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class CyclicError(DistanceTerm):
     def term(self, distance: Image, amplitude: Image, context: Context) -> Image | float:
         total: Image | float = 0.0
         for harmonic, angle in zip(self.harmonics, self._angles(distance, context), strict=True):
-            total = total + harmonic.amplitude * np.sin(angle)
+            total = total + harmonic.amplitude * cosine_and_sine(np.asarray(angle))[1]
         return total
 
     def columns(self, signal: Signal, context: Context) -> dict[str, Column]:

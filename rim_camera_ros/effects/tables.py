@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 from rim_camera_ros.effects.base import Image
 
 
+#: Up to this many knots of one coordinate all intervals between them are summed up.
+_FEW = 24
+
+
 def check_knots(knots: Sequence[Sequence[float]], shape: tuple[int, ...], names: Sequence[str]) -> None:
     """Raise ValueError unless there is one increasing list of knots per axis that matches the values."""
     if len(knots) != len(names):
@@ -40,6 +44,8 @@ def interpolate(
         table = np.broadcast_to(table, sizes + shape)
         pixels = int(np.prod(shape))
         start = np.arange(pixels).reshape(shape)
+    if len(open_) == 1 and sizes[0] <= _FEW:
+        return _along_knots(np.asarray(knots[open_[0]], float), table, arrays[open_[0]])
     strides = [int(np.prod(sizes[i + 1 :])) * pixels for i in range(len(sizes))]
     cells = [_cell(np.asarray(knots[k], float), arrays[k]) for k in open_]
     lowest = start + sum(lower * stride for (lower, _), stride in zip(cells, strides, strict=True))
@@ -53,6 +59,21 @@ def interpolate(
         for side, (_, share) in zip(corner, cells, strict=True):
             part = part * (share if side else 1.0 - share)
         total = total + part
+    return total
+
+
+def _along_knots(axis: NDArray[np.float64], table: Image, x: NDArray[np.float64]) -> Image:
+    """Interpolate a table (knots, ...) by one coordinate, as a sum over the intervals between knots.
+
+    That needs no access by index, which is slow.
+    """
+    total = table[0] + np.zeros_like(x)
+    for k in range(len(axis) - 1):
+        part = np.clip(x, axis[k], axis[k + 1])
+        part -= axis[k]
+        total = total + part * ((table[k + 1] - table[k]) / (axis[k + 1] - axis[k]))
+    if len(axis) == 1:
+        total = np.where(np.isnan(x), np.nan, total)
     return total
 
 

@@ -11,16 +11,18 @@ import time
 from collections.abc import Set
 from typing import Any
 
+import numpy as np
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
 from rim_camera_ros.bags.topics import CAMERA_INFO, ROLES
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera
+from rim_camera_ros.devices.timeline import DEFAULT_INTEGRATION_TIME
 from rim_camera_ros.effects import registry
 from rim_camera_ros.errors import InputError, RimError, nearest_name
 from rim_camera_ros.files import find_camera
-from rim_camera_ros.frame import CorrectedFrame, RawFrame
+from rim_camera_ros.frame import CorrectedFrame, RawFrame, Settings
 from rim_camera_ros.nodes import messages, qos
 from rim_camera_ros.nodes.pairing import StampPairing
 from rim_camera_ros.nodes.parameters import Apply, Parameters, Spec, Values
@@ -73,6 +75,7 @@ class CorrectionNode:
         self._camera = load_camera(find_camera(values["camera"]))
         self._parameters.extend([_effect_spec(name, name in self._camera.effects) for name in registry()])
         self._correction = _correction(self._camera, values)
+        _warm_up(self._correction)
         self._frame_id = ""
         self._last: RawFrame | None = None
         self._noted: set[str] = set()
@@ -290,6 +293,19 @@ def _correction(camera: Camera, values: Values) -> Correction:
     return Correction(
         camera, without=set(camera.effects) - on, minimum_amplitude=None if minimum < 0 else minimum
     )
+
+
+def _warm_up(correction: Correction) -> None:
+    """Make the tables of the most likely setting, which take longer than a frame may, before frames come."""
+    camera = correction.camera
+    counts = np.full(camera.shape, 1000, np.uint16)
+    integration_time = camera.sensor.integration_time or DEFAULT_INTEGRATION_TIME
+    settings = Settings(
+        integration_time=integration_time, uptime=0.0, ambient_temperature=0.0, reference_distance=0.0
+    )
+    # from the far future: every real frame lies before it and begins anew
+    correction.correct(RawFrame(stamp=2**62, distance=counts, amplitude=counts, settings=settings))
+    correction.notes.clear()
 
 
 def main() -> int:

@@ -1,10 +1,10 @@
 """Starts nodes as processes and collects what they publish, without loss and without sleeping.
 
-    with World(tmp_path) as world:
-        world.start("correction_node", camera="sr3000", **{"qos.input": "reliable"})
-        points = world.collect(PointCloud2, "/camera/points")
-        ...
-        assert world.until(lambda: len(points) == 20)
+with World(tmp_path) as world:
+    world.start("correction_node", camera="sr3000", **{"qos.input": "reliable"})
+    points = world.collect(PointCloud2, "/camera/points")
+    ...
+    assert world.until(lambda: len(points) == 20)
 """
 
 from __future__ import annotations
@@ -30,7 +30,13 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from rim_camera_ros.bags.messages import image_array, points_array, range_from, settings_from, temperature_from
+from rim_camera_ros.bags.messages import (
+    image_array,
+    points_array,
+    range_from,
+    settings_from,
+    temperature_from,
+)
 from rim_camera_ros.frame import NANOSECONDS, RawFrame, Settings
 
 #: Seconds after which a condition is given up.
@@ -166,7 +172,13 @@ class World:
         """Start ``driver_node`` or ``correction_node`` with parameters (dots as in ``**{"qos.images": ...}``)."""
         command = [sys.executable, "-m", f"rim_camera_ros.nodes.{executable}", "--ros-args"]
         for name, value in parameters.items():
-            shown = str(value).lower() if isinstance(value, bool) else f"'{value}'" if isinstance(value, str) else value
+            shown = (
+                str(value).lower()
+                if isinstance(value, bool)
+                else f"'{value}'"
+                if isinstance(value, str)
+                else value
+            )
             command += ["-p", f"{name}:={shown}"]
         output = self._folder / f"{executable}_{len(self._processes)}.txt"
         process = Process([*command, *arguments], self.environment, output)
@@ -197,7 +209,11 @@ class World:
             collected.matched = event.current_count
 
         self.node.create_subscription(
-            kind, name, collected.messages.append, qos, event_callbacks=SubscriptionEventCallbacks(matched=matched)
+            kind,
+            name,
+            collected.messages.append,
+            qos,
+            event_callbacks=SubscriptionEventCallbacks(matched=matched),
         )
         return collected
 
@@ -210,7 +226,9 @@ class World:
     def set(self, node: str, **values: Any) -> str:
         """Set parameters of a node (``driver``, ``correction``) at once; return the reason of a rejection, or ''."""
         client = self._client(node)
-        future = client.set_parameters_atomically([Parameter(name, value=value) for name, value in values.items()])
+        future = client.set_parameters_atomically(
+            [Parameter(name, value=value) for name, value in values.items()]
+        )
         assert self.until(future.done), f"{node} does not answer\n{self.output()}"
         result = future.result().result
         assert result.successful == (not result.reason)

@@ -141,7 +141,11 @@ def test_corrected_images_and_depth(world: World) -> None:
 
     assert world.until(three_complete), world.output()
     stamp = max(common)
-    encodings = {topic: one.last.encoding for topic, one in collected.items() if topic in CORRECTED and hasattr(one.last, "encoding")}
+    encodings = {
+        topic: one.last.encoding
+        for topic, one in collected.items()
+        if topic in CORRECTED and hasattr(one.last, "encoding")
+    }
     assert encodings == {
         "sigma/image": "32FC1",
         "flags/image": "8UC1",

@@ -101,7 +101,11 @@ def test_rejected_changes_of_the_driver(
 def test_descriptors(driver: tuple[World, Collected]) -> None:
     world, _ = driver
     described = world.describe("driver")
-    described = {name: one for name, one in described.items() if name not in ("use_sim_time", "start_type_description_service")}
+    described = {
+        name: one
+        for name, one in described.items()
+        if name not in ("use_sim_time", "start_type_description_service")
+    }
     assert all(one.description for one in described.values())
     assert described["frame_rate"].floating_point_range[0].to_value == 1000.0
     assert described["seed"].integer_range[0].from_value == 0
@@ -155,8 +159,17 @@ def test_an_effect_is_switched_off_and_on(world: World) -> None:
         changes = {f"effects.{name}": name not in off for name in ("cyclic_error", "scattering")}
         assert world.set("correction", **changes) == ""
         expected = Correction(camera, without={*off, "ambient_temperature"})
-        stamp = stamp_of(fresh(world, corrected))
-        assert world.until(lambda s=stamp: all(s in one.by_stamp() for one in (distances, amplitudes, infos)))
+        begin = stamp_of(fresh(world, corrected))
+        stamps: set[int] = set()
+
+        def paired(begin: int = begin, stamps: set[int] = stamps) -> set[int]:
+            everything = (corrected, distances, amplitudes, infos)
+            common = set.intersection(*(set(one.by_stamp()) for one in everything))
+            stamps.update(stamp for stamp in common if stamp >= begin)
+            return stamps
+
+        assert world.until(paired), world.output()
+        stamp = max(stamps)
         frame = _frame(distances.by_stamp()[stamp], amplitudes.by_stamp()[stamp], infos.by_stamp()[stamp])
         assert bytes(corrected.by_stamp()[stamp].data) == expected.correct(frame).distance.tobytes()
 
@@ -190,7 +203,9 @@ def test_another_camera_file_changes_the_set_of_effects(
     assert world.set("correction", camera=str(plain)) == ""
     assert world.get("correction", "effects.multipath", "effects.cyclic_error") == [False, False]
     reason = world.set("correction", **{"effects.cyclic_error": True})
-    assert re.search(r"effects\.cyclic_error: the camera file .*plain\.yaml has no effect 'cyclic_error'", reason)
+    assert re.search(
+        r"effects\.cyclic_error: the camera file .*plain\.yaml has no effect 'cyclic_error'", reason
+    )
     assert valid_pixels(fresh(world, points)) > 0
 
 
@@ -206,7 +221,10 @@ def _without_effects(folder: Path) -> Path:
     [
         ({"camera": "sr300"}, r"sr300: no camera file of this name"),
         ({"camera": "pmd3ks"}, r"pmd3ks: the file is for \d+ x \d+ px, the images are 176 x 144"),
-        ({"effects.multipath": True}, r"effects\.multipath: the camera file sr3000 has no effect 'multipath'"),
+        (
+            {"effects.multipath": True},
+            r"effects\.multipath: the camera file sr3000 has no effect 'multipath'",
+        ),
         ({"minimum_amplitude": 1e9}, r"minimum_amplitude out of range"),
         ({"qos.points": "reliable"}, r"read-only parameter: qos\.points"),
         ({"minimum_amplitude": 3000.0, "effects.multipath": True}, r"has no effect 'multipath'"),
@@ -223,9 +241,7 @@ def test_rejected_changes_of_the_correction(
     assert abs(valid_pixels(fresh(world, points)) - pixels) < 200
 
 
-def test_camera_file_that_breaks_and_vanishes_while_running(
-    world: World, tmp_path: Path
-) -> None:
+def test_camera_file_that_breaks_and_vanishes_while_running(world: World, tmp_path: Path) -> None:
     path = _without_effects(tmp_path)
     good = path.read_text()
     points = world.collect(PointCloud2, "points", BEST_EFFORT)

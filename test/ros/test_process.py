@@ -21,16 +21,40 @@ NODES = ("driver_node", "correction_node")
 @pytest.mark.parametrize(
     ("node", "parameters", "message"),
     [
-        ("driver_node", {"camera": "sr30000"}, r"sr30000: no camera file of this name \(did you mean 'sr3000'\?; .*\)"),
-        ("driver_node", {"scene": "no/such.yaml"}, r"no/such\.yaml: no such file \(give a scene file or one of: .*\)"),
-        ("driver_node", {"integration_time": "long"}, r"integration_time: has the wrong type \(expected a number\)"),
+        (
+            "driver_node",
+            {"camera": "sr30000"},
+            r"sr30000: no camera file of this name \(did you mean 'sr3000'\?; .*\)",
+        ),
+        (
+            "driver_node",
+            {"scene": "no/such.yaml"},
+            r"no/such\.yaml: no such file \(give a scene file or one of: .*\)",
+        ),
+        (
+            "driver_node",
+            {"integration_time": "long"},
+            r"integration_time: has the wrong type \(expected a number\)",
+        ),
         ("driver_node", {"frame_rate": -1.0}, r"frame_rate: Parameter frame_rate out of range .*"),
-        ("driver_node", {"source": "webcam"}, r"source: 'webcam' is not a choice \(one of: simulator, playback\)"),
+        (
+            "driver_node",
+            {"source": "webcam"},
+            r"source: 'webcam' is not a choice \(one of: simulator, playback\)",
+        ),
         ("driver_node", {"source": "playback"}, r"recording: source playback needs a recording \(.*\)"),
         ("driver_node", {"source": "playback", "recording": "no/bag"}, r"no/bag: .*"),
         ("correction_node", {"camera": "broken.yaml"}, r".*broken\.yaml: optics\.fx \(line 4\): .*"),
-        ("correction_node", {"effects.motion": "x"}, r"effects\.motion: has the wrong type \(expected true or false\)"),
-        ("correction_node", {"effects.multipath": True}, r"effects\.multipath: the camera file sr3000 has no .*"),
+        (
+            "correction_node",
+            {"effects.motion": "x"},
+            r"effects\.motion: has the wrong type \(expected true or false\)",
+        ),
+        (
+            "correction_node",
+            {"effects.multipath": True},
+            r"effects\.multipath: the camera file sr3000 has no .*",
+        ),
     ],
 )
 def test_errors_at_the_start(
@@ -129,7 +153,13 @@ def test_hostile_messages_are_refused_and_the_next_good_frame_is_corrected(world
 
     def send(*, integration_time: str = "100", amplitude: Any = None, **changes: Any) -> int:
         head = Header(stamp=Time(sec=next(seconds)), frame_id="optical")
-        fields = {"height": 144, "width": 176, "encoding": "16UC1", "step": 352, "data": bytes([0, 40]) * (144 * 176)}
+        fields = {
+            "height": 144,
+            "width": 176,
+            "encoding": "16UC1",
+            "step": 352,
+            "data": bytes([0, 40]) * (144 * 176),
+        }
         status = DiagnosticStatus(values=[KeyValue(key="integration_time", value=integration_time)])
         publishers["frame_info"].publish(DiagnosticArray(header=head, status=[status]))
         publishers["amplitude"].publish(Image(header=head, **{**fields, **(amplitude or {})}))
@@ -150,8 +180,14 @@ def test_hostile_messages_are_refused_and_the_next_good_frame_is_corrected(world
             {"height": 2, "width": 2, "step": 4, "data": bytes(8)},
             "an image of 2 x 2 px, but the camera file is for 176 x 144",
         ),
-        ({"amplitude": {"encoding": "mono8", "step": 176, "data": bytes(176 * 144)}}, "amplitude/image_raw: message"),
-        ({"integration_time": "soon"}, "frame_info: message refused: integration_time: 'soon' is not a number"),
+        (
+            {"amplitude": {"encoding": "mono8", "step": 176, "data": bytes(176 * 144)}},
+            "amplitude/image_raw: message",
+        ),
+        (
+            {"integration_time": "soon"},
+            "frame_info: message refused: integration_time: 'soon' is not a number",
+        ),
         ({"integration_time": "0"}, "frame_info: message refused: integration_time"),
     ]
     for changes, _ in hostile:
