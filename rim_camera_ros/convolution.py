@@ -42,9 +42,9 @@ __all__ = [
 Real = NDArray[Any]
 
 #: Share of the light by which a guess may be wrong, and what is small beside the direct light once it
-#: is spread over a halo (a phase of that many rad is 0.05 mm at 20 MHz).
+#: is spread over a halo (a phase of that many rad is 0.006 mm at 20 MHz).
 _GUESS = 0.01
-_LOCAL = 5e-5
+_LOCAL = 5e-6
 #: Kernels narrower than this many pixels are applied in space, wider ones in the subspace.
 _NARROW = 2.5
 

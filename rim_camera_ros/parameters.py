@@ -166,6 +166,11 @@ def _construct(
     loader: _Loader, node: Any, place: tuple[Any, ...], lines: dict[tuple[Any, ...], int], path: Path
 ) -> Any:
     lines[place] = node.start_mark.line + 1
+    plain = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
+    if not isinstance(node, yaml.ScalarNode) and node.tag not in plain:
+        raise yaml.constructor.ConstructorError(
+            None, None, f"could not determine a constructor for the tag '{node.tag}'", node.start_mark
+        )
     if isinstance(node, yaml.MappingNode):
         result: dict[Any, Any] = {}
         for key_node, value_node in node.value:

@@ -113,10 +113,20 @@ def demodulate(
         raise ValueError(f"integration_share must lie in [0, 1), found {integration_share}")
     real = samples[0] - samples[2]
     imaginary = samples[1] - samples[3]
-    phase = np.arctan2(imaginary, real) % (2 * np.pi)
-    phase = np.where(phase >= 2 * np.pi, 0.0, phase)
-    amplitude = np.hypot(real, imaginary) / 2 / float(np.sinc(integration_share))
-    return phase, amplitude, samples.mean(axis=0)
+    phase = np.arctan2(imaginary, real)
+    number = phase.dtype.type
+    phase += (phase < 0) * number(2 * np.pi)
+    phase *= phase < number(2 * np.pi)
+    real *= real
+    imaginary *= imaginary
+    real += imaginary
+    amplitude = np.sqrt(real, out=real)
+    amplitude *= number(0.5 / float(np.sinc(integration_share)))
+    offset = samples[0] + samples[1]
+    offset += samples[2]
+    offset += samples[3]
+    offset *= number(0.25)
+    return phase, amplitude, offset
 
 
 @dataclass(frozen=True)

@@ -113,9 +113,9 @@ def test_settings_change_from_the_next_frame_on(camera: Camera) -> None:
     device.set_integration_time(None)
     assert taken(device, 1)[0].settings.integration_time == 60.0
     for wrong in (0.0, -1.0, float("nan"), float("inf")):
-        with pytest.raises(InputError, match="integration_time: integration time .* is not positive"):
+        with pytest.raises(InputError, match=r"integration_time: integration time .* is not positive"):
             device.set_integration_time(wrong)
-        with pytest.raises(InputError, match="frame rate .* Hz is not positive"):
+        with pytest.raises(InputError, match=r"frame rate .* Hz is not positive"):
             device.set_frame_rate(wrong)
     assert device.frame_rate == 50.0
 
@@ -155,8 +155,8 @@ def test_stamps_follow_a_wall_clock_that_is_set(camera: Camera, monkeypatch: pyt
     monkeypatch.setattr(time, "time_ns", lambda: real() - 3600 * NANOSECONDS)
     second = taken(device, 1)[0]
     assert -3601 < (second.stamp - first.stamp) / NANOSECONDS < -3599
-    assert first.settings.uptime is not None and second.settings.uptime is not None
-    assert 0 < second.settings.uptime - first.settings.uptime < 1  # the camera knows nothing of that
+    uptimes = [one.settings.uptime or 0.0 for one in (first, second)]
+    assert 0 < uptimes[1] - uptimes[0] < 1  # the camera knows nothing of that
 
 
 def test_closing_ends_the_wait_in_another_thread(camera: Camera) -> None:
@@ -280,11 +280,8 @@ def test_a_recording_that_cannot_be_read(recording: tuple[Path, list[RawFrame]],
     damaged.write_bytes(data[: len(data) * 6 // 10])
     device = Playback(damaged, real_time=False)
     device.open()
-    frames = 0
     with pytest.raises(DeviceError, match=r"damaged\.mcap.*frames read before it: [1-4]"):
-        while device.next_frame() is not None:
-            frames += 1
-    assert 1 <= frames <= 4
+        taken(device, 5)
     device.close()
     damaged.write_bytes(data)
     device.open()  # somebody has mended it
@@ -302,8 +299,7 @@ def test_a_loop_over_a_file_that_vanishes_is_a_device_error(
     taken(device, 4)
     path.unlink()
     with pytest.raises(DeviceError, match=r"there\.mcap"):
-        for _ in range(5):
-            device.next_frame()
+        taken(device, 5)
 
 
 # --- source -------------------------------------------------------------------------------------

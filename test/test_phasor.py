@@ -55,7 +55,9 @@ def test_frequency_selectivity_is_the_mean_of_a_turning_phasor() -> None:
     difference, window = 730.0, 1.3e-3
     t = (np.arange(200_000) + 0.5) / 200_000 - 0.5
     mean = np.cos(TURN * difference * window * t).mean()
-    assert frequency_selectivity(frequency_difference=difference, window=window) == pytest.approx(mean, abs=1e-9)
+    assert frequency_selectivity(frequency_difference=difference, window=window) == pytest.approx(
+        mean, abs=1e-9
+    )
 
 
 @settings(derandomize=True, max_examples=100, deadline=None)
@@ -75,9 +77,7 @@ def test_phasor_by_hand() -> None:
 
 
 def test_no_distance_or_no_light_is_zero() -> None:
-    found = to_phasor(
-        np.array([np.nan, 1.0, 1.0, np.inf]), np.array([700.0, 0.0, np.nan, 300.0]), L
-    )
+    found = to_phasor(np.array([np.nan, 1.0, 1.0, np.inf]), np.array([700.0, 0.0, np.nan, 300.0]), L)
     assert found.tolist() == [0, 0, 0, 0]
     assert np.isnan(phase_distance(found, L)).all()
 
@@ -142,7 +142,9 @@ def test_demodulation_by_hand() -> None:
     np.testing.assert_allclose(amplitude, 140.0, rtol=1e-12)
     np.testing.assert_allclose(offset, 900.0, rtol=1e-12)
     assert demodulate(np.array([[10.0], [7.0], [2.0], [1.0]]))[0][0] == pytest.approx(math.atan2(6, 8))
-    assert demodulate(np.array([[2.0], [1.0], [10.0], [7.0]]))[0][0] == pytest.approx(math.atan2(6, 8) + math.pi)
+    assert demodulate(np.array([[2.0], [1.0], [10.0], [7.0]]))[0][0] == pytest.approx(
+        math.atan2(6, 8) + math.pi
+    )
 
 
 def test_phase_lies_in_one_turn() -> None:
@@ -156,9 +158,7 @@ def test_sampling_interval_lowers_the_amplitude_and_leaves_the_phase() -> None:
     t = (np.arange(20_000) + 0.5) / 20_000 - 0.5
     within = np.cos(phase[:, None] - TURN * share * t)
     quadrature = np.sin(phase[:, None] - TURN * share * t)
-    samples = 500 + 80 * np.array(
-        [within.mean(1), quadrature.mean(1), -within.mean(1), -quadrature.mean(1)]
-    )
+    samples = 500 + 80 * np.array([within.mean(1), quadrature.mean(1), -within.mean(1), -quadrature.mean(1)])
     raw = demodulate(samples)
     np.testing.assert_allclose(raw[0], phase, atol=1e-9)
     np.testing.assert_allclose(raw[1], 80 * math.sin(math.pi * share) / (math.pi * share), rtol=1e-8)

@@ -169,7 +169,7 @@ class World:
     # --- nodes ----------------------------------------------------------------------------------
 
     def start(self, executable: str, *arguments: str, **parameters: Any) -> Process:
-        """Start ``driver_node`` or ``correction_node`` with parameters (dots as in ``**{"qos.images": ...}``)."""
+        """Start a node, ``driver_node`` say, with parameters (with dots: ``**{"qos.images": ...}``)."""
         command = [sys.executable, "-m", f"rim_camera_ros.nodes.{executable}", "--ros-args"]
         for name, value in parameters.items():
             shown = (
@@ -224,7 +224,7 @@ class World:
     # --- parameters -----------------------------------------------------------------------------
 
     def set(self, node: str, **values: Any) -> str:
-        """Set parameters of a node (``driver``, ``correction``) at once; return the reason of a rejection, or ''."""
+        """Set parameters of a node at once; return the reason of a rejection, or ''."""
         client = self._client(node)
         future = client.set_parameters_atomically(
             [Parameter(name, value=value) for name, value in values.items()]

@@ -118,7 +118,7 @@ def test_descriptors(driver: tuple[World, Collected]) -> None:
 
 @pytest.fixture
 def chain(world: World) -> tuple[World, Collected]:
-    world.start("driver_node", scene="room", frame_rate=25.0)
+    world.start("driver_node", scene="room", frame_rate=25.0, integration_time=100.0)
     world.start("correction_node")
     points = world.collect(PointCloud2, "points", BEST_EFFORT)
     assert world.until(lambda: len(points) > 2), world.output()

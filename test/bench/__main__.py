@@ -1,0 +1,140 @@
+"""``python -m test.bench``: print the table of speeds, on one thread.
+
+Each work is timed in turn with its baseline (A B A B ...), and the medians are compared. The exit
+status is 1 where something falls short of what is required. The latency between processes over DDS is
+measured by the demonstration, which starts them.
+"""
+
+# ruff: noqa: E402 - the number of threads is read when numpy is imported
+from __future__ import annotations
+
+import os
+
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_name] = "1"
+
+import resource
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+
+from rim_camera_ros.pipeline.correct import Correction
+from test.bench import cases
+from test.bench.rows import Row, all_rows, parts_of_every_effect
+
+#: Rounds of A B, and least seconds of one A or B.
+ROUNDS = 9
+SECONDS = 0.05
+#: The complete correction may take this many times the sum of its parts.
+PARTS = 1.3
+#: Frames whose correction must not let the memory grow by more than this many MB.
+FRAMES = 10_000
+GROWTH = 5.0
+
+
+def repetitions(work: Callable[[], Any]) -> int:
+    """Return how often the work fits into `SECONDS`."""
+    work()
+    start = time.perf_counter()
+    work()
+    return max(1, round(SECONDS / (time.perf_counter() - start)))
+
+
+def seconds(work: Callable[[], Any], number: int) -> float:
+    """Return the time of one run in seconds."""
+    start = time.perf_counter()
+    for _ in range(number):
+        work()
+    return (time.perf_counter() - start) / number
+
+
+def medians(works: list[Callable[[], Any]]) -> list[float]:
+    """Return the median time in seconds of works that are run in turn."""
+    numbers = [repetitions(one) for one in works]
+    rounds = [
+        [seconds(one, number) for one, number in zip(works, numbers, strict=True)] for _ in range(ROUNDS)
+    ]
+    return [statistics.median(one) for one in zip(*rounds, strict=True)]
+
+
+def line(work: str, size: str, naive: str, ours: str, result: str, required: str, verdict: str) -> str:
+    return f"{work:24s}{size:>11s}{naive:>12s}{ours:>12s}{result:>14s}{required:>14s}  {verdict}"
+
+
+def measured(row: Row) -> bool:
+    """Measure and print a row; return whether it is fast enough."""
+    size = f"{row.size[0]} x {row.size[1]}"
+    if row.naive is None:
+        (ours,) = medians([row.ours])
+        rate = 1 / ours
+        ok = row.required is None or rate >= row.required
+        required = "" if row.required is None else f"{row.required:.0f} / s"
+        print(line(row.work, size, "", f"{ours * 1e3:.3f}", f"{rate:.0f} / s", required, verdict(ok)))
+        return ok
+    ours, naive = medians([row.ours, row.naive])
+    ratio = naive / ours
+    ok = row.required is None or ratio >= row.required
+    required = "" if row.required is None else f"{row.required:.0f} x"
+    cells = (f"{naive * 1e3:.3f}", f"{ours * 1e3:.3f}", f"{ratio:.1f} x", required)
+    print(line(row.work, size, *cells, "" if row.required is None else verdict(ok)))
+    return ok
+
+
+def verdict(ok: bool) -> str:
+    return "ok" if ok else "short"
+
+
+def parts() -> bool:
+    """Compare the complete correction with the sum of its parts."""
+    rows = parts_of_every_effect()
+    camera = cases.every_effect()
+    frame, complete = cases.frame_of(camera), Correction(camera)
+    none, *each, whole = medians([*(one.ours for one in rows), lambda: complete.correct(frame)])
+    total = none + sum(max(one - none, 0.0) for one in each)
+    ok = whole <= PARTS * total
+    cells = (f"{total * 1e3:.3f}", f"{whole * 1e3:.3f}", f"{whole / total:.2f} of it", f"<= {PARTS}")
+    print(line("all effects: sum of parts", "", *cells, verdict(ok)))
+    return ok
+
+
+def memory() -> bool:
+    """Correct many frames and compare the memory before and after."""
+    camera = cases.every_effect()
+    frame, correction = cases.frame_of(camera), Correction(camera)
+    for _ in range(100):
+        correction.cloud(correction.correct(frame))
+    before = resident()
+    for _ in range(FRAMES):
+        correction.cloud(correction.correct(frame))
+    after = resident()
+    ok = after - before <= GROWTH
+    cells = (f"{before:.1f} MB", f"{after:.1f} MB", f"{after - before:+.1f} MB", f"<= {GROWTH:.0f} MB")
+    print(line(f"memory, {FRAMES} frames", "", *cells, verdict(ok)))
+    return ok
+
+
+def resident() -> float:
+    """Return the resident memory of this process in MB."""
+    try:
+        with open("/proc/self/statm") as file:
+            return int(file.read().split()[1]) * resource.getpagesize() / 1e6
+    except OSError:  # not Linux: the greatest so far
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
+def main() -> int:
+    """Print the table."""
+    cv2.setNumThreads(1)
+    print(line("work (one thread)", "size", "naive [ms]", "ours [ms]", "result", "required", ""))
+    results = [measured(row) for row in all_rows()]
+    results.append(parts())
+    results.append(memory())
+    return 0 if all(results) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
