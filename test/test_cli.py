@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -186,10 +187,8 @@ def test_interrupted_twice(tmp_path: Path, camera: Path, scene: Path) -> None:
         while not any(work.iterdir()):
             assert running.poll() is None, running.stderr
         running.send_signal(signal.SIGINT)
-        try:
+        with suppress(ProcessLookupError):
             running.send_signal(signal.SIGINT)
-        except ProcessLookupError:
-            pass
         _, err = running.communicate(timeout=30)
         assert running.returncode == 130
         assert err.strip() == "rim: interrupted"

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -15,3 +17,13 @@ def test_effect_pages_are_up_to_date() -> None:
         [sys.executable, str(tool), "--check"], capture_output=True, text=True, timeout=120, check=False
     )
     assert done.returncode == 0, f"{done.stdout}{done.stderr}\nrun {tool.relative_to(ROOT)}"
+
+
+def test_the_readme_lists_every_parameter() -> None:
+    pytest.importorskip("rclpy")
+    from rim_camera_ros.nodes import correction_node, driver_parameters
+
+    readme = (ROOT / "README.md").read_text()
+    for spec in (*driver_parameters.SPECS, *correction_node.SPECS):
+        row = next((line for line in readme.splitlines() if line.startswith(f"| `{spec.name}` |")), "")
+        assert spec.description in row, spec.name

@@ -178,7 +178,7 @@ class Recording:
         return self._frames(storage, on_backwards)
 
     def corrected_frames(self) -> Iterator[CorrectedFrame]:
-        """Iterate over recorded corrected frames: those whose distance, sigma, flags and points are all there.
+        """Iterate over corrected frames: those whose distance, sigma, flags and points are there.
 
         Raises InputError naming the topic that is missing, or for a message that is wrong.
         """

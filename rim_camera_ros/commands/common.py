@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from types import TracebackType
 from typing import TypeVar
 
@@ -56,7 +56,7 @@ def topics_of(given: argparse.Namespace) -> Topics:
     return Topics.parse(given.topic, namespace=given.namespace)
 
 
-def positive(kind: type[float] | type[int]) -> object:
+def positive(kind: type[float] | type[int]) -> Callable[[str], float]:
     """Return an argument type for numbers above 0."""
 
     def convert(text: str) -> float:

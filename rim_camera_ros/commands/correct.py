@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -50,7 +51,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--npz",
         type=Path,
         metavar="FILE",
-        help="write one frame as numpy arrays: distance, sigma [m], flags, amplitude [counts], points, stamp [ns]",
+        help="write one frame as numpy arrays: distance, sigma [m], flags, amplitude, points, stamp [ns]",
     )
     parser.add_argument(
         "--frame", type=int, default=0, help="frame of --ply and --npz, from 0; -1: the last (0)"
@@ -140,7 +141,7 @@ def _write_frame(
         n = write_ply(given.ply, points, comment=f"frame {index} of {given.bag}, stamp {corrected.stamp} ns")
         written.append(f"{given.ply} ({n} points)")
     if given.npz is not None:
-        arrays = {
+        arrays: dict[str, Any] = {
             "distance": corrected.distance,
             "sigma": corrected.sigma,
             "flags": corrected.flags,

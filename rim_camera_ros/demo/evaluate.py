@@ -176,7 +176,7 @@ def effect_shares(
 
 
 def _spread(values: Image) -> float:
-    """68.3rd percentile of the magnitude: the RMS of a normal distribution, but not that of a few outliers."""
+    """68.3rd percentile of the magnitude: the RMS of a normal distribution, without its outliers."""
     values = np.abs(values[np.isfinite(values)])
     return float(np.percentile(values, 68.3)) if values.size else float("nan")
 

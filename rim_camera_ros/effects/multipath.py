@@ -56,7 +56,8 @@ class Multipath(Effect):
         if cached is not None and cached.geometry is geometry:
             scale = cached.scale_to(signal)
             if scale is not None:
-                return scale * cached.bounced
+                rescaled: Image = scale * cached.bounced
+                return rescaled
         result = _bounce(signal, geometry, context)
         context.memory[self.name] = _Cached(geometry, signal.distance, signal.amplitude, result)
         return result

@@ -110,7 +110,12 @@ def camera_text(facts: dict[str, Any]) -> str:
         parts.append("effects\n  none: distances are taken as measured")
     units = {"distance": "m", "amplitude": "counts", "temperature": "degC", "region": "px"}
     validity = [
-        (name, span(*value, units.get(name, "")) if len(value) == 2 else " ".join(map(number, value)))
+        (
+            name,
+            span(value[0], value[1], units.get(name, ""))
+            if len(value) == 2
+            else " ".join(map(number, value)),
+        )
         for name, value in facts["validity"].items()
     ]
     if validity:
@@ -137,7 +142,7 @@ def _integration_times(camera: Camera) -> list[float | None]:
     for effect in camera.effects.values():
         times |= _row_keys(effect)
     if times:
-        return sorted(times)
+        return [*sorted(times)]
     return [camera.sensor.integration_time]
 
 

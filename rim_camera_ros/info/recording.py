@@ -203,9 +203,9 @@ def _metres(frame: RawFrame, lsb: float) -> NDArray[np.float64]:
 def _timing(stamps: list[int]) -> dict[str, Any]:
     if len(stamps) < 2:
         return {"duration_s": 0.0, "rate_hz": None, "jitter_s": None, "gaps": 0, "missing_frames": 0}
-    steps = np.diff(np.array(stamps, np.int64)) / NANOSECONDS
+    steps: NDArray[np.float64] = np.diff(np.array(stamps, np.int64)) / NANOSECONDS
     period = float(np.median(steps))
-    gaps = steps > _GAP * period
+    gaps = np.asarray(steps > _GAP * period)
     return {
         "start_s": stamps[0] / NANOSECONDS,
         "duration_s": (stamps[-1] - stamps[0]) / NANOSECONDS,
@@ -248,15 +248,16 @@ def recording_text(facts: dict[str, Any]) -> str:
         ("reference_distance", "reference path", "m", 1.0),
     ):
         if name in settings:
-            lines.append((label, span(*(value * scale for value in settings[name]), unit)))
+            low, high = (value * scale for value in settings[name])
+            lines.append((label, span(low, high, unit)))
     for name, label, unit in (
         ("distance", "distances", facts["distance_unit"]),
         ("amplitude", "amplitudes", "counts"),
     ):
         values = facts[f"{name}_percentiles_1_50_99"]
         if values:
-            low, median, high = map(number, values)
-            lines.append((label, f"{low} .. {high} {unit} (1 .. 99 %), median {median}"))
+            least, median, most = map(number, values)
+            lines.append((label, f"{least} .. {most} {unit} (1 .. 99 %), median {median}"))
     if facts["no_measurement_share"] is not None:
         lines.append(("no measurement", f"{facts['no_measurement_share']:.2%} of the pixels"))
         lines.append(("saturated", f"{facts['saturated_share']:.2%} of the pixels"))

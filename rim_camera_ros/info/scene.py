@@ -109,7 +109,7 @@ def scene_text(facts: dict[str, Any]) -> str:
         low, median, high = seen["amplitude_counts"]
         lines += [
             ("seen at setting", number(seen["integration_time"])),
-            ("distances", span(*seen["distance_m"], "m")),
+            ("distances", span(seen["distance_m"][0], seen["distance_m"][1], "m")),
             ("amplitudes", f"{low:.0f} .. {high:.0f} counts (1 .. 99 %), median {median:.0f}"),
             ("saturated", f"{seen['saturated']:.2%} of the pixels"),
             ("nothing seen", f"{seen['nothing']:.2%} of the pixels"),

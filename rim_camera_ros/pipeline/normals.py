@@ -208,6 +208,8 @@ class IncidenceEstimator:
         The best plane of it and of the good windows four pixels away along the diagonals; NaN where none
         fits. ``cosine`` and ``miss`` [m] are those of the nearest.
         """
+        if at.size == 0:
+            return np.empty(0, np.float32)
         around = np.take(self._neighbours, np.take(self._window, at), axis=1)
         entries = np.take(self._windows, around).view(np.float32).reshape(*around.shape, 4)
         x, y, z, scale = cv2.split(entries)

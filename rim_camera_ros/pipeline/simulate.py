@@ -173,7 +173,11 @@ class Simulation:
             raise ValueError("the context of a simulation has a geometry")
         _, amplitude = context.geometry_at(0.0)
         kept = self._kept
-        if kept is not None and kept.geometry is context.geometry and np.array_equal(kept.amplitude, amplitude):
+        if (
+            kept is not None
+            and kept.geometry is context.geometry
+            and np.array_equal(kept.amplitude, amplitude)
+        ):
             return kept.delivered
         signal = Signal(context.geometry.distance, amplitude)
         for kind, group in groupby(steady, key=lambda one: isinstance(one, ComplexEffect)):

@@ -20,12 +20,13 @@ from rim_camera_ros.effects.integral_table import IntegralTable
 from rim_camera_ros.frame import Flag
 from rim_camera_ros.noise import sigma_amplitude
 
-#: Entries of the table of distance: half a step times the slope of the cyclic error stays below 0.01 mm.
-_DISTANCES = 1 << 17
-#: Entries where slopes lead on from the nearest entry, and the step in rad of the phase beside it: half
-#: steps squared times half the curvature of the cyclic error stay below 0.005 mm.
-_SLOPED = 1 << 12
-_PHASE_STEP = 0.012
+#: Entries of the table of distance per ambiguity range: half a step squared times half the curvature of the
+#: cyclic error stays below 0.003 mm.
+_DISTANCES = 1 << 12
+#: The error in metres that a step of the phase may make; and the greatest step in rad beside other terms,
+#: whose jump where the distance comes round is smeared by it.
+_PHASE_ERROR = 2e-6
+_PHASE_STEP = 0.05
 #: Relative step of the numerical slope of the amplitude terms.
 _STEP = 1e-4
 
@@ -188,9 +189,10 @@ def look_up(table: NDArray[Any], raw: NDArray[np.uint16]) -> NDArray[Any]:
 class DistanceSolver:
     """Solves d + sum of terms(d) = y, for terms of the distance and the cyclic error.
 
-    ``exact`` iterates. Else y - d is a table over y: its nearest entry where the terms depend on the
-    distance alone; where the cyclic error's phase changes over the array, a table over y and the
-    phase, whose entries hold the value and its slopes along both.
+    ``exact`` iterates. Else y - d is looked up in a table over y, whose entries hold the value and its
+    slope. Where the cyclic error's phase changes over the array, the table has a row per step of the
+    phase, and the slope along it; its columns are y plus the distance by which the phase shifts the
+    strongest harmonic, so that the phase matters only as far as it shifts the others by other distances.
     """
 
     def __init__(
@@ -200,46 +202,60 @@ class DistanceSolver:
         self._context = context
         self._ambiguity = camera.sensor.ambiguity
         self._wraps = camera.sensor.wraps
-        self._range = self._ambiguity if self._wraps else FULL_SCALE * camera.sensor.lsb
         self._exact = exact
         self._cyclic = next((one for one in self.terms if isinstance(one, CyclicError)), None)
-        self._beside: NDArray[np.float32] | None = None
         if not exact and self.terms:
-            if self._cyclic is not None and any(self._cyclic.gradient):
-                self._tabulate_by_phase(camera.shape, self._cyclic)
-            else:
-                self._size = _DISTANCES
-                self._table = self._solved(self._grid(), 0.0).astype(np.float32)
+            self._tabulate(camera)
 
-    def _grid(self) -> NDArray[np.float64]:
-        """Measured distance in metres of the entries."""
-        result: NDArray[np.float64] = np.arange(self._size) * (self._range / self._size)
-        return result
-
-    def _tabulate_by_phase(self, shape: tuple[int, int], cyclic: CyclicError) -> None:
-        shift = np.broadcast_to(cyclic.phase_shift(self._context), shape)
-        low = float(shift.min())
-        rows = int(np.ceil((float(shift.max()) - low) / _PHASE_STEP)) + 1
-        nearest = np.rint((shift - low) / _PHASE_STEP)
-        self._size = _SLOPED
-        self._row = nearest.astype(np.int32) * self._size
+    def _tabulate(self, camera: Camera) -> None:
+        step = self._ambiguity / _DISTANCES
+        phase, per_rad, step_phase = self._phases(camera.shape)
+        low, span = float(phase.min()), float(np.ptp(phase))
+        rows = int(np.ceil(span / step_phase)) + 1
+        position = (phase - low) / step_phase
+        nearest = np.rint(position)
+        #: entries per metre, and of each pixel the entries by which its phase shifts y, rounded by adding a half
+        self._scale = np.float32(1 / step)
+        self._shift = ((phase - low) * (per_rad / step) + 0.5).astype(np.float32)
         #: of each pixel: its phase beyond its row's, in steps
-        self._beside = ((shift - low) / _PHASE_STEP - nearest).astype(np.float32)
-        y = self._grid()
-        step = self._range / self._size
-        table = np.zeros((rows, self._size, 4), np.float32)
+        self._beside = (position - nearest).astype(np.float32) if rows > 1 else None
+        length = _DISTANCES
+        if not self._wraps:
+            length = int(np.ceil((FULL_SCALE * camera.sensor.lsb + span * per_rad) / step)) + 1
+        self._last = length - 1
+        self._row = nearest.astype(np.int32) * length
+        table = np.zeros((rows, length, 4), np.float32)
+        grid = np.arange(length) * step
+
+        def solved(y: Image, row: float) -> NDArray[np.float64]:
+            rad = row * step_phase
+            return self._solved(y - rad * per_rad, low + rad)
+
         for row, entries in enumerate(table):
-            phase = low + row * _PHASE_STEP
-            entries[:, 0] = self._solved(y, phase)
-            entries[:, 1] = self._solved(y + step / 2, phase) - self._solved(y - step / 2, phase)
-            entries[:, 2] = self._solved(y, phase + _PHASE_STEP / 2) - self._solved(
-                y, phase - _PHASE_STEP / 2
-            )
+            entries[:, 0] = solved(grid, row)
+            entries[:, 1] = solved(grid + step / 2, row) - solved(grid - step / 2, row)
+            if rows > 1:
+                entries[:, 2] = solved(grid, row + 0.5) - solved(grid, row - 0.5)
         # 16 bytes an entry: one access per pixel fetches all of it
         self._entries = table.view(np.complex128).ravel()
-        self._index = np.empty(shape, np.intp)
-        self._fetched = np.empty(shape, np.complex128)
-        self._planes = [np.empty(shape, np.float32) for _ in range(4)]
+        self._index = np.empty(camera.shape, np.intp)
+        self._fetched = np.empty(camera.shape, np.complex128)
+        self._planes = [np.empty(camera.shape, np.float32) for _ in range(4)]
+
+    def _phases(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], float, float]:
+        """Return the phase in rad (H, W), how far a rad shifts the strongest harmonic in m, the step in rad."""
+        cyclic = self._cyclic
+        if cyclic is None or not any(cyclic.gradient):
+            return np.zeros(shape), 0.0, 1.0
+        harmonics = sorted(cyclic.harmonics, key=lambda one: -abs(one.amplitude))
+        order = harmonics[0].order
+        curvature = sum(abs(one.amplitude) * (1 - one.order / order) ** 2 for one in harmonics[1:])
+        greatest = np.inf if len(self.terms) == 1 else _PHASE_STEP
+        phase = np.broadcast_to(cyclic.phase_shift(self._context), shape)
+        step = min(
+            max(float(np.ptp(phase)), 1e-6), np.sqrt(8 * _PHASE_ERROR / max(curvature, 1e-9)), greatest
+        )
+        return phase, self._ambiguity / (2 * np.pi * order), float(step)
 
     def _solved(self, y: Image, phase: float) -> NDArray[np.float64]:
         """Return y - d over a grid of y for one phase."""
@@ -265,34 +281,29 @@ class DistanceSolver:
             return solve_terms(
                 y, lambda d: sum(one.term(d, d, self._context) for one in self.terms), self._context
             )
-        at = y * np.float32(self._size / self._range)
-        at += np.float32(0.5)
-        if self._beside is None:
-            result = np.take(self._table, self._entry(at), mode="clip")
-            return np.subtract(y, result, out=result)
-        nearest = np.floor(at)
-        np.add(self._entry(nearest), self._row, out=self._index)
+        at = y * self._scale
+        at += self._shift
+        nearest = np.floor(at, out=self._planes[3])
+        at -= nearest
+        at -= np.float32(0.5)
+        # NaN becomes any entry
+        entry = nearest.astype(np.int32)
+        if self._wraps:
+            entry &= _DISTANCES - 1
+        else:
+            np.clip(entry, 0, self._last, out=entry)
+        np.add(entry, self._row, out=self._index)
         # the index is in range: "clip" and "wrap" are the modes without a check before
         np.take(self._entries, self._index, out=self._fetched, mode="wrap")
         value, by_distance, by_phase, _ = cv2.split(
             self._fetched.view(np.float32).reshape(*y.shape, 4), self._planes
         )
-        at -= nearest
-        at -= np.float32(0.5)
         at *= by_distance
         at += value
-        by_phase *= self._beside
-        at += by_phase
+        if self._beside is not None:
+            by_phase *= self._beside
+            at += by_phase
         return np.subtract(y, at, out=at)
-
-    def _entry(self, at: Image) -> NDArray[np.int32]:
-        """Whole entries; modulo the table where the camera wraps. NaN becomes any entry."""
-        index: NDArray[np.int32] = np.floor(at).astype(np.int32) if self._wraps else at.astype(np.int32)
-        if self._wraps:
-            index &= self._size - 1
-        else:
-            np.clip(index, 0, self._size - 1, out=index)
-        return index
 
 
 class PlaneTable:

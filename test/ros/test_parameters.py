@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +41,23 @@ def valid_pixels(message: Any) -> int:
 # --- driver -------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def driver(world: World) -> tuple[World, Collected]:
+def started_driver(world: World) -> tuple[World, Collected]:
     infos = world.collect(DiagnosticArray, "frame_info", BEST_EFFORT)
     world.start("driver_node", scene="wall", frame_rate=50)
     assert world.until(lambda: len(infos) > 2), world.output()
     return world, infos
+
+
+@pytest.fixture
+def driver(world: World) -> tuple[World, Collected]:
+    return started_driver(world)
+
+
+@pytest.fixture(scope="module")
+def undisturbed_driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[World, Collected]]:
+    """A driver for all tests that leave it as it is."""
+    with World(tmp_path_factory.mktemp("driver")) as world:
+        yield started_driver(world)
 
 
 def test_integration_time_and_rate_take_effect(driver: tuple[World, Collected]) -> None:
@@ -89,17 +101,17 @@ def test_another_scene_and_camera(driver: tuple[World, Collected]) -> None:
     ],
 )
 def test_rejected_changes_of_the_driver(
-    driver: tuple[World, Collected], values: dict[str, Any], reason: str
+    undisturbed_driver: tuple[World, Collected], values: dict[str, Any], reason: str
 ) -> None:
-    world, infos = driver
+    world, infos = undisturbed_driver
     before = world.get("driver", *values)
     assert re.search(reason, world.set("driver", **values)), reason
     assert world.get("driver", *values) == before
     assert info_of(fresh(world, infos))["integration_time"] == "100"
 
 
-def test_descriptors(driver: tuple[World, Collected]) -> None:
-    world, _ = driver
+def test_descriptors(undisturbed_driver: tuple[World, Collected]) -> None:
+    world, _ = undisturbed_driver
     described = world.describe("driver")
     described = {
         name: one
@@ -116,13 +128,24 @@ def test_descriptors(driver: tuple[World, Collected]) -> None:
 # --- correction ---------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def chain(world: World) -> tuple[World, Collected]:
+def started_chain(world: World) -> tuple[World, Collected]:
     world.start("driver_node", scene="room", frame_rate=25.0, integration_time=100.0)
     world.start("correction_node")
     points = world.collect(PointCloud2, "points", BEST_EFFORT)
     assert world.until(lambda: len(points) > 2), world.output()
     return world, points
+
+
+@pytest.fixture
+def chain(world: World) -> tuple[World, Collected]:
+    return started_chain(world)
+
+
+@pytest.fixture(scope="module")
+def undisturbed_chain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[World, Collected]]:
+    """Driver and correction for all tests that leave them as they are."""
+    with World(tmp_path_factory.mktemp("chain")) as world:
+        yield started_chain(world)
 
 
 def test_minimum_amplitude(chain: tuple[World, Collected]) -> None:
@@ -137,8 +160,8 @@ def test_minimum_amplitude(chain: tuple[World, Collected]) -> None:
     assert world.get("correction", "minimum_amplitude") == [-1.0]
 
 
-def test_effects_are_those_of_the_camera_file(chain: tuple[World, Collected]) -> None:
-    world, _ = chain
+def test_effects_are_those_of_the_camera_file(undisturbed_chain: tuple[World, Collected]) -> None:
+    world, _ = undisturbed_chain
     names = list(registry())
     values = world.get("correction", *(f"effects.{name}" for name in names))
     camera = load_camera(find_camera("sr3000"))
@@ -231,9 +254,9 @@ def _without_effects(folder: Path) -> Path:
     ],
 )
 def test_rejected_changes_of_the_correction(
-    chain: tuple[World, Collected], values: dict[str, Any], reason: str
+    undisturbed_chain: tuple[World, Collected], values: dict[str, Any], reason: str
 ) -> None:
-    world, points = chain
+    world, points = undisturbed_chain
     before = world.get("correction", *values)
     pixels = valid_pixels(points.last)
     assert re.search(reason, world.set("correction", **values)), reason
