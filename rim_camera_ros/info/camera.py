@@ -65,7 +65,8 @@ def camera_text(facts: dict[str, Any]) -> str:
         ("sensor", f"{facts['width']} x {facts['height']} px, field of view {wide:.1f} x {high:.1f} deg"),
         (
             "distance",
-            f"{facts['modulation_frequency_hz'] / 1e6:g} MHz: unambiguous to {facts['ambiguity_range_m']:.4g} m, "
+            f"{facts['modulation_frequency_hz'] / 1e6:g} MHz: unambiguous to "
+            f"{facts['ambiguity_range_m']:.4g} m, "
             f"{facts['distance_lsb_m'] * 1e3:.4g} mm per count, "
             + ("counts wrap there" if facts["wraps"] else "the camera resolves the ambiguity itself"),
         ),
