@@ -59,7 +59,9 @@ def shift(image: NDArray[Any], *, columns: float, rows: float) -> NDArray[Any]:
     return result
 
 
-def _add_shifted(to: NDArray[Any], image: NDArray[Any], factor: float, *, columns: float, rows: float) -> None:
+def _add_shifted(
+    to: NDArray[Any], image: NDArray[Any], factor: float, *, columns: float, rows: float
+) -> None:
     """Add factor * image(u - columns, v - rows) to an image in place."""
     whole_u, whole_v = int(np.floor(columns)), int(np.floor(rows))
     part_u, part_v = columns - whole_u, rows - whole_v

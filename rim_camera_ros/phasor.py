@@ -71,7 +71,8 @@ def nearest_period(distance: NDArray[Any], near: NDArray[Any], ambiguity: float)
     known = np.isfinite(periods)
     if not known.all():
         periods[~known] = 0
-    return distance + ambiguity * periods
+    result: NDArray[Any] = distance + ambiguity * periods
+    return result
 
 
 def wrap(distance: NDArray[Any], ambiguity: float) -> NDArray[Any]:

@@ -142,7 +142,7 @@ class Subspace:
         inverse = self._inverse_diagonal
         if self._rest is not None and not self._rest.dense:
             return self._by_conjugate_gradients(y)
-        x = y * inverse
+        x: Real = y * inverse
         if self._rest is not None:
             x -= self._rest.part(x) * inverse
         return x
@@ -217,7 +217,7 @@ def _range(matrices: Sequence[NDArray[np.float64]], keep: float) -> NDArray[np.f
 
 
 def _joint_basis(size: int, sigmas: Sequence[float], keep: float) -> NDArray[np.float64]:
-    """Return an orthonormal basis (size, rank) of what the kernels reach; first the first one's eigenvectors."""
+    """Return an orthonormal basis (size, rank) of what the kernels reach, the first one's vectors first."""
     values, vectors = np.linalg.eigh(gaussian_matrix(size, sigmas[0]))
     basis = vectors[:, np.abs(values) > keep]
     for sigma in sigmas[1:]:

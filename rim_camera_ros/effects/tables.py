@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.effects.base import Image
 
-
 #: Up to this many knots of one coordinate all intervals between them are summed up.
 _FEW = 24
 
@@ -38,7 +37,7 @@ def interpolate(
         return np.broadcast_to(table, shape) if shape else float(table)
     # the axes of the open knots stand before those of the image: one flat index for all of them
     sizes = table.shape[: len(open_)]
-    start: Image | int = 0
+    start: Image = np.zeros((), np.intp)
     pixels = 1
     if table.size > np.prod(sizes):
         table = np.broadcast_to(table, sizes + shape)
@@ -48,14 +47,15 @@ def interpolate(
         return _along_knots(np.asarray(knots[open_[0]], float), table, arrays[open_[0]])
     strides = [int(np.prod(sizes[i + 1 :])) * pixels for i in range(len(sizes))]
     cells = [_cell(np.asarray(knots[k], float), arrays[k]) for k in open_]
-    lowest = start + sum(lower * stride for (lower, _), stride in zip(cells, strides, strict=True))
+    for (lower, _), stride in zip(cells, strides, strict=True):
+        start = start + lower * stride
     flat = table.ravel()
-    total: Image | float = 0.0
+    total: Image = np.zeros(())
     for corner in product((0, 1), repeat=len(cells)):
         if any(side and n == 1 for side, n in zip(corner, sizes, strict=True)):
             continue
         step = sum(side * stride for side, stride in zip(corner, strides, strict=True))
-        part = np.take(flat, lowest + step)
+        part: Image = np.take(flat, start + step)
         for side, (_, share) in zip(corner, cells, strict=True):
             part = part * (share if side else 1.0 - share)
         total = total + part
@@ -67,7 +67,7 @@ def _along_knots(axis: NDArray[np.float64], table: Image, x: NDArray[np.float64]
 
     That needs no access by index, which is slow.
     """
-    total = table[0] + np.zeros_like(x)
+    total: Image = table[0] + np.zeros_like(x)
     for k in range(len(axis) - 1):
         part = np.clip(x, axis[k], axis[k + 1])
         part -= axis[k]

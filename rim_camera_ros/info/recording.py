@@ -203,7 +203,7 @@ def _metres(frame: RawFrame, lsb: float) -> NDArray[np.float64]:
 def _timing(stamps: list[int]) -> dict[str, Any]:
     if len(stamps) < 2:
         return {"duration_s": 0.0, "rate_hz": None, "jitter_s": None, "gaps": 0, "missing_frames": 0}
-    steps = np.diff(np.array(stamps, np.int64).astype(float) / NANOSECONDS)
+    steps = np.diff(np.array(stamps, np.int64)).astype(np.int64) / NANOSECONDS
     period = float(np.median(steps))
     gaps = np.asarray(steps > _GAP * period)
     return {

@@ -112,7 +112,7 @@ class Correction:
         )
 
     def correct_distance(self, frame: RawFrame) -> CorrectedDistance:
-        """Return distance and amplitude as `correct` does, in less time where sigma and flags are not asked for."""
+        """Return distance and amplitude as `correct` does, sooner: without sigma and flags."""
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             work = self._undo(frame)
             distance = work.light.distance
@@ -129,13 +129,10 @@ class Correction:
         )
 
     def cloud(self, frame: CorrectedDistance) -> NDArray[np.float32]:
-        """Return the organised cloud (H, W, 4) float32: x y z [m], intensity [counts]; NaN x y z where invalid."""
-        points = [
-            np.multiply(ray, frame.distance, out=plane)
-            for ray, plane in zip(self._rays, self._points, strict=True)
-        ]
-        result: NDArray[np.float32] = cv2.merge([*points, np.asarray(frame.amplitude, np.float32)])
-        return result
+        """Return the organised cloud (H, W, 4) float32: x y z [m], NaN where invalid, and intensity [counts]."""
+        np.multiply(self._rays, frame.distance, out=self._points, casting="same_kind")
+        result: Any = cv2.merge([*self._points, np.asarray(frame.amplitude, np.float32)])
+        return np.asarray(result, np.float32)
 
     def depth(self, frame: CorrectedDistance) -> NDArray[np.float32]:
         """Return the depth along z in metres (H, W) float32, NaN where invalid."""
@@ -158,7 +155,8 @@ class Correction:
         if frame.distance.shape != self.camera.shape or frame.amplitude.shape != self.camera.shape:
             found, expected = frame.distance.shape, self.camera.shape
             raise InputError(
-                f"images of {found[1]} x {found[0]} px, but the camera file is for {expected[1]} x {expected[0]}",
+                f"images of {found[1]} x {found[0]} px, but the camera file is for "
+                f"{expected[1]} x {expected[0]}",
                 remedy="give the camera file of this sensor",
             )
         if self._last is not None and frame.stamp < self._last:
@@ -220,7 +218,7 @@ class Correction:
         """Counts or metres -> metres, NaN where there is no measurement; and where, None if nowhere."""
         if raw.dtype.kind == "f":
             metres = raw.astype(self._dtype, copy=True)
-            missing = ~((metres > 0) & (metres < np.inf))
+            missing = ~((metres > 0) & np.isfinite(metres))
         else:
             metres = np.multiply(
                 raw, self._dtype(self.camera.sensor.lsb), dtype=self._dtype, casting="unsafe"
@@ -248,7 +246,7 @@ class Correction:
         work.light = self._optics.undo(delivered, amplitude, quick=not self.exact)
         for _ in range(folded.incidence_rounds):
             cosine = self._estimator.cosine(work.light.distance, self._scaled_sigma(work))
-            shifted = y - folded.incidence_term(cosine, amplitude)
+            shifted = y - folded.incidence_term(cosine, amplitude, work.light.distance)
             delivered = folded.distance.solve(shifted if placed is None else shifted - placed)
             if self.exact:
                 delivered, placed = folded.refined(delivered, shifted, amplitude)

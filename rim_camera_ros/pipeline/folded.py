@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +24,8 @@ Image = NDArray[Any]
 
 #: Entries of the table of the incidence terms over the cosine.
 _COSINES = 1 << 16
+#: Below this angle in rad a plane is seen nearly perpendicularly.
+_PERPENDICULAR = 0.05
 #: Evaluations of terms of distance and place, and rounds of terms of the incidence, where exact.
 _EXACT_PLACED = 8
 _EXACT_ROUNDS = 3
@@ -175,7 +178,7 @@ class Folded:
         self.incidence_rounds = 0
         #: RMS over the angles, in metres: what is not known where no plane is found
         self.incidence_spread = 0.0
-        self._by_cosine: NDArray[np.float32] | None = None
+        self._by_cosine: NDArray[np.complex64] | None = None
         if not self._by_incidence:
             return
         self.incidence_rounds = _EXACT_ROUNDS if self._exact else 1
@@ -184,18 +187,47 @@ class Folded:
         spread = sum(np.asarray(one.at(gon, self.context)) for one in angles)
         self.incidence_spread = float(np.sqrt(np.mean(np.square(spread))))
         if len(angles) == len(self._by_incidence) and not self._exact:
-            gon = incidence_gon(np.arccos(np.arange(_COSINES) / (_COSINES - 1)))
-            self._by_cosine = np.zeros(_COSINES + 1, np.float32)
-            # the first entry is for pixels without a plane
-            self._by_cosine[1:] = sum(np.asarray(one.at(gon, self.context)) for one in angles)
+            self._by_cosine = self._tabulate_incidence(angles)
+            self._pair = [np.empty(self.context.camera.shape, np.float32) for _ in range(2)]
 
-    def incidence_term(self, cosine: Image, amplitude: Image) -> Image:
-        """Return the terms of the incidence in metres (H, W); 0 where no plane was found. A new array."""
+    def _tabulate_incidence(self, terms: list[IncidenceAngle]) -> NDArray[np.complex64]:
+        """Return t and b over the cosine of the angle that is seen in distances which still hold the term.
+
+        A plane r = d / cos(angle) is seen as r + t(angle), whose angle has the tangent
+        tan(angle) + (t' - t tan(angle)) / d, to first order in t / d. So the term is t + b / d at the angle
+        that is seen, with b = -t' cos^2(angle) (t' - t tan(angle)). Where the plane is seen perpendicularly,
+        t has an edge that a window smoothes, and b goes to 0.
+        """
+        angle = np.arccos(np.arange(_COSINES) / (_COSINES - 1))
+
+        def at(angle: Image) -> Image:
+            gon = incidence_gon(angle)
+            return np.asarray(sum(np.asarray(one.at(gon, self.context)) for one in terms))
+
+        step = 1e-4
+        slope = (at(angle + step) - at(np.maximum(angle - step, 0))) / (np.minimum(angle, step) + step)
+        value, cosine = at(angle), np.cos(angle)
+        change = -slope * cosine * (slope * cosine - value * np.sin(angle))
+        # the first entry is for pixels without a plane
+        table = np.zeros((_COSINES + 1, 2), np.float32)
+        table[1:, 0] = value
+        table[1:, 1] = change * np.minimum(angle / _PERPENDICULAR, 1.0)
+        return table.view(np.complex64).ravel()
+
+    def incidence_term(self, cosine: Image, amplitude: Image, distance: Image) -> Image:
+        """Return the terms of the incidence in metres (H, W); 0 where no plane was found. A new array.
+
+        ``distance`` [m] is what the angle was estimated from.
+        """
         if self._by_cosine is not None:
             # NaN becomes a negative entry, which is taken for the first
             entry = cosine * np.float32(_COSINES - 1)
             entry += np.float32(1.5)
-            return np.take(self._by_cosine, entry.astype(np.int32), mode="clip")
+            found = np.take(self._by_cosine, entry.astype(np.int32), mode="clip")
+            term, change = cv2.split(found.view(np.float32).reshape(*cosine.shape, 2), self._pair)
+            change /= distance
+            result: Image = term + change
+            return result
         self.context.incidence = np.arccos(np.clip(cosine, 0.0, 1.0).astype(self._dtype))
         result = np.zeros(cosine.shape, self._dtype)
         for one in self._by_incidence:

@@ -3,7 +3,7 @@
 On a plane n . X = p the inverse depth W = 1 / z is linear in the ray's ideal image coordinates,
 W = m . (x, y, 1) with m = n / p. Mean and slopes of W over a window are linear in W, so that m follows
 from them with the mean and the slopes of x and y over the same window, exactly, also for a distorted
-lens. Windows stand at every second pixel. One whose residuals exceed the noise holds a step and is
+lens. Windows stand at every third pixel. One whose residuals exceed the noise holds a step and is
 not used; a pixel beside a step takes the plane of a window near it that passes through it
 (Kahlmann 2007, sec. 3.3.6: the surface is smooth in parts).
 """
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 #: Side of the window in pixels, and the step from window to window.
 WINDOW = 5
-STRIDE = 2
+STRIDE = 3
 #: A window holds a step if its residuals are above this many metres RMS ...
 RESIDUAL = 0.006
 #: ... and above this many times the noise.
@@ -28,8 +28,10 @@ EXCESS = 1.15
 NEAR = 0.03
 SURE = 0.004
 SIGMAS = 3.0
-#: Where windows are searched for such a plane: four pixels away along the diagonals.
+#: Where windows are searched for such a plane: six pixels away along the diagonals.
 _DIRECTIONS = ((-2, -2), (-2, 2), (2, -2), (2, 2))
+#: Rows and columns of the window whose noise stands for all.
+_SAMPLES = ((0, 4), (2, 2), (4, 0))
 _SQUARE_3, _SQUARE_5 = (np.ones((n, n), np.uint8) for n in (3, 5))
 _TINY = np.float32(1e-20)
 _PIXELS = WINDOW**2
@@ -124,7 +126,7 @@ class IncidenceEstimator:
         return np.minimum(cosine, np.float32(1.0), out=cosine)
 
     def _planes(self, inverse: _Plane, sigma: NDArray[Any] | float) -> NDArray[np.bool_]:
-        """Fit all windows: m and 1 / |m|, 0 where noise does not explain the residuals. Return where it does."""
+        """Fit all windows: m, 0 where noise does not explain the residuals, and 1 / |m|; return where it does."""
         fit = self._fits.of(inverse)
         a, b, c, d = self._inverse
         m_x = a * fit.along_row + b * fit.along_column
@@ -151,22 +153,18 @@ class IncidenceEstimator:
 
     def _greatest_variance(self, sigma: NDArray[Any] | float) -> _Plane | np.float32:
         """Return the greatest mean square of residuals in m^2 that noise explains, by window."""
-        least = np.float32(RESIDUAL**2)
         if not np.ndim(sigma):
-            return np.maximum(least, np.float32(EXCESS**2 * np.square(sigma)))
-        # the mean over nine of the window's pixels
-        few = np.zeros((self._fits.rows + 3, self._fits.stride), np.float32)
-        sparse = np.asarray(sigma)[::STRIDE, ::STRIDE]
-        few[: len(sparse)] = sparse
-        few *= few
-        row, size = self._fits.stride, self._fits.mean.size
-        flat = few.ravel()
-        down = flat[: size + 2] + flat[row : size + 2 + row]
-        down += flat[2 * row : size + 2 + 2 * row]
-        total = down[:-2] + down[1:-1]
-        total += down[2:]
-        total *= np.float32(EXCESS**2 / 9)
-        return np.clip(total, least, np.float32(np.inf), out=total).reshape(-1, row)
+            return np.float32(max(RESIDUAL**2, EXCESS**2 * float(sigma) ** 2))
+        # its mean over a few of the window's pixels: the centre would do but for a texture
+        height, width = self.shape
+        sigma = np.asarray(sigma)
+        mean = np.zeros((self._fits.rows, self._fits.stride), np.float32)
+        for v, u in _SAMPLES:
+            part = sigma[v : height - WINDOW + 1 + v : STRIDE, u : width - WINDOW + 1 + u : STRIDE]
+            mean[:, : part.shape[1]] += part * part
+        mean *= np.float32(EXCESS**2 / len(_SAMPLES))
+        np.clip(mean, np.float32(RESIDUAL**2), np.float32(np.inf), out=mean)
+        return mean
 
     def _nearest_good(self, good: NDArray[np.bool_]) -> NDArray[np.complex128]:
         """Return the windows with bad ones replaced by a good one within reach, 1 / |m| negative in those.
@@ -178,18 +176,18 @@ class IncidenceEstimator:
             return self._windows
         level = np.float32(self._level)
         # numbers of windows from 1, bad ones far below 0; near ones one level above those farther off
-        number = np.where(good, self._numbers, np.float32(-10.0) * level)
-        nearest = cv2.dilate(number, _SQUARE_5)
-        next_ = cv2.dilate(number, _SQUARE_3)
+        number: _Plane = np.where(good, self._numbers, np.float32(-10.0) * level)
+        nearest: _Plane = cv2.dilate(number, _SQUARE_5)
+        next_: _Plane = cv2.dilate(number, _SQUARE_3)
         next_ += level
         np.maximum(nearest, next_, out=nearest)
         number += level + level
         np.maximum(nearest, number, out=nearest)
-        nearest += (nearest < 0) * (np.float32(10.0) * level)
+        # none within reach: entry 0
+        nearest *= nearest > 0
         source = np.zeros(good.size + 1, np.int32)
         source[1:] = nearest.ravel()
         source &= self._level - 1
-        np.multiply(source[1:], (nearest > 0).ravel(), out=source[1:])
         result = np.take(self._windows, source)
         scale = result.view(np.float32)[7::4]
         scale *= good.ravel() * np.float32(2.0) - np.float32(1.0)
@@ -205,7 +203,7 @@ class IncidenceEstimator:
     ) -> NDArray[np.float32]:
         """Return the cosines of pixels whose nearest good window may lie on the other side of a step.
 
-        The best plane of it and of the good windows four pixels away along the diagonals; NaN where none
+        The best plane of it and of the good windows six pixels away along the diagonals; NaN where none
         fits. ``cosine`` and ``miss`` [m] are those of the nearest.
         """
         if at.size == 0:
@@ -234,36 +232,35 @@ class IncidenceEstimator:
 
 
 class _Fits:
-    """Planes through an image of W over all windows: `mean`, slopes per pixel, sum of squares about the plane.
+    """Planes through an image of W over all windows: mean, slopes per pixel, sum of squares about the plane.
 
     Relative to the window's centre, so that float32 suffices. The grid of windows is (rows, stride):
     all sums run over flat arrays, in which the last columns of the grid mix rows; they are no windows.
     """
 
     def __init__(self, shape: tuple[int, int], dtype: Any) -> None:
-        height, width = shape
+        width = shape[1]
         self.rows, self.columns = ((n - WINDOW) // STRIDE + 1 for n in shape)
-        self.stride = (width + 1) // 2
+        self.stride = -(-width // STRIDE)
         self._shape = shape
         self._size = self.rows * self.stride
-        # even and odd rows, with a column more where the width is odd, and elements that shifts run into
-        self._apart = np.zeros((2, self.rows + 2, 2 * self.stride), dtype)
+        # every STRIDE-th row, so that a window's rows are slices; columns and rows more that shifts run into
+        spare = (WINDOW - 1) // STRIDE
+        self._apart = np.zeros((STRIDE, self.rows + spare, STRIDE * self.stride), dtype)
         # of the five rows of a window, by column: middle, sum, slope, sum of squares
-        self._down = np.zeros((4, self.rows, 2 * self.stride), dtype)
-        self._halves = np.zeros((2, 4 * self._size + 2), dtype)
+        self._down = np.zeros((4, self.rows, STRIDE * self.stride), dtype)
+        self._columns = np.zeros((STRIDE, 4 * self._size + spare), dtype)
 
     def of(self, values: NDArray[Any]) -> _Fits:
         """Fit to the image (H, W)."""
         width = self._shape[1]
-        even, odd = self._apart
-        for rows, half in ((values[::2], even), (values[1::2], odd)):
-            count = min(len(rows), len(half))
-            half[:count, :width] = rows[:count]
-        n = self.rows
+        for first, part in enumerate(self._apart):
+            rows = values[first::STRIDE][: len(part)]
+            part[: len(rows), :width] = rows
+        row = [self._apart[i % STRIDE, i // STRIDE :][: self.rows] for i in range(WINDOW)]
         middle, total, slope, square = self._down
-        np.copyto(middle, even[1 : n + 1])
-        above2, above = even[:n] - middle, odd[:n] - middle
-        below, below2 = odd[1 : n + 1] - middle, even[2 : n + 2] - middle
+        np.copyto(middle, row[2])
+        above2, above, below, below2 = (row[i] - middle for i in (0, 1, 3, 4))
         np.add(above2, above, out=total)
         total += below
         total += below2
@@ -280,12 +277,13 @@ class _Fits:
 
     def _along_rows(self) -> None:
         """Sum what the columns hold over the five columns of a window."""
-        # even and odd columns apart, so that a window's columns are slices
+        # every STRIDE-th column, so that a window's columns are slices
         size = self._size
-        apart = [half[: 4 * size].reshape(-1, self.stride) for half in self._halves]
-        cv2.split(self._down.reshape(4 * self.rows, self.stride, 2), apart)
+        apart = [part[: 4 * size].reshape(-1, self.stride) for part in self._columns]
+        cv2.split(self._down.reshape(4 * self.rows, self.stride, STRIDE), apart)
         middle, total, slope, square = (
-            [self._halves[j % 2, k * size + j // 2 :][:size] for j in range(WINDOW)] for k in range(4)
+            [self._columns[j % STRIDE, k * size + j // STRIDE :][:size] for j in range(WINDOW)]
+            for k in range(4)
         )
         centre, first, along_column, second = (one[2].copy() for one in (middle, total, slope, square))
         number = centre.dtype.type

@@ -109,7 +109,7 @@ class OpticsUndo:
         light.gain *= self._dtype.type(1.0 / self._spreading.direct)
 
     def _undo_emitter(self, half_path: Image) -> None:
-        """Solve |P| + |P - e| = 2 d for |P|: (4 d^2 - |e|^2) / (4 d - 2 ray . e); NaN where there is no point."""
+        """Solve |P| + |P - e| = 2 d for |P| = (4 d^2 - |e|^2) / (4 d - 2 ray . e); NaN without a solution."""
         number = self._dtype.type
         short = half_path <= np.sqrt(self._square) / number(2)
         below = np.multiply(half_path, number(4), out=self._work)

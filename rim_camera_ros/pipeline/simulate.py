@@ -168,7 +168,7 @@ class Simulation:
         return signal
 
     def _delivered(self, steady: list[Effect], context: Context) -> Signal:
-        """Return the light after the first effects, which do not change from frame to frame of a fixed scene."""
+        """Return the light after the first effects, which stay as they are while the scene does."""
         if context.geometry is None or context.geometry_at is None:
             raise ValueError("the context of a simulation has a geometry")
         _, amplitude = context.geometry_at(0.0)

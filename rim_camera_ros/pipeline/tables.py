@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -46,8 +47,10 @@ class ByAmplitude:
 
     def astype(self, dtype: Any) -> ByAmplitude:
         """Return the same in another precision."""
-        numbers = (one.astype(dtype, copy=False) for one in (self.amplitude, self.term, self.sigma))
-        return ByAmplitude(*numbers, self.flags)
+        amplitude, term, sigma = (
+            one.astype(dtype, copy=False) for one in (self.amplitude, self.term, self.sigma)
+        )
+        return ByAmplitude(amplitude, term, sigma, self.flags)
 
 
 class AmplitudeModel:
@@ -214,7 +217,7 @@ class DistanceSolver:
         rows = int(np.ceil(span / step_phase)) + 1
         position = (phase - low) / step_phase
         nearest = np.rint(position)
-        #: entries per metre, and of each pixel the entries by which its phase shifts y, rounded by adding a half
+        #: entries per metre, and the entries by which each pixel's phase shifts y, with a half to round by
         self._scale = np.float32(1 / step)
         self._shift = ((phase - low) * (per_rad / step) + 0.5).astype(np.float32)
         #: of each pixel: its phase beyond its row's, in steps
@@ -243,7 +246,7 @@ class DistanceSolver:
         self._planes = [np.empty(camera.shape, np.float32) for _ in range(4)]
 
     def _phases(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], float, float]:
-        """Return the phase in rad (H, W), how far a rad shifts the strongest harmonic in m, the step in rad."""
+        """Return phases (H, W) [rad], the shift of the strongest harmonic by one [m/rad], their step [rad]."""
         cyclic = self._cyclic
         if cyclic is None or not any(cyclic.gradient):
             return np.zeros(shape), 0.0, 1.0
@@ -327,7 +330,7 @@ class PlaneTable:
             (above - below) / (k1 - k0)
             for k0, k1, below, above in zip(knots, knots[1:], values, values[1:], strict=False)
         ] or [np.zeros(camera.shape)]
-        bends = [(after - before) / 2 for before, after in zip(slopes, slopes[1:], strict=False)]
+        bends = [(after - before) / 2 for before, after in pairwise(slopes)]
         slope = (slopes[0] + slopes[-1]) / 2
         base = values[0] - slope * knots[0]
         for knot, bend in zip(knots[1:], bends, strict=False):
