@@ -83,7 +83,10 @@ def undistort(xy: Array, d: tuple[float, ...]) -> Array:
         solution[open_] = trial
         error, jacobian = _error(trial, target[open_], d)
     solution[open_] = np.nan
-    solution[~(_error(solution, target, d)[1][3] > 0)] = np.nan
+    # a solution behind a fold is none: the image must not turn back anywhere on the way from the centre
+    for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:]:
+        a, _, c, determinant = _error(share * solution, target, d)[1]
+        solution[~((determinant > 0) & (a + c > 0))] = np.nan
     return solution.reshape(xy.shape)
 
 

@@ -116,7 +116,7 @@ def demodulate(
     imaginary = samples[1] - samples[3]
     phase = np.arctan2(imaginary, real)
     number = phase.dtype.type
-    phase += (phase < 0) * number(2 * np.pi)
+    np.add(phase, number(2 * np.pi), out=phase, where=phase < 0)
     phase *= phase < number(2 * np.pi)
     real *= real
     imaginary *= imaginary

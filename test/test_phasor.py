@@ -115,7 +115,7 @@ def test_wrapping(x: float) -> None:
     assert 0 <= wrapped < L
     assert math.remainder(wrapped - x, L) == pytest.approx(0, abs=1e-8)
     residual = float(wrap_residual(np.array([x]), L)[0])
-    assert -L / 2 < residual + 1e-8
+    assert residual + 1e-8 > -L / 2
     assert residual <= L / 2 + 1e-8
     assert math.remainder(residual - x, L) == pytest.approx(0, abs=1e-8)
 
@@ -166,7 +166,7 @@ def test_sampling_interval_lowers_the_amplitude_and_leaves_the_phase() -> None:
 
 
 def test_contrast_of_half_a_period() -> None:
-    """dt = T / 2 leaves 2 / pi of the amplitude."""
+    """Dt = T / 2 leaves 2 / pi of the amplitude."""
     _, amplitude, _ = demodulate(_samples(np.array([1.0]), 2 / math.pi, 5.0), integration_share=0.5)
     assert amplitude[0] == pytest.approx(1.0, rel=1e-12)
 
@@ -195,7 +195,7 @@ def test_even_harmonics_leave_the_distance_alone(order: int) -> None:
 
 
 def _sinusoid(error: np.ndarray, phase: np.ndarray, order: int) -> complex:
-    """a of Im(a exp(i order phase)) = |a| sin(order phase + arg a), by projection."""
+    """A of Im(a exp(i order phase)) = |a| sin(order phase + arg a), by projection."""
     return complex(2j * np.mean(error * np.exp(-1j * order * phase)))
 
 

@@ -59,13 +59,13 @@ def test_undistort_inverts_distort(d: tuple[float, ...]) -> None:
 
 
 def test_where_the_lens_folds_back_nothing_is_seen() -> None:
-    """r (1 - 0.26 r^4 + ...) never reaches the corner of a Kinect v2."""
+    """R (1 - 0.26 r^4 + ...) never reaches the corner of a Kinect v2."""
     kinect = Optics(fx=365.5, fy=365.5, cx=260.3, cy=197.6, d=(0.0847, -0.2594, -0.0076, 0.0055, 0.0))
     rays = pixel_rays(kinect, width=512, height=424)
     lost = np.isnan(rays[..., 0])
-    assert 0 < lost.sum() < 100
+    assert 0.01 < lost.mean() < 0.04
     v, u = np.nonzero(lost)
-    assert (np.hypot((u - 260.3) / 365.5, (v - 197.6) / 365.5) > 0.85).all()
+    assert (np.hypot((u - 260.3) / 365.5, (v - 197.6) / 365.5) > 0.79).all()
     with pytest.raises(ValueError, match="folds back"):
         pixel_rays(Optics(fx=20.0, fy=20.0, cx=88.0, cy=72.0, d=(-0.9, 0, 0, 0, 0)), width=176, height=144)
 
@@ -124,7 +124,7 @@ def test_plane_sphere_disc_rectangle() -> None:
 
 
 def test_texture_tiles() -> None:
-    """Tile (i, j): i = floor(y / cell_y) mod rows, j = floor(x / cell_x) mod columns, also left of and above 0."""
+    """Tile (i, j): i = floor(y / cell_y) mod rows, j = floor(x / cell_x) mod columns, also below 0."""
     texture = Texture(cell=(0.3, 0.2), values=NestedList(np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])))
     x = np.array([0.01, 0.31, -0.01, -0.31, 0.95])
     y = np.array([0.01, 0.21, -0.01, 0.39, -0.21])

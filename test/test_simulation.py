@@ -62,7 +62,7 @@ def exact(cam: Camera, scene: Scene, **options: Any) -> RawFrame:
 
 
 def test_radiometry_and_distance() -> None:
-    """amplitude = gain * integration_time * reflectivity * cos(incidence) / distance^2."""
+    """Amplitude = gain * integration_time * reflectivity * cos(incidence) / distance^2."""
     cam = replace(camera(), radiometry=Radiometry(gain=321.0))
     frame = exact(cam, wall())
     cosine = cam.rays[..., 2]
@@ -101,7 +101,6 @@ def test_scattering_by_its_definition() -> None:
     exposure = Exposure(stamp=10**9, settings=SETTINGS, poses=scene.fixed_poses())
     light = plain.signal(plain.context(exposure))
     s = light.amplitude * np.exp(2j * np.pi * light.distance / L)
-    v, u = np.mgrid[:30, :40]
     expected = (1 - 0.12 - 0.06 - 0.01) * s
     k = np.arange(-400, 401)
     for weight, su, sv in ((0.12, 5.0, 3.0), (0.06, 1.1, 20.0)):
@@ -144,7 +143,7 @@ def test_mixed_pixels_are_a_gaussian_of_the_complex_image() -> None:
 
 class TestReadOut:
     def test_wrapping_camera(self) -> None:
-        """modulo L first; a count of 0 becomes 1."""
+        """Modulo L first; a count of 0 becomes 1."""
         lsb = L / 65536
         frame = simulate(camera(), wall(L + 0.3), noise=False)
         cosine = camera().rays[..., 2]
@@ -426,7 +425,7 @@ def test_amplitude_and_incidence_cancel_as_the_thesis_says(time: float, share: f
 
 
 def test_noise_of_table_3_3() -> None:
-    """sigma of one distance at about 2.6 m: c / sqrt 2 of the table's Gaussians."""
+    """Sigma of one distance at about 2.6 m: c / sqrt 2 of the table's Gaussians."""
     cam = load_camera(find_camera("sr3000"))
     for time, distance, expected in ((16, 2.557, 26.4), (60, 2.621, 8.67), (100, 2.630, 6.17)):
         amplitude = np.array([cam.radiometry.gain * time * 0.88 / distance**2])

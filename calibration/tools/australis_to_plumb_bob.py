@@ -50,8 +50,10 @@ def australis_correct(x, y, K, P):
     """Measured to ideal coordinates, millimetres relative to the principal point."""
     r2 = x * x + y * y
     radial = r2 * (K[0] + r2 * (K[1] + r2 * K[2]))
-    return (x + x * radial + P[0] * (r2 + 2 * x * x) + 2 * P[1] * x * y,
-            y + y * radial + P[1] * (r2 + 2 * y * y) + 2 * P[0] * x * y)
+    return (
+        x + x * radial + P[0] * (r2 + 2 * x * x) + 2 * P[1] * x * y,
+        y + y * radial + P[1] * (r2 + 2 * y * y) + 2 * P[0] * x * y,
+    )
 
 
 def plumb_bob_distort(x, y, d):
@@ -59,16 +61,18 @@ def plumb_bob_distort(x, y, d):
     k1, k2, p1, p2, k3 = d
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y)
+    return (
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+    )
 
 
-def convert(*, width, height, pitch, c, xp, yp, K=(0.0, 0.0, 0.0), P=(0.0, 0.0), y_axis='down'):
+def convert(*, width, height, pitch, c, xp, yp, K=(0.0, 0.0, 0.0), P=(0.0, 0.0), y_axis="down"):
     """Return (optics, error): the `optics` mapping of a camera file and the distance in pixels, (height, width), that the fit leaves.
 
     pitch, c, xp, yp in millimetres, K in mm^-2, mm^-4, mm^-6, P in mm^-1.
     """
-    if y_axis == 'up':
+    if y_axis == "up":
         yp, P = -yp, (P[0], -P[1])
     fx, fy = c / pitch[0], c / pitch[1]
     cx, cy = (width - 1) / 2 + xp / pitch[0], (height - 1) / 2 + yp / pitch[1]
@@ -84,22 +88,28 @@ def convert(*, width, height, pitch, c, xp, yp, K=(0.0, 0.0, 0.0), P=(0.0, 0.0),
     start = np.zeros(5)
     columns = np.stack([difference(row) - difference(start) for row in np.eye(5)], axis=1)
     used = [0, 1, 4] if not any(P) else list(range(5))  # a lens without decentring keeps none
-    solution = least_squares(lambda p: difference(start) + columns[:, used] @ p, np.zeros(len(used)),
-                             x_scale='jac', xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    solution = least_squares(
+        lambda p: difference(start) + columns[:, used] @ p,
+        np.zeros(len(used)),
+        x_scale="jac",
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
+    )
     d = np.zeros(5)
     d[used] = solution.x
     dx, dy = np.split(difference(d), 2)
-    optics = {'fx': fx, 'fy': fy, 'cx': cx, 'cy': cy, 'd': d.tolist()}
+    optics = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "d": d.tolist()}
     return optics, np.hypot(dx, dy).reshape(height, width)
 
 
 def number(value):
     """Text that YAML 1.1 reads as a float."""
-    text = f'{value:.9g}'
-    if 'e' in text:
-        mantissa, exponent = text.split('e')
-        return f'{mantissa if "." in mantissa else mantissa + ".0"}e{exponent}'
-    return text if '.' in text else text + '.0'
+    text = f"{value:.9g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{exponent}"
+    return text if "." in text else text + ".0"
 
 
 def is_number(text):
@@ -111,30 +121,58 @@ def is_number(text):
 
 
 def main(arguments=None):
-    parser = argparse.ArgumentParser(description=__doc__, epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--width', type=int, required=True, metavar='N', help='columns')
-    parser.add_argument('--height', type=int, required=True, metavar='N', help='rows')
-    parser.add_argument('--pitch', type=float, nargs=2, required=True, metavar=('X', 'Y'), help='pixel pitch, mm')
-    parser.add_argument('--c', type=float, required=True, metavar='MM', help='camera constant, mm')
-    parser.add_argument('--xp', type=float, default=0.0, metavar='MM', help='principal point, mm')
-    parser.add_argument('--yp', type=float, default=0.0, metavar='MM', help='principal point, mm')
-    parser.add_argument('--K', type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=('K1', 'K2', 'K3'),
-                        help='radial distortion, mm^-2, mm^-4, mm^-6')
-    parser.add_argument('--P', type=float, nargs=2, default=(0.0, 0.0), metavar=('P1', 'P2'), help='decentring distortion, mm^-1')
-    parser.add_argument('--y-axis', choices=['down', 'up'], default='down', help='direction of y in the project (default: %(default)s)')
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--width", type=int, required=True, metavar="N", help="columns")
+    parser.add_argument("--height", type=int, required=True, metavar="N", help="rows")
+    parser.add_argument(
+        "--pitch", type=float, nargs=2, required=True, metavar=("X", "Y"), help="pixel pitch, mm"
+    )
+    parser.add_argument("--c", type=float, required=True, metavar="MM", help="camera constant, mm")
+    parser.add_argument("--xp", type=float, default=0.0, metavar="MM", help="principal point, mm")
+    parser.add_argument("--yp", type=float, default=0.0, metavar="MM", help="principal point, mm")
+    parser.add_argument(
+        "--K",
+        type=float,
+        nargs=3,
+        default=(0.0, 0.0, 0.0),
+        metavar=("K1", "K2", "K3"),
+        help="radial distortion, mm^-2, mm^-4, mm^-6",
+    )
+    parser.add_argument(
+        "--P",
+        type=float,
+        nargs=2,
+        default=(0.0, 0.0),
+        metavar=("P1", "P2"),
+        help="decentring distortion, mm^-1",
+    )
+    parser.add_argument(
+        "--y-axis",
+        choices=["down", "up"],
+        default="down",
+        help="direction of y in the project (default: %(default)s)",
+    )
     # argparse takes -2.4e-3 for an option; with a blank before it, it is a value
-    options = parser.parse_args([' ' + text if text.startswith('-') and is_number(text) else text
-                                 for text in (sys.argv[1:] if arguments is None else arguments)])
+    options = parser.parse_args(
+        [
+            " " + text if text.startswith("-") and is_number(text) else text
+            for text in (sys.argv[1:] if arguments is None else arguments)
+        ]
+    )
     if min(options.width, options.height, *options.pitch, options.c) <= 0:
-        parser.error('width, height, pitch and c must be positive')
+        parser.error("width, height, pitch and c must be positive")
     optics, error = convert(**vars(options))
     row, column = np.unravel_index(error.argmax(), error.shape)
-    pairs = ', '.join(f'{name}: {number(optics[name])}' for name in ('fx', 'fy', 'cx', 'cy'))
-    print(f'optics: {{{pairs},\n         d: [{", ".join(number(value) for value in optics["d"])}]}}')
-    print(f'# left by the fit: RMS {np.sqrt((error ** 2).mean()):.2g} px, largest {error.max():.2g} px at column {column}, row {row}; '
-          f'y axis {options.y_axis}')
+    pairs = ", ".join(f"{name}: {number(optics[name])}" for name in ("fx", "fy", "cx", "cy"))
+    print(f"optics: {{{pairs},\n         d: [{', '.join(number(value) for value in optics['d'])}]}}")
+    print(
+        f"# left by the fit: RMS {np.sqrt((error**2).mean()):.2g} px, largest {error.max():.2g} px at column {column}, row {row}; "
+        f"y axis {options.y_axis}"
+    )
     return 0
 
 
-if __name__ == '__main__':
+if __name__ == "__main__":
     sys.exit(main())

@@ -129,7 +129,7 @@ class Correction:
         )
 
     def cloud(self, frame: CorrectedDistance) -> NDArray[np.float32]:
-        """Return the organised cloud (H, W, 4) float32: x y z [m], NaN where invalid, and intensity [counts]."""
+        """Return the organised cloud (H, W, 4) float32: x y z [m], NaN where invalid, intensity [counts]."""
         np.multiply(self._rays, frame.distance, out=self._points, casting="same_kind")
         result: Any = cv2.merge([*self._points, np.asarray(frame.amplitude, np.float32)])
         return np.asarray(result, np.float32)
@@ -218,7 +218,7 @@ class Correction:
         """Counts or metres -> metres, NaN where there is no measurement; and where, None if nowhere."""
         if raw.dtype.kind == "f":
             metres = raw.astype(self._dtype, copy=True)
-            missing = ~((metres > 0) & np.isfinite(metres))
+            missing = ~(np.isfinite(metres) & np.greater(metres, 0))
         else:
             metres = np.multiply(
                 raw, self._dtype(self.camera.sensor.lsb), dtype=self._dtype, casting="unsafe"
@@ -268,7 +268,8 @@ class Correction:
         sigma = self._scaled_sigma(work)
         if work.unplaned is not None and work.unplaned.any():
             sigma *= sigma
-            sigma += work.unplaned * self._dtype(work.folded.incidence_spread**2)
+            unknown = self._dtype(work.folded.incidence_spread**2)
+            np.add(sigma, unknown, out=sigma, where=work.unplaned)
             np.sqrt(sigma, out=sigma)
         return sigma
 

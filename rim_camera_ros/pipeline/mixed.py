@@ -28,8 +28,7 @@ def mixed_pixels(distance: NDArray[Any], sigma: NDArray[Any] | float = 0.0) -> N
     with np.errstate(invalid="ignore", divide="ignore"):
         flat = np.ascontiguousarray(distance).ravel()
         number = flat.dtype.type
-        limit = np.broadcast_to(np.asarray(sigma, number) * number(LEAST_SIGMAS), distance.shape)
-        limit = np.clip(limit, number(LEAST_STEP), number(np.inf)).ravel()
+        noise = np.broadcast_to(sigma, distance.shape).ravel()
         for stride in (1, width):
             # three pixels before and behind along this axis
             margin = 3 * stride
@@ -44,7 +43,9 @@ def mixed_pixels(distance: NDArray[Any], sigma: NDArray[Any] | float = 0.0) -> N
             slopes = slope[:size] + slope[-size:]
             slopes *= number(4.0)
             excess -= slopes
-            at = np.flatnonzero(excess > limit[margin:-margin]) + margin
+            found = np.flatnonzero(excess > number(LEAST_STEP))
+            at = found + margin
+            at = at[np.take(excess, found) > LEAST_SIGMAS * np.take(noise, at)]
             if stride == 1:
                 place = at % width
                 at = at[(place >= 3) & (place < width - 3)]

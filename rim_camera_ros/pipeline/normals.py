@@ -126,7 +126,7 @@ class IncidenceEstimator:
         return np.minimum(cosine, np.float32(1.0), out=cosine)
 
     def _planes(self, inverse: _Plane, sigma: NDArray[Any] | float) -> NDArray[np.bool_]:
-        """Fit all windows: m, 0 where noise does not explain the residuals, and 1 / |m|; return where it does."""
+        """Fit all windows: m, 0 where noise does not explain the residuals, 1 / |m|; return where it does."""
         fit = self._fits.of(inverse)
         a, b, c, d = self._inverse
         m_x = a * fit.along_row + b * fit.along_column
@@ -177,8 +177,8 @@ class IncidenceEstimator:
         level = np.float32(self._level)
         # numbers of windows from 1, bad ones far below 0; near ones one level above those farther off
         number: _Plane = np.where(good, self._numbers, np.float32(-10.0) * level)
-        nearest: _Plane = cv2.dilate(number, _SQUARE_5)
-        next_: _Plane = cv2.dilate(number, _SQUARE_3)
+        nearest: Any = cv2.dilate(number, _SQUARE_5)
+        next_: Any = cv2.dilate(number, _SQUARE_3)
         next_ += level
         np.maximum(nearest, next_, out=nearest)
         number += level + level

@@ -46,7 +46,7 @@ class OpticsUndo:
             ray_dot_emitter = camera.rays @ np.array(emitter.position)
             self._along = (-2 * ray_dot_emitter).astype(self._dtype)
             self._square = number(sum(e * e for e in emitter.position))
-        self._cosine, self._sine, self._work = (np.empty(camera.shape, self._dtype) for _ in range(3))
+        self._turn, self._work = (np.empty(camera.shape, self._dtype) for _ in range(2))
         self._image = np.empty((camera.shape[0], 2, camera.shape[1]), self._dtype)
 
     @property
@@ -71,6 +71,8 @@ class OpticsUndo:
             if periods.any():
                 periods *= self._ambiguity
                 light.distance -= periods
+                # what rounding left at the end of the period
+                light.distance[light.distance >= self._ambiguity] = 0
         if self._emitter is not None:
             self._undo_emitter(light.distance)
         return light
@@ -80,32 +82,36 @@ class OpticsUndo:
         amplitude = light.amplitude
         phase = np.multiply(light.distance, self._wave, out=self._work)
         dark = ~np.isfinite(phase)
-        if dark.any():
+        any_dark = bool(dark.any())
+        if any_dark:
             # no light where nothing was measured
             phase[dark] = 0
             amplitude = amplitude.copy()
             amplitude[dark] = 0
-        cosine, sine = np.cos(phase, out=self._cosine), np.sin(phase, out=self._sine)
-        np.multiply(cosine, amplitude, out=self._image[:, 0])
-        np.multiply(sine, amplitude, out=self._image[:, 1])
+        np.multiply(np.cos(phase, out=self._turn), amplitude, out=self._image[:, 0])
+        np.multiply(np.sin(phase, out=self._turn), amplitude, out=self._image[:, 1])
         if quick:
             solved = self._spreading.first_order(self._image)
         else:
             solved = self._spreading.solve(self._image, guess=guess)
         light.image = solved
-        # the angle between direct and delivered light, so that the distance keeps its period
-        real, imaginary = solved[:, 0] * cosine, solved[:, 1] * cosine
-        real += np.multiply(solved[:, 1], sine, out=self._work)
-        imaginary -= np.multiply(solved[:, 0], sine, out=self._work)
-        turned = np.arctan2(imaginary, real, out=self._work)
-        turned *= 1 / self._wave
-        light.distance += turned
-        real *= real
-        imaginary *= imaginary
-        real += imaginary
-        light.amplitude = np.sqrt(real, out=real)
+        real, imaginary = solved[:, 0], solved[:, 1]
+        direct = np.arctan2(imaginary, real)
+        if self._wraps:
+            # into [0, L) comes later
+            np.multiply(direct, 1 / self._wave, out=light.distance)
+        else:
+            direct -= phase
+            direct -= np.rint(direct * self._dtype.type(0.5 / np.pi)) * self._dtype.type(2 * np.pi)
+            direct *= 1 / self._wave
+            light.distance += direct
+        if any_dark:
+            light.distance[dark] = np.nan
+        square = np.multiply(solved, solved, out=self._image)
+        light.amplitude = np.add(square[:, 0], square[:, 1], out=direct)
+        np.sqrt(light.amplitude, out=light.amplitude)
         # noise stays where it is, but is the greater against what is left of the light
-        light.gain = np.divide(amplitude, light.amplitude, out=imaginary)
+        light.gain = amplitude / light.amplitude
         light.gain *= self._dtype.type(1.0 / self._spreading.direct)
 
     def _undo_emitter(self, half_path: Image) -> None:

@@ -246,7 +246,7 @@ class DistanceSolver:
         self._planes = [np.empty(camera.shape, np.float32) for _ in range(4)]
 
     def _phases(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], float, float]:
-        """Return phases (H, W) [rad], the shift of the strongest harmonic by one [m/rad], their step [rad]."""
+        """Return phases (H, W) [rad], what one shifts the strongest harmonic by [m/rad], their step [rad]."""
         cyclic = self._cyclic
         if cyclic is None or not any(cyclic.gradient):
             return np.zeros(shape), 0.0, 1.0
