@@ -131,13 +131,19 @@ class Spreading:
             return self._solve_ghost(image, guess)
         stop = CONVERGED[self.dtype] * (float(np.abs(image).max()) or 1.0) * 4
         solution = self._solve_wide(image) if guess is None else guess
+        # what the narrow kernels add to d is positive: half of it in the step, and the iteration converges
+        # however much they outweigh d
+        narrow = sum(k[0] for k in self._narrow) / self.direct
+        step = self.dtype.type(1.0 / (1.0 + narrow / 2))
         before = 0.0
-        for _ in range(200):
-            following = self._solve_wide(image - self._beside(solution))
-            change = float(np.abs(following - solution).max())
-            solution = following
-            # the changes shrink by a constant factor: stop where the next one would be below the bound
-            if not change * (min(1.0, change / before) if before else 1.0) > stop:
+        for _ in range(400):
+            change_by = step * (self._solve_wide(image - self._beside(solution)) - solution)
+            change = float(np.abs(change_by).max())
+            solution = solution + change_by
+            # the changes shrink by a constant factor, down to rounding: stop where all that follow together
+            # are below the bound
+            rate = change / before if before else 0.5
+            if not change * rate > stop * (1.0 - rate) or (change <= stop and rate > 0.97):
                 break
             before = change
         return solution

@@ -22,7 +22,7 @@ from rim_camera_ros.devices.timeline import DEFAULT_INTEGRATION_TIME
 from rim_camera_ros.effects import registry
 from rim_camera_ros.errors import InputError, RimError, nearest_name
 from rim_camera_ros.files import find_camera
-from rim_camera_ros.frame import CorrectedFrame, RawFrame, Settings
+from rim_camera_ros.frame import CorrectedDistance, RawFrame, Settings
 from rim_camera_ros.nodes import messages, qos
 from rim_camera_ros.nodes.pairing import StampPairing
 from rim_camera_ros.nodes.parameters import Apply, Parameters, Spec, Values
@@ -194,8 +194,7 @@ class CorrectionNode:
             if not wanted:
                 continue
             try:
-                corrected = self._correction.correct(frame)
-                self._publish(corrected, wanted)
+                self._correct_one(frame, wanted)
             except Exception as error:  # a frame that cannot be corrected must not end the node
                 known = isinstance(error, RimError)
                 problem = str(error) if known else f"{type(error).__name__} {error} (please report this)"
@@ -207,17 +206,23 @@ class CorrectionNode:
                 self._left_out[reason] = count
                 self._throttle.warn(reason, f"{reason}: {count} left out so far")
 
-    def _publish(self, corrected: CorrectedFrame, wanted: set[str]) -> None:
-        head = messages.header(corrected.stamp, self._frame_id)
+    def _correct_one(self, frame: RawFrame, wanted: set[str]) -> None:
+        head = messages.header(frame.stamp, self._frame_id)
+        corrected: CorrectedDistance
+        if wanted & {"sigma", "flags"}:
+            whole = corrected = self._correction.correct(frame)
+            for role, pixels in (("sigma", whole.sigma), ("flags", whole.flags)):
+                if role in wanted:
+                    self._to[role].publish(messages.image(pixels, head))
+        else:
+            corrected = self._correction.correct_distance(frame)
+        self._publish(corrected, wanted, head)
+
+    def _publish(self, corrected: CorrectedDistance, wanted: set[str], head: Any) -> None:
         if "points" in wanted:
             self._to["points"].publish(messages.cloud(self._correction.cloud(corrected), head))
-        for role, pixels in (
-            ("corrected_distance", corrected.distance),
-            ("sigma", corrected.sigma),
-            ("flags", corrected.flags),
-        ):
-            if role in wanted:
-                self._to[role].publish(messages.image(pixels, head))
+        if "corrected_distance" in wanted:
+            self._to["corrected_distance"].publish(messages.image(corrected.distance, head))
         if "depth_camera_info" in wanted:
             self._to["depth_camera_info"].publish(messages.camera_info(self._camera.intrinsics, head))
         if "depth" in wanted:
