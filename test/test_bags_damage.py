@@ -221,11 +221,12 @@ def test_an_index_that_points_nowhere_is_not_used(tmp_path: Path, large: Path) -
     position = start
     while whole[position] != 8:
         position += 9 + struct.unpack_from("<Q", whole, position + 1)[0]
+    (chunk,) = struct.unpack_from("<Q", whole, position + 9 + 16)
     struct.pack_into("<Q", whole, position + 9 + 16, 1 << 40)  # chunk_start_offset
     (tmp_path / "a.mcap").write_bytes(whole)
     frames, error = read_all(tmp_path / "a.mcap")
     assert (len(frames), error) == (FRAMES, None)
-    struct.pack_into("<Q", whole, position + 9 + 16, 50)  # inside a chunk
+    struct.pack_into("<Q", whole, position + 9 + 16, chunk + 23)  # inside a chunk
     (tmp_path / "a.mcap").write_bytes(whole)
     frames, error = read_all(tmp_path / "a.mcap")
     assert "the index points to something that is no chunk; frames read before it: 0" in str(error)
