@@ -229,7 +229,11 @@ def test_an_index_that_points_nowhere_is_not_used(tmp_path: Path, large: Path) -
     struct.pack_into("<Q", whole, position + 9 + 16, chunk + 23)  # inside a chunk
     (tmp_path / "a.mcap").write_bytes(whole)
     frames, error = read_all(tmp_path / "a.mcap")
-    assert "the index points to something that is no chunk; frames read before it: 0" in str(error)
+    # rosbags before 0.11 writes a checksum of the index, by which the damage is seen and the index not used
+    if error is None:
+        assert len(frames) == FRAMES
+    else:
+        assert "the index points to something that is no chunk; frames read before it: 0" in str(error)
 
 
 @pytest.mark.parametrize("share", [0.2, 0.6, 0.95])
