@@ -149,14 +149,17 @@ class Camera:
             width=self.sensor.width, height=self.sensor.height, fx=o.fx, fy=o.fy, cx=o.cx, cy=o.cy, d=o.d
         )
 
+    def stated_integration_time(self, settings: Settings) -> float | None:
+        """Return the frame's integration time, or the camera file's, or None where neither is known."""
+        value = settings.integration_time
+        return self.sensor.integration_time if value is None else value
+
     def integration_time(self, settings: Settings) -> float:
         """Return the frame's integration time, or the camera file's where the recording has none.
 
         Raises `InputError` where neither is known or where it is not positive.
         """
-        value = settings.integration_time
-        if value is None:
-            value = self.sensor.integration_time
+        value = self.stated_integration_time(settings)
         if value is None:
             raise InputError(
                 "the recording states no integration_time (no frame_info)",

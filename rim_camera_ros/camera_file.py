@@ -17,6 +17,7 @@ from rim_camera_ros.errors import InputError, nearest_name
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.optics import Optics
 from rim_camera_ros.parameters import (
+    ArrayFile,
     Document,
     arrays_of,
     decode,
@@ -193,7 +194,7 @@ def save_camera(camera: Camera, path: str | os.PathLike[str], *, header: str = "
     path = Path(path)
     for effect in camera.effects.values():
         for one in arrays_of(effect):
-            _write_array(path.parent / one.file, one.values)
+            _write_array(path.parent, one)
     data: dict[str, Any] = {"format": CAMERA_FORMAT, "device": camera.device}
     for section in ("sensor", "optics", "radiometry", "noise"):
         data[section] = encode(getattr(camera, section))
@@ -203,12 +204,16 @@ def save_camera(camera: Camera, path: str | os.PathLike[str], *, header: str = "
     if validity:
         data["validity"] = validity
     if camera.covariance is not None:
-        _write_array(path.parent / camera.covariance.matrix.file, camera.covariance.matrix.values)
+        _write_array(path.parent, camera.covariance.matrix)
         data["covariance"] = encode(camera.covariance)
     if camera.provenance:
         data["provenance"] = encode(camera.provenance)
     write_yaml(path, data, header=header)
 
 
-def _write_array(path: Path, values: Any) -> None:
+def _write_array(folder: Path, one: ArrayFile) -> None:
+    path = folder / one.file
+    if folder.is_dir() and not path.parent.exists():
+        path.parent.mkdir(parents=True)
+    values = one.values
     write_whole(path, lambda stream: np.save(stream, values, allow_pickle=False))

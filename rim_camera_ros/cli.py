@@ -1,4 +1,4 @@
-"""The command ``rim``: dispatch, errors in one line, exit status."""
+"""The command ``rim``: dispatch, errors in one line, exit status, interruption."""
 
 from __future__ import annotations
 
@@ -6,22 +6,38 @@ import argparse
 import os
 import signal
 import sys
+import threading
+import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType, ModuleType
 
 from rim_camera_ros import __version__
-from rim_camera_ros.commands import correct, info, record, simulate
-from rim_camera_ros.errors import RimError
-
-_COMMANDS = (simulate, record, correct, info)
+from rim_camera_ros.errors import InputError, RimError, nearest_name
 
 _EPILOG = """exit status: 0 done, 1 the work failed, 2 bad usage or bad input, 130 interrupted.
-Cameras and scenes are files or the names of shipped ones; rim COMMAND --help says more."""
+Cameras and scenes are files or the names of shipped ones; rim COMMAND --help says more.
+RIM_TRACEBACK=1 in the environment shows where an error came from."""
+
+#: Signals that end the work; what is half written is removed.
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+#: Seconds in which a second Ctrl-C does not disturb the clearing up after the first.
+_PATIENCE = 3.0
+
+
+def command_modules() -> dict[str, ModuleType]:
+    """Return the modules of the commands by name."""
+    from rim_camera_ros.commands import correct, info, record, simulate
+
+    return {"simulate": simulate, "record": record, "correct": correct, "info": info}
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return the parser of all commands."""
-    result = argparse.ArgumentParser(
+    """Return the parser of all commands; it raises `InputError` for bad usage."""
+    from rim_camera_ros.commands.common import Parser
+
+    result = Parser(
         prog="rim",
         description="Simulate, record, correct and examine range imaging (time-of-flight) cameras.",
         epilog=_EPILOG,
@@ -29,39 +45,85 @@ def parser() -> argparse.ArgumentParser:
     )
     result.add_argument("--version", action="version", version=f"rim {__version__}")
     commands = result.add_subparsers(metavar="COMMAND", required=True)
-    for one in _COMMANDS:
-        one.add_parser(commands)
+    for module in command_modules().values():
+        module.add_parser(commands)
     return result
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status; no traceback reaches the user.
+    """Run one command and return its exit status; no traceback reaches the user."""
+    with _signals():
+        try:
+            return _run(list(sys.argv[1:] if argv is None else argv))
+        except RimError as error:
+            return _failed(str(error), error.exit_status)
+        except KeyboardInterrupt:
+            for number in _ENDING:
+                signal.signal(number, signal.SIG_IGN)
+            return _failed("interrupted", 130)
+        except BrokenPipeError:
+            _drop_output()  # whoever read it has gone
+            return 0
+        except OSError as error:
+            _drop_output()
+            reason = error.strerror or str(error)
+            place = error.filename if isinstance(error.filename, str) else "reading or writing failed"
+            return _failed(f"{place}: {reason} (check the disk and the permissions)", 1)
+        except MemoryError:
+            return _failed("out of memory", 1)
+        except Exception as error:
+            return _failed(
+                f"{type(error).__name__}: {error} (this is a fault of the program: please report it)", 1
+            )
 
-    RIM_TRACEBACK=1 in the environment shows where an error came from.
-    """
+
+def _run(argv: list[str]) -> int:
+    names = command_modules()
+    if argv and not argv[0].startswith("-") and argv[0] not in names:
+        raise InputError(f"no command '{argv[0]}'", remedy=nearest_name(argv[0], names))
     try:
         given = parser().parse_args(argv)
-    except SystemExit as end:
-        return end.code if isinstance(end.code, int) else 2
-    try:
-        status: int = given.run(given)
+    except SystemExit as end:  # --help and --version
         sys.stdout.flush()
-        return status
-    except RimError as error:
-        return _failed(str(error), error.exit_status)
-    except KeyboardInterrupt:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        return _failed("interrupted", 130)
-    except BrokenPipeError:
-        # whoever read the output has gone; nothing may be written at the interpreter's end either
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except MemoryError:
-        return _failed("out of memory", 1)
-    except Exception as error:
-        return _failed(
-            f"{type(error).__name__}: {error} (this is a fault of the program: please report it)", 1
-        )
+        return end.code if isinstance(end.code, int) else 2
+    status: int = given.run(given)
+    sys.stdout.flush()
+    return status
+
+
+@contextmanager
+def _signals() -> Iterator[None]:
+    """Make the first signal that ends the work a KeyboardInterrupt, and further ones for a while nothing.
+
+    Signals that are ignored (``nohup``, a script's background job) stay so. In other threads than the
+    main one nothing is done.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    last: list[float] = []
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        now = time.monotonic()
+        if not last or now - last[-1] > _PATIENCE:
+            last.append(now)
+            raise KeyboardInterrupt
+
+    before = {number: signal.getsignal(number) for number in _ENDING}
+    ours = [number for number, handler in before.items() if handler != signal.SIG_IGN]
+    for number in ours:
+        signal.signal(number, interrupt)
+    try:
+        yield
+    finally:
+        for number in ours:
+            if signal.getsignal(number) == interrupt:
+                signal.signal(number, before[number])
+
+
+def _drop_output() -> None:
+    """Keep what is still buffered from being written at the interpreter's end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _failed(text: str, status: int) -> int:

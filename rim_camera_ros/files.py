@@ -44,9 +44,10 @@ def shipped(kind: str) -> list[str]:
 
 def _find(name: str, kind: str, words: str) -> Path:
     path = Path(name)
-    if path.exists() or path.suffix in (".yaml", ".yml") or len(path.parts) > 1:
-        if path.is_file():
-            return path
+    if path.is_file():
+        return path
+    by_path = path.suffix in (".yaml", ".yml") or len(path.parts) > 1
+    if by_path or (path.exists() and name not in shipped(kind)):
         problem = "is a folder" if path.is_dir() else "no such file"
         raise InputError(problem, file=name, remedy=f"give a {words} or one of: {_listed(shipped(kind))}")
     known = shipped(kind)

@@ -42,9 +42,8 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int
 def process(*arguments: str | Path, **options: Any) -> subprocess.Popen[str]:
     """Start ``rim`` as a process."""
     command = [sys.executable, "-m", "rim_camera_ros.cli", *map(str, arguments)]
-    return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ), **options
-    )
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": dict(os.environ)}
+    return subprocess.Popen(command, text=True, **(pipes | options))
 
 
 def write_text(path: Path, text: str) -> Path:

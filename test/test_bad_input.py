@@ -126,7 +126,7 @@ def test_usage(capsys: Capture, tmp_path: Path) -> None:
     camera = write_text(tmp_path / "camera.yaml", CAMERA)
     refused(capsys, r"nothing to write \(give --out BAG", "correct", bag, "--camera", camera)
     refused(capsys, r"effect 'scatering' is not in the camera file", "correct", bag, "--camera", camera, "--without", "scatering", "--ply", tmp_path / "x.ply")  # fmt: skip
-    refused(capsys, r"--frame 3: the recording has 1 frames", "correct", bag, "--camera", camera, "--frame", "3", "--ply", tmp_path / "x.ply")  # fmt: skip
+    refused(capsys, r"bag: --frame: there is no frame 3: it has 1 frame \(0 to 0, or -1 for the last\)", "correct", bag, "--camera", camera, "--frame", "3", "--ply", tmp_path / "x.ply")  # fmt: skip
     refused(capsys, r"no role 'distnce' \(did you mean 'distance'\?\)", "correct", bag, "--camera", camera, "--topic", "distnce=/x", "--out", tmp_path / "o")  # fmt: skip
     refused(capsys, r"--waveform: unknown waveform 'triangle'", "simulate", "wall", "--camera", camera, "--waveform", "triangle", "--out", tmp_path / "o")  # fmt: skip
 

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import json
 import os
-import signal
+import pty
+import re
+import subprocess
+import sys
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 
 from rim_camera_ros.bags import Recording
+from rim_camera_ros.bags.messages import pose_from, settings_from, stamp_of, typestore
+from rim_camera_ros.frame import Pose
 
-from .helpers_cli import CAMERA, SCENE, nothing_left, process, raw_frame, run, write_bag, write_text
+from .helpers_cli import CAMERA, SCENE, process, raw_frame, run, write_bag, write_text
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 needs_recordings = pytest.mark.skipif(
@@ -90,16 +97,12 @@ def test_simulate_then_correct_then_info(capsys: Capture, tmp_path: Path, camera
     assert status == 0
     assert (facts["kind"], facts["frames"], facts["rate_hz"], facts["gaps"]) == ("recording", 7, 10.0, 0)
     assert facts["settings"]["integration_times"] == {"60": 7}
-    ratios = [row["sigma_m"] / row["model_m"] for row in facts["noise"]]
+    ratios = [row["sigma"] / row["model"] for row in facts["noise"]["classes"]]
     assert ratios
     assert all(0.85 < one < 1.15 for one in ratios)
 
 
 def test_simulating_the_poses_of_a_recording(capsys: Capture, tmp_path: Path, camera: Path) -> None:
-    from dataclasses import replace
-
-    from rim_camera_ros.frame import Pose
-
     truth = write_text(
         tmp_path / "truth.yaml",
         "format: rim_scene/1\nsurfaces:\n- {name: board, type: plane, pose: truth, reflectivity: 0.6}\n",
@@ -176,34 +179,169 @@ def test_real_recordings(
     assert (tmp_path / "cloud.ply").stat().st_size > 100_000
 
 
-def test_interrupted_twice(tmp_path: Path, camera: Path, scene: Path) -> None:
-    """Ctrl-C twice: 130, one line, nothing left."""
-    work = tmp_path / "work"
-    work.mkdir()
-    with nothing_left(work):
-        running = process(
-            "simulate", scene, "--camera", camera, "--frames", "100000000", "--out", work / "bag"
+@needs_recordings
+@pytest.mark.parametrize("folder", ["kinect2_checkerboard", "o3d303_wall"])
+def test_correcting_a_real_recording(capsys: Capture, tmp_path: Path, folder: str) -> None:
+    """All frames; the poses of the truth come along, and what is written can be examined."""
+    recording = SHARED / "recordings" / folder
+    out = tmp_path / "out"
+    arguments = (recording / "recording", "--camera", recording / "camera.yaml", "--out", out)
+    status, text, err = run(capsys, "correct", *arguments)
+    assert (status, err) == (0, "")
+    facts = json.loads(run(capsys, "info", out, "--json")[1])
+    assert text == f"{facts['corrected']['frames']} frames corrected: {out}\n"
+    before = json.loads(run(capsys, "info", recording / "recording", "--json")[1])
+    assert facts["corrected"]["frames"] == before["frames"]
+    assert facts["truth_surfaces"] == before["truth_surfaces"]
+    with Recording(recording / "recording") as raw, Recording(out) as corrected:
+        first, result = next(raw.frames()), next(corrected.corrected_frames())
+    lsb = 1e-4 if folder == "kinect2_checkerboard" else 1e-3
+    valid = np.isfinite(result.distance)
+    assert valid.any()
+    # these camera files state no effects: the distance is the measured one
+    np.testing.assert_allclose(result.distance[valid], first.distance[valid] * lsb, atol=1e-5)
+    assert not (valid & (first.distance == 0)).any()
+
+
+def test_every_command_as_a_process(tmp_path: Path, camera: Path, scene: Path) -> None:
+    """Output goes to standard output, nothing to standard error in a pipe: no progress either."""
+    bag, out = tmp_path / "bag", tmp_path / "out"
+    for arguments, text in (
+        (
+            ("simulate", scene, "--camera", camera, "--frames", "1", "--out", bag),
+            f"1 frame simulated: {bag}\n",
+        ),
+        (("correct", bag, "--camera", camera, "--out", out), f"1 frame corrected: {out}\n"),
+        (("correct", bag, "--camera", camera, "--out", out, "--force", "--quiet"), ""),
+    ):
+        running = process(*arguments)
+        assert running.communicate(timeout=60) == (text, "")
+        assert running.returncode == 0
+    running = process("info", bag, "--camera", camera)
+    text, err = running.communicate(timeout=60)
+    assert (running.returncode, err) == (0, "")
+    assert "1 of 12 x 9 px" in text
+
+
+def test_the_corrected_recording_holds_the_truth_and_the_settings(
+    capsys: Capture, tmp_path: Path, camera: Path
+) -> None:
+    frames = [
+        replace(
+            raw_frame(10**9 * i, integration_time=40.0 + i),
+            truth={"board": Pose((0.25, -0.1, 1.5 + 0.25 * i), (0.0, 0.6, 0.0, 0.8))},
+            pose_stamps={"board": 10**9 * i - 5},
         )
-        while not any(work.iterdir()):
-            assert running.poll() is None, running.stderr
-        running.send_signal(signal.SIGINT)
-        with suppress(ProcessLookupError):
-            running.send_signal(signal.SIGINT)
-        _, err = running.communicate(timeout=30)
-        assert running.returncode == 130
-        assert err.strip() == "rim: interrupted"
+        for i in (1, 2)
+    ]
+    bag, out = write_bag(tmp_path / "bag", frames), tmp_path / "out"
+    assert run(capsys, "correct", bag, "--camera", camera, "--out", out, "--quiet") == (0, "", "")
+    poses, settings = [], []
+    with AnyReader([out], default_typestore=typestore()) as reader:
+        for connection, time, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            if connection.topic == "/ground_truth/board/pose":
+                poses.append((time, stamp_of(message), pose_from(message)))
+            elif connection.topic == "/camera/frame_info":
+                settings.append(settings_from(message))
+    assert poses == [(one.stamp, one.pose_stamps["board"], one.truth["board"]) for one in frames]
+    assert [one.integration_time for one, _ in settings] == [41.0, 42.0]
+    assert {device for _, device in settings} == {"test"}
 
 
-def test_a_reader_that_goes_away(camera: Path) -> None:
-    running = process("info", "sr3000")
-    assert running.stdout is not None
-    running.stdout.close()
-    assert running.stderr is not None
-    err = running.stderr.read()
-    running.wait(30)
-    assert "Traceback" not in err
-    assert "Exception" not in err
-    assert running.returncode in (0, 1, -signal.SIGPIPE)
+def test_one_frame_as_files(capsys: Capture, tmp_path: Path, camera: Path) -> None:
+    frames = [raw_frame(10**9 * i) for i in (1, 2, 3)]
+    for i, one in enumerate(frames):
+        one.distance[...] += np.uint16(1000 * i)
+        one.distance[0, i] = 0
+    bag = write_bag(tmp_path / "bag", frames)
+    ply, npz = tmp_path / "cloud.ply", tmp_path / "frame.npz"
+    arguments = ("correct", bag, "--camera", camera, "--ply", ply, "--npz", npz, "--force", "--frame")
+    for index in (1, -1):
+        status, out, err = run(capsys, *arguments, str(index))
+        assert (status, err) == (0, "")
+        chosen = index % 3
+        assert out == f"frame {chosen} corrected: {ply} (107 points), {npz}\n"
+        arrays = np.load(npz)
+        assert arrays["stamp"] == 10**9 * (chosen + 1)
+        assert {name: str(one.dtype) for name, one in arrays.items()} == {
+            "distance": "float32", "sigma": "float32", "flags": "uint8", "amplitude": "float32",
+            "points": "float32", "stamp": "int64",
+        }  # fmt: skip
+        assert np.argwhere(np.isnan(arrays["distance"])).tolist() == [[0, chosen]]
+        lsb = 299792458.0 / 40e6 / 65536
+        expected = np.float32(frames[chosen].distance[7, 3] * lsb)
+        assert arrays["distance"][7, 3] == pytest.approx(expected, abs=1e-5)
+        assert np.linalg.norm(arrays["points"][7, 3, :3]) == pytest.approx(expected, abs=1e-5)
+        assert arrays["points"][7, 3, 3] == frames[chosen].amplitude[7, 3]
+        header = ply.read_bytes().partition(b"end_header\n")[0].decode()
+        assert "format binary_little_endian 1.0" in header
+        assert "metres, optical frame: x right, y down, z forward" in header
+        assert f"frame {chosen} of {bag}" in header
+
+
+def test_notes_are_said_once(capsys: Capture, tmp_path: Path) -> None:
+    text = CAMERA + "effects: {warm_up_drift: {terms: [{amplitude: 0.01, time_constant: 30}]}}\n"
+    camera = write_text(tmp_path / "camera.yaml", text)
+    bag = write_bag(tmp_path / "bag", [raw_frame(10**9 * i, uptime=None) for i in (1, 2, 3)])
+    arguments = ("correct", bag, "--camera", camera, "--out", tmp_path / "out", "--force")
+    status, _, err = run(capsys, *arguments)
+    assert status == 0
+    assert err.startswith("note: ")
+    assert len(err.splitlines()) == 1
+    assert "uptime" in err
+    assert run(capsys, *arguments, "--quiet")[2] == ""
+
+
+def test_the_waveform_makes_the_cyclic_error(capsys: Capture, tmp_path: Path, camera: Path) -> None:
+    scene = write_text(tmp_path / "scene.yaml", SCENE)
+    means = []
+    for waveform in ("sinusoid", "harmonics:3=0.1"):
+        out = tmp_path / waveform.partition(":")[0]
+        arguments = ("--camera", camera, "--frames", "40", "--waveform", waveform, "--out", out)
+        assert run(capsys, "simulate", scene, *arguments, "--quiet")[0] == 0
+        with Recording(out) as recording:
+            means.append(np.mean([one.distance[4, 5] for one in recording.frames()]))
+    assert abs(means[1] - means[0]) * 299792458.0 / 40e6 / 65536 > 0.02
+
+
+def test_the_seed_decides_the_noise(capsys: Capture, tmp_path: Path, camera: Path, scene: Path) -> None:
+    images = []
+    for i, seed in enumerate(("11", "11", "12")):
+        out = tmp_path / f"bag{i}"
+        arguments = ("--camera", camera, "--frames", "2", "--seed", seed, "--out", out)
+        assert run(capsys, "simulate", scene, *arguments)[0] == 0
+        with Recording(out) as recording:
+            images.append([one.distance.tobytes() for one in recording.frames()])
+    assert images[0] == images[1] != images[2]
+
+
+def test_the_schedule_decides_the_number_of_frames(capsys: Capture, tmp_path: Path, camera: Path) -> None:
+    scene = write_text(
+        tmp_path / "scene.yaml",
+        SCENE + "schedule:\n- {frames: 3, integration_time: 16}\n- {frames: 2, integration_time: 60}\n",
+    )
+    for more, expected in (((), [16] * 3 + [60] * 2), (("--frames", "7"), [16] * 3 + [60] * 2 + [16] * 2)):
+        arguments = ("simulate", scene, "--camera", camera, "--out", tmp_path / "bag", "--force", *more)
+        assert run(capsys, *arguments)[0] == 0
+        with Recording(tmp_path / "bag") as recording:
+            assert [one.settings.integration_time for one in recording.frames()] == expected
+
+
+def test_progress_on_a_terminal_only(tmp_path: Path, camera: Path, scene: Path) -> None:
+    master, slave = pty.openpty()
+    arguments = ("simulate", scene, "--camera", camera, "--frames", "1500", "--out", tmp_path / "bag")
+    running = process(*arguments, stderr=slave)
+    os.close(slave)
+    shown = b""
+    with suppress(OSError):  # the end of a pseudo terminal
+        while part := os.read(master, 4096):
+            shown += part
+    os.close(master)
+    running.communicate(timeout=60)
+    assert running.returncode == 0
+    assert re.search(rb"\r\x1b\[Ksimulated \d+ of 1500 frames \(\d+/s, \d+ s left\)", shown)
+    assert shown.endswith(b"\r\x1b[K")
 
 
 def test_recording_without_ros_says_what_to_do(tmp_path: Path) -> None:
@@ -212,9 +350,6 @@ def test_recording_without_ros_says_what_to_do(tmp_path: Path) -> None:
         "from rim_camera_ros.cli import main\n"
         f"sys.exit(main(['record', '--out', {str(tmp_path / 'bag')!r}]))\n"
     )
-    import subprocess
-    import sys
-
     done = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,

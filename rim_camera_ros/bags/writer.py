@@ -129,12 +129,7 @@ class RecordingWriter:
         stamps. The reference is rounded to float32, all else is kept exactly.
         """
         self._begin(frame.stamp)
-        for surface, pose in frame.truth.items():
-            state = (pose, frame.pose_stamps.get(surface, frame.stamp))
-            if self._poses.get(surface) != state:
-                self._poses[surface] = state
-                message = messages.pose_message(pose, state[1], self.frame_id)
-                self._write(self.topics.truth(surface), ROLES["truth"][1], frame.stamp, message, "truth")
+        self._write_truth(frame)
         self._write_settings(frame.settings, frame.stamp, frame.device)
         if frame.intrinsics is not None:
             self._write_intrinsics(frame.intrinsics, frame.stamp, ("distance",))
@@ -147,15 +142,19 @@ class RecordingWriter:
         points: NDArray[np.float32] | None = None,
         depth: NDArray[np.float32] | None = None,
         intrinsics: Intrinsics | None = None,
+        raw: RawFrame | None = None,
     ) -> None:
         """Write a frame after the correction.
 
-        ``points`` (H, W, 4): x y z in metres and intensity in counts; ``depth`` (H, W): metres along z.
+        ``points`` (H, W, 4): x y z in metres and intensity in counts; ``depth`` (H, W): metres along z;
+        ``raw``: the frame that was corrected, whose true poses and device name are written as well.
         What `write_raw` has written for the same stamp (settings, temperatures, camera_info) is not
         repeated: of both, write the raw frame first.
         """
         self._begin(frame.stamp)
-        self._write_settings(frame.settings, frame.stamp, "")
+        if raw is not None:
+            self._write_truth(raw)
+        self._write_settings(frame.settings, frame.stamp, "" if raw is None else raw.device)
         if intrinsics is not None:
             beside = ("distance",) if depth is None else ("distance", "depth")
             self._write_intrinsics(intrinsics, frame.stamp, beside)
@@ -193,6 +192,14 @@ class RecordingWriter:
         fresh = what not in self._done
         self._done.add(what)
         return fresh
+
+    def _write_truth(self, frame: RawFrame) -> None:
+        for surface, pose in frame.truth.items():
+            state = (pose, frame.pose_stamps.get(surface, frame.stamp))
+            if self._poses.get(surface) != state:
+                self._poses[surface] = state
+                message = messages.pose_message(pose, state[1], self.frame_id)
+                self._write(self.topics.truth(surface), ROLES["truth"][1], frame.stamp, message, "truth")
 
     def _write_settings(self, settings: Settings, stamp: int, device: str) -> None:
         if not self._once("settings"):

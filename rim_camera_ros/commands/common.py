@@ -4,18 +4,33 @@ from __future__ import annotations
 
 import argparse
 import sys
+import textwrap
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
 from types import TracebackType
-from typing import TypeVar
+from typing import Any, NoReturn, TypeVar
 
-from rim_camera_ros.bags import DEFAULT_NAMESPACE, Topics
+from rim_camera_ros.bags import DEFAULT_NAMESPACE, Recording, Topics
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.scene import Scene, load_scene
 
 T = TypeVar("T")
+
+
+class Parser(argparse.ArgumentParser):
+    """Bad usage is an `InputError`, one line like all others; options are not abbreviated."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**{"allow_abbrev": False, **options})
+
+    def error(self, message: str) -> NoReturn:
+        """Raise `InputError`."""
+        command = self.prog.partition(" ")[2]
+        raise InputError(message, place=command or None, remedy=f"see {self.prog} --help")
 
 
 def add_command(
@@ -25,7 +40,7 @@ def add_command(
     return commands.add_parser(
         name,
         help=text.partition(".")[0],
-        description=text,
+        description=textwrap.fill(text, 90),
         epilog="examples:\n" + "\n".join(f"  {line}" for line in examples.strip().splitlines()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -69,6 +84,43 @@ def positive(kind: type[float] | type[int]) -> Callable[[str], float]:
     return convert
 
 
+def check_outputs(outputs: Mapping[str, Path | None], inputs: Iterable[str | Path | None]) -> None:
+    """Refuse outputs that would overwrite an input or one another, or that have no folder to lie in.
+
+    Raises `InputError` before any work is done. ``outputs`` by the name of their option.
+    """
+    sources = [Path(one).resolve() for one in inputs if one is not None and Path(one).exists()]
+    seen: dict[Path, str] = {}
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        target = path.resolve()
+        for source in sources:
+            # a recording is a folder: the input may lie in the output, or the output in the input
+            if target == source or target in source.parents or source in target.parents:
+                where = "lies in" if source in target.parents else "would overwrite"
+                raise InputError(
+                    f"{option} {where} the input {source.name}", file=path, remedy="give another name"
+                )
+        other = seen.setdefault(target, option)
+        if other != option:
+            raise InputError(f"is both {other} and {option}", file=path, remedy="give two names")
+        if not path.absolute().parent.is_dir():
+            raise InputError(
+                "its folder does not exist", file=path, remedy=f"make it: mkdir -p {path.parent}"
+            )
+
+
+def check_file(path: Path | None, *, force: bool) -> None:
+    """Raise `InputError` where an output file exists (unless ``force``) or is a folder."""
+    if path is None or not (path.exists() or path.is_symlink()):
+        return
+    if path.is_dir():
+        raise InputError("is a folder, not a file", file=path, remedy="give another name")
+    if not force:
+        raise InputError("exists already", file=path, remedy="--force replaces it")
+
+
 def camera_of(name: str) -> Camera:
     """Return the camera of a file or a shipped name."""
     return load_camera(find_camera(name))
@@ -79,10 +131,15 @@ def scene_of(name: str) -> Scene:
     return load_scene(find_scene(name))
 
 
+def reading_notes(bag: Recording) -> list[str]:
+    """Return what was assumed of a recording and what of it did not become a frame."""
+    return [*bag.assumptions, *(f"{bag.path}: left out: {n} {why}" for why, n in bag.skipped.items() if n)]
+
+
 def say(given: argparse.Namespace, notes: Iterable[str]) -> None:
-    """Print notes to standard error, unless --quiet."""
+    """Print notes to standard error, unless --quiet; after the work, so that an error stays one line."""
     if not given.quiet:
-        for note in sorted(notes):
+        for note in sorted(set(notes)):
             print(f"note: {note}", file=sys.stderr)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -11,18 +10,23 @@ from typing import Any
 import numpy as np
 
 from rim_camera_ros.bags import Recording, RecordingWriter
+from rim_camera_ros.camera import Camera
 from rim_camera_ros.commands.common import (
     Progress,
     add_command,
     add_output,
     add_topics,
     camera_of,
+    check_file,
+    check_outputs,
     say,
     topics_of,
 )
 from rim_camera_ros.commands.ply import write_ply
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.files import find_camera
 from rim_camera_ros.frame import CorrectedFrame, RawFrame
+from rim_camera_ros.info.text import several
 from rim_camera_ros.parameters import write_whole
 from rim_camera_ros.pipeline.correct import Correction
 
@@ -38,7 +42,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser = add_command(
         commands,
         "correct",
-        "Correct a recording by a camera file. Writes clouds, sigma, flags, corrected distances and depths.",
+        "Correct a recording by a camera file. Writes clouds, sigma, flags, corrected distances, depths, and "
+        "the settings and true poses of the recording; or single frames as PLY or npz.",
         _EXAMPLES,
     )
     parser.add_argument("bag", metavar="BAG", type=Path, help="recording: rosbag2 or ROS 1")
@@ -56,7 +61,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--frame", type=int, default=0, help="frame of --ply and --npz, from 0; -1: the last (0)"
     )
-    parser.add_argument("--without", default="", metavar="A,B", help="effects that are left uncorrected")
+    parser.add_argument(
+        "--without",
+        default="",
+        metavar="A,B",
+        help="effects that are left uncorrected; rim info CAMERA --json lists their names",
+    )
     parser.add_argument(
         "--minimum-amplitude",
         type=float,
@@ -70,64 +80,80 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(given: argparse.Namespace) -> int:
     """Correct, and write what was asked for."""
-    if given.out is None and given.ply is None and given.npz is None:
-        raise InputError("nothing to write", remedy="give --out BAG, --ply FILE or --npz FILE")
-    for path in (given.ply, given.npz):
-        if path is not None and path.exists() and not given.force:
-            raise InputError(
-                "exists already", file=path, remedy="give --force to replace it, or another name"
-            )
-    if given.minimum_amplitude is not None and not 0 <= given.minimum_amplitude < np.inf:
-        raise InputError(f"--minimum-amplitude must be 0 or more counts, found {given.minimum_amplitude:g}")
-    camera = camera_of(given.camera)
+    camera = _checked(given)
     without = [one.strip() for one in given.without.split(",") if one.strip()]
     correction = Correction(camera, without=without, minimum_amplitude=given.minimum_amplitude)
-    count = 0
-    chosen: tuple[int, CorrectedFrame] | None = None
+    single = given.ply is not None or given.npz is not None
+    count, chosen, written = 0, None, []
     with ExitStack() as stack:
         bag = stack.enter_context(Recording(given.bag, topics=topics_of(given)))
         say(given, bag.assumptions)
         total = bag.frame_count
         wanted = given.frame if given.frame >= 0 else total + given.frame
-        if not 0 <= wanted < total and (given.ply or given.npz):
-            raise InputError(f"--frame {given.frame}: the recording has {total} frames", file=given.bag)
+        frames = bag.frames()
+        if single and not 0 <= wanted < total:
+            raise InputError(
+                f"there is no frame {given.frame}: it has {several(total, 'frame')}",
+                file=given.bag,
+                place="--frame",
+                remedy=f"0 to {total - 1}, or -1 for the last" if total else None,
+            )
         writer = None
         if given.out is not None:
             writer = stack.enter_context(
                 RecordingWriter(given.out, topics=topics_of(given), force=given.force)
             )
-        progress = stack.enter_context(Progress("corrected", total, quiet=given.quiet))
-        for raw in progress.over(_located(bag.frames, given)):
-            try:
-                corrected = correction.correct(raw)
-            except InputError as error:
-                raise error.located(given.bag) from None
+        progress = stack.enter_context(
+            Progress("corrected", total if writer is not None else wanted + 1, quiet=given.quiet)
+        )
+        for raw in progress.over(frames):
+            corrected = _corrected(correction, raw, given)
             if writer is not None:
                 writer.write_corrected(
                     corrected,
                     points=correction.cloud(corrected),
                     depth=correction.depth(corrected),
                     intrinsics=camera.intrinsics,
+                    raw=raw,
                 )
-            if count == wanted:
-                chosen = (count, corrected)
+            if single and count == wanted:
+                chosen = corrected
             count += 1
             if writer is None and chosen is not None:
                 break
-    if chosen is None and (given.ply or given.npz):
-        raise InputError(f"--frame {given.frame}: only {count} frames could be read", file=given.bag)
+        if single:
+            if chosen is None:
+                problem = f"only {several(count, 'frame')} of {total} could be read"
+                raise InputError(problem, file=given.bag, place=f"--frame {given.frame}")
+            if writer is None and given.frame < 0 and (damage := bag.summary().damage):
+                say(
+                    given,
+                    [f"{given.bag} is damaged, frame {wanted} is counted from what can be read: {damage}"],
+                )
+            written = _write_frame(given, correction, wanted, chosen)
     say(given, correction.notes)
-    written = [str(given.out)] if given.out else []
-    if chosen is not None:
-        written += _write_frame(given, correction, *chosen)
     if not given.quiet:
-        print(f"{count} frames corrected: {', '.join(written)}")
+        done = several(count, "frame") if given.out is not None else f"frame {wanted}"
+        print(f"{done} corrected: {', '.join([str(given.out)] * (given.out is not None) + written)}")
     return 0
 
 
-def _located(frames: Callable[[], Iterator[RawFrame]], given: argparse.Namespace) -> Iterator[RawFrame]:
+def _checked(given: argparse.Namespace) -> Camera:
+    """Check the options and return the camera."""
+    if given.out is None and given.ply is None and given.npz is None:
+        raise InputError("nothing to write", remedy="give --out BAG, --ply FILE or --npz FILE")
+    if given.minimum_amplitude is not None and not 0 <= given.minimum_amplitude < np.inf:
+        raise InputError(f"--minimum-amplitude must be 0 or more counts, found {given.minimum_amplitude:g}")
+    outputs = {"--out": given.out, "--ply": given.ply, "--npz": given.npz}
+    check_outputs(outputs, [given.bag, find_camera(given.camera)])
+    for path in (given.ply, given.npz):
+        check_file(path, force=given.force)
+    return camera_of(given.camera)
+
+
+def _corrected(correction: Correction, raw: RawFrame, given: argparse.Namespace) -> CorrectedFrame:
     try:
-        yield from frames()
+        return correction.correct(raw)
     except InputError as error:
         raise error.located(given.bag) from None
 

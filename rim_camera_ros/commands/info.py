@@ -10,13 +10,16 @@ from typing import Any
 
 from rim_camera_ros.camera_file import CAMERA_FORMAT, load_camera
 from rim_camera_ros.commands.common import Progress, add_command, add_topics, camera_of, topics_of
-from rim_camera_ros.errors import InputError
+from rim_camera_ros.errors import InputError, RimError, nearest_name
 from rim_camera_ros.files import find_camera, find_scene, shipped
 from rim_camera_ros.info.camera import camera_facts, camera_text
 from rim_camera_ros.info.recording import recording_facts, recording_text
 from rim_camera_ros.info.scene import scene_facts, scene_text
 from rim_camera_ros.parameters import read_yaml
 from rim_camera_ros.scene import SCENE_FORMAT, load_scene
+
+#: Bytes at the beginning of a file that tell what it is.
+_BEGIN = 1 << 16
 
 _EXAMPLES = """
 rim info bag
@@ -31,7 +34,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser = add_command(
         commands,
         "info",
-        "Tell what is in a recording, a camera file or a scene file. The kind is found by the content.",
+        "Tell what is in a recording, a camera file or a scene file. The kind is found by the content. Of a "
+        "recording that is damaged or lacks images, what can be read is told, and the error after it.",
         _EXAMPLES,
     )
     parser.add_argument(
@@ -47,52 +51,76 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 
 def run(given: argparse.Namespace) -> int:
-    """Find the kind, gather, print."""
+    """Find the kind, gather, print; what a recording's fault leaves readable is told before the error."""
     kind, path = find_kind(given.what)
     camera = camera_of(given.camera) if given.camera else None
+    fault: RimError | None = None
     if kind == "camera":
+        if camera is not None:
+            raise InputError("is a camera file itself", file=given.what, remedy="leave --camera out")
         facts, text = camera_facts(load_camera(path)), camera_text
     elif kind == "scene":
-        facts, text = scene_facts(load_scene(path), camera), scene_text
+        try:
+            facts, text = scene_facts(load_scene(path), camera), scene_text
+        except InputError as error:
+            raise error.located(path) from None
     else:
         with Progress("read", None, quiet=given.quiet) as progress:
-            facts = recording_facts(path, topics_of(given), camera, progress.show)
+            facts, fault = recording_facts(path, topics_of(given), camera, progress.show)
         text = recording_text
     if given.json:
-        print(json.dumps({"kind": kind, **_finite(facts)}, indent=1))
+        print(json.dumps({"kind": kind, "path": str(path), **_finite(facts)}, indent=1, allow_nan=False))
     else:
         print(text(facts))
+    if fault is not None:
+        raise fault
     return 0
 
 
 def find_kind(name: str) -> tuple[str, Path]:
-    """Return ``camera``, ``scene`` or ``recording`` and the path. Raises `InputError` for none of them."""
+    """Return ``camera``, ``scene`` or ``recording`` and the path. Raises `InputError` for none of them.
+
+    The content decides: a YAML file states its format, anything else can only be a recording.
+    """
     path = Path(name)
     if not path.exists():
-        if len(path.parts) == 1 and not path.suffix:
-            cameras, scenes = shipped("calibration"), shipped("config")
-            if name in cameras:
-                return "camera", find_camera(name)
-            if name in scenes:
-                return "scene", find_scene(name)
-            raise InputError(
-                "neither a file nor the name of a shipped camera or scene",
-                file=name,
-                remedy=f"cameras: {', '.join(cameras)}; scenes: {', '.join(scenes)}",
-            )
+        return _shipped(name)
+    if path.is_dir() or not path.is_file():
+        return "recording", path
+    with path.open("rb") as stream:
+        begin = stream.read(_BEGIN)
+    if b"rosbag2_bagfile_information" in begin:
+        return "recording", path.absolute().parent
+    if path.suffix not in (".yaml", ".yml") and (b"\0" in begin or b"format:" not in begin):
+        return "recording", path
+    data = read_yaml(path).data
+    stated = data.get("format") if isinstance(data, dict) else None
+    kinds = {CAMERA_FORMAT: "camera", SCENE_FORMAT: "scene"}
+    if stated not in kinds:
+        found = "it states no format" if stated is None else f"format is {stated!r}"
+        raise InputError(
+            f"neither a camera file nor a scene file: {found}",
+            file=path,
+            remedy=f"expected format: {CAMERA_FORMAT} or {SCENE_FORMAT}",
+        )
+    return kinds[str(stated)], path
+
+
+def _shipped(name: str) -> tuple[str, Path]:
+    if len(Path(name).parts) > 1 or Path(name).suffix:
         raise InputError("no such file", file=name, remedy="check the path")
-    if path.suffix in (".yaml", ".yml") and path.is_file():
-        data = read_yaml(path).data
-        stated = data.get("format") if isinstance(data, dict) else None
-        kinds = {CAMERA_FORMAT: "camera", SCENE_FORMAT: "scene"}
-        if stated not in kinds:
-            raise InputError(
-                f"neither a camera file nor a scene file: format is {stated!r}",
-                file=path,
-                remedy=f"expected {CAMERA_FORMAT} or {SCENE_FORMAT}",
-            )
-        return kinds[stated], path
-    return "recording", path
+    cameras, scenes = shipped("calibration"), shipped("config")
+    if name in cameras:
+        return "camera", find_camera(name)
+    if name in scenes:
+        return "scene", find_scene(name)
+    close = nearest_name(name, [*cameras, *scenes])
+    known = f"cameras: {', '.join(cameras)}; scenes: {', '.join(scenes)}"
+    raise InputError(
+        "neither a file nor the name of a shipped camera or scene",
+        file=name,
+        remedy=f"{close} {known}" if close.startswith("did you") else known,
+    )
 
 
 def _finite(value: Any) -> Any:

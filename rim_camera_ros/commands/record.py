@@ -14,10 +14,15 @@ from rim_camera_ros.commands.common import (
     add_command,
     add_output,
     add_topics,
+    check_outputs,
     positive,
     topics_of,
 )
 from rim_camera_ros.errors import RimError
+from rim_camera_ros.info.text import several
+
+#: Signals that end the recording, which is complete then.
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 _EXAMPLES = """
 rim record --out bag                              # until Ctrl-C
@@ -45,6 +50,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(given: argparse.Namespace) -> int:
     """Record; 1 if no frame came."""
+    check_outputs({"--out": given.out}, [])
     try:
         from rim_camera_ros.nodes.recorder import record
     except ImportError as error:
@@ -58,14 +64,19 @@ def run(given: argparse.Namespace) -> int:
     def ask_to_stop(number: int, frame: FrameType | None) -> None:
         stop.append(number)
 
-    before = {number: signal.signal(number, ask_to_stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in _ENDING}
+    for number in (one for one in _ENDING if one != signal.SIGHUP or before[one] != signal.SIG_IGN):
+        signal.signal(number, ask_to_stop)
     try:
         with (
             RecordingWriter(given.out, topics=topics_of(given), force=given.force) as writer,
             Progress("recorded", given.frames, quiet=given.quiet) as progress,
         ):
             if not given.quiet:
-                print(f"recording {given.namespace}, Ctrl-C ends it", file=sys.stderr, flush=True)
+                source = topics_of(given)["distance"]
+                print(
+                    f"recording {source} and what belongs to it; Ctrl-C ends it", file=sys.stderr, flush=True
+                )
             frames = record(
                 topics_of(given),
                 writer,
@@ -83,5 +94,5 @@ def run(given: argparse.Namespace) -> int:
         for number, handler in before.items():
             signal.signal(number, handler)
     if not given.quiet:
-        print(f"{frames} frames recorded: {given.out}")
+        print(f"{several(frames, 'frame')} recorded: {given.out}")
     return 0

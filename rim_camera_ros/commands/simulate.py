@@ -9,20 +9,25 @@ from itertools import islice
 from pathlib import Path
 
 from rim_camera_ros.bags import Recording, RecordingWriter
+from rim_camera_ros.bags.messages import stamp_text
 from rim_camera_ros.commands.common import (
     Progress,
     add_command,
     add_output,
     add_topics,
     camera_of,
+    check_outputs,
     positive,
+    reading_notes,
     say,
     scene_of,
     topics_of,
 )
 from rim_camera_ros.devices.timeline import Timeline, exposures_like
 from rim_camera_ros.errors import InputError
-from rim_camera_ros.frame import NANOSECONDS
+from rim_camera_ros.files import find_camera, find_scene
+from rim_camera_ros.frame import NANOSECONDS, RawFrame
+from rim_camera_ros.info.text import several
 from rim_camera_ros.phasor import Waveform, parse_waveform
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
 
@@ -80,6 +85,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(given: argparse.Namespace) -> int:
     """Simulate and write the recording."""
     camera, scene = camera_of(given.camera), scene_of(given.scene)
+    inputs = [find_camera(given.camera), find_scene(given.scene), given.poses]
+    check_outputs({"--out": given.out}, inputs)
     waveform = _waveform(given.waveform)
     if not 0 <= given.seed < 2**64:
         raise InputError(f"--seed {given.seed} is not a number from 0 to 2^64 - 1")
@@ -88,7 +95,10 @@ def run(given: argparse.Namespace) -> int:
     try:
         simulation = Simulation(camera, scene, seed=given.seed, waveform=waveform)
         with ExitStack() as stack:
-            exposures, total = _exposures(given, simulation, stack)
+            bag = None
+            if given.poses is not None:
+                bag = stack.enter_context(Recording(given.poses, topics=topics_of(given)))
+            exposures, total = _exposures(given, simulation, bag)
             writer = stack.enter_context(
                 RecordingWriter(given.out, topics=topics_of(given), force=given.force)
             )
@@ -99,9 +109,9 @@ def run(given: argparse.Namespace) -> int:
                 count += 1
     except InputError as error:
         raise error.located(given.scene) from None
-    say(given, simulation.notes)
+    say(given, [*simulation.notes, *(reading_notes(bag) if bag is not None else [])])
     if not given.quiet:
-        print(f"{count} frames simulated: {given.out}")
+        print(f"{several(count, 'frame')} simulated: {given.out}")
     return 0
 
 
@@ -115,16 +125,16 @@ def _waveform(text: str | None) -> Waveform | None:
 
 
 def _exposures(
-    given: argparse.Namespace, simulation: Simulation, stack: ExitStack
+    given: argparse.Namespace, simulation: Simulation, bag: Recording | None
 ) -> tuple[Iterable[Exposure], int | None]:
     """Return the exposures and, where it is known, their number."""
     scene, camera = simulation.scene, simulation.camera
     exposures: Iterator[Exposure]
-    if given.poses is not None:
-        bag = stack.enter_context(Recording(given.poses, topics=topics_of(given)))
-        say(given, bag.assumptions)
-        exposures, total = exposures_like(bag.frames(), scene, camera), bag.frame_count
-        return (islice(exposures, given.frames) if given.frames else exposures), given.frames or total
+    if bag is not None:
+        exposures, total = _like(bag, given.poses, simulation), bag.frame_count
+        if given.frames:
+            exposures, total = islice(exposures, given.frames), min(given.frames, total)
+        return exposures, total
     if scene.needs_truth:
         scene.poses_for({})
     timeline = Timeline(
@@ -137,3 +147,21 @@ def _exposures(
     )
     total = given.frames or timeline.length
     return islice(iter(timeline), total), total
+
+
+def _like(bag: Recording, path: Path, simulation: Simulation) -> Iterator[Exposure]:
+    """Yield the exposures of a recording; an error names the recording and the frame."""
+    last: list[int] = []
+
+    def watched() -> Iterator[RawFrame]:
+        for frame in bag.frames():
+            last[:] = [frame.stamp]
+            yield frame
+
+    try:
+        yield from exposures_like(watched(), simulation.scene, simulation.camera)
+    except InputError as error:
+        if error.file is None and last:
+            place = f"frame at {stamp_text(last[0])}"
+            raise InputError(error.problem, file=path, place=place, remedy=error.remedy) from None
+        raise error.located(path) from None

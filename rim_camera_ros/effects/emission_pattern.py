@@ -12,8 +12,8 @@ from rim_camera_ros.parameters import quantity
 
 
 def squared_angle(camera: Camera) -> Image:
-    """Return q (H, W): the square of the angle from the optical axis in rad."""
-    return np.square(np.arccos(np.clip(camera.rays[..., 2], -1.0, 1.0)))
+    """Return q (H, W): the square of the angle from the optical axis in rad; 0 for pixels without a ray."""
+    return np.square(np.arccos(np.clip(np.nan_to_num(camera.rays[..., 2], nan=1.0), -1.0, 1.0)))
 
 
 @dataclass(frozen=True)

@@ -56,9 +56,12 @@ class Empirical(DistanceTerm):
                 kinds.add(_KIND.get(name, "frame"))
             elif name != "integration_time":
                 changing = True
-        if changing and kinds != {"settings"}:
-            # what changes from frame to frame within one setting must not be folded into a table
-            kinds |= {"amplitude"} if "distance" in kinds else {"frame"}
+        # what changes from frame to frame within one setting must not be folded into a table; with the
+        # distance, too, it has to be solved for, as a term of distance and amplitude is
+        if "distance" in kinds and (changing or "frame" in kinds):
+            kinds = (kinds - {"frame"}) | {"amplitude"}
+        elif changing and kinds != {"settings"}:
+            kinds.add("frame")
         return frozenset(kinds)
 
     def term(self, distance: Image, amplitude: Image, context: Context) -> Image | float:

@@ -9,7 +9,7 @@ import numpy as np
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import Effect
 from rim_camera_ros.frame import Settings
-from rim_camera_ros.info.text import number, section, span, table
+from rim_camera_ros.info.text import number, section, span, table, words
 from rim_camera_ros.pipeline.correct import Correction
 
 #: Amplitudes in counts at which the noise is stated.
@@ -60,6 +60,7 @@ def camera_facts(camera: Camera) -> dict[str, Any]:
 def camera_text(facts: dict[str, Any]) -> str:
     """Return the facts for a person."""
     wide, high = facts["field_of_view_deg"]
+    threshold = facts["amplitude_threshold_counts"]
     lines = [
         ("device", facts["device"]),
         ("sensor", f"{facts['width']} x {facts['height']} px, field of view {wide:.1f} x {high:.1f} deg"),
@@ -72,8 +73,8 @@ def camera_text(facts: dict[str, Any]) -> str:
         ),
         (
             "amplitude",
-            f"saturates at {number(facts['saturation_counts'], 'counts')}, nothing below "
-            f"{number(facts['amplitude_threshold_counts'], 'counts')}",
+            f"saturates at {number(facts['saturation_counts'], 'counts')}"
+            + (f", nothing delivered below {number(threshold, 'counts')}" if threshold else ""),
         ),
     ]
     if facts["pixels_without_ray"]:
@@ -102,8 +103,10 @@ def camera_text(facts: dict[str, Any]) -> str:
     )
     if facts["effects"]:
         parts.append(
-            "effects, in the order along the light\n"
-            + "\n".join(f"  {_mark(facts['undone'][name])} {text}" for name, text in facts["effects"].items())
+            section(
+                "effects, in the order along the light",
+                [(f"{_mark(facts['undone'][name])} {name}", text) for name, text in facts["effects"].items()],
+            )
         )
         if any(undo != "exact" for undo in facts["undone"].values()):
             parts[-1] += "\n  (~ undone in part, - not undone: one frame does not tell)"
@@ -112,7 +115,7 @@ def camera_text(facts: dict[str, Any]) -> str:
     units = {"distance": "m", "amplitude": "counts", "temperature": "degC", "region": "px"}
     validity = [
         (
-            name,
+            name.replace("_", " "),
             span(value[0], value[1], units.get(name, ""))
             if len(value) == 2
             else " ".join(map(number, value)),
@@ -124,7 +127,11 @@ def camera_text(facts: dict[str, Any]) -> str:
     if facts["parameters_with_sigma"]:
         parts.append(f"covariance of {facts['parameters_with_sigma']} parameters stated")
     if facts["provenance"]:
-        parts.append(section("provenance", [(str(k), str(v)) for k, v in facts["provenance"].items()]))
+        parts.append(
+            section(
+                "provenance", [(words(k).replace("_", " "), words(v)) for k, v in facts["provenance"].items()]
+            )
+        )
     return "\n\n".join(parts)
 
 

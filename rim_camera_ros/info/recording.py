@@ -2,128 +2,112 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rim_camera_ros.bags import Recording, Topics
+from rim_camera_ros.bags.topics import listed
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.frame import NANOSECONDS, RawFrame
-from rim_camera_ros.info.text import number, section, span, table
+from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.frame import Flag, RawFrame
+from rim_camera_ros.info.statistics import METRES, Histogram, Noise, SettingsSeen, Timing
+from rim_camera_ros.info.text import listed_short, number, percent, section, span, table, wrapped
 
-#: Classes of amplitude in counts for the noise.
-_CLASSES = (0, 100, 200, 400, 800, 1600, 3200, 6400, 12800, 25600, 65536)
-#: Pixels of a class below which its noise is not stated.
-_LEAST = 200
-#: A step between frames above so many periods is a gap.
-_GAP = 1.5
+#: Relative difference of two modulation frequencies that is worth saying.
+_DETUNED = 1e-3
 
 
-class _Settings:
-    """Least and greatest value of each setting."""
+class _Raw:
+    """What is gathered of raw frames."""
 
-    def __init__(self) -> None:
-        self._seen: dict[str, list[float]] = {}
-        self.integration_times: dict[float, int] = {}
+    def __init__(self, camera: Camera | None) -> None:
+        self._camera = camera
+        self._timing, self._settings = Timing(), SettingsSeen()
+        self._distances, self._amplitudes = Histogram(METRES), Histogram(1.0)
+        self._noise: Noise | None = None
+        self._in_metres = False
+        self._shape, self._device, self._has_intrinsics = (0, 0), "", False
+        self._missing = self._saturated = self._pixels = 0
+        self._poses = 0
+        self._pose: dict[str, int] = {}
+        self.notes: list[str] = []
+
+    def __len__(self) -> int:
+        return len(self._timing)
 
     def add(self, frame: RawFrame) -> None:
-        settings = frame.settings
-        if settings.integration_time is not None:
-            time = settings.integration_time
-            self.integration_times[time] = self.integration_times.get(time, 0) + 1
-        for name in (
-            "modulation_frequency",
-            "uptime",
-            "body_temperature",
-            "ambient_temperature",
-            "reference_distance",
-        ):
-            value = getattr(settings, name)
-            if value is not None:
-                seen = self._seen.setdefault(name, [value, value])
-                seen[0], seen[1] = min(seen[0], value), max(seen[1], value)
+        """Take a frame. Raises `InputError` where its size is not the camera's."""
+        if self._noise is None:
+            self._begin(frame)
+        assert self._noise is not None
+        self._timing.add(frame.stamp)
+        self._settings.add(frame)
+        self._device = frame.device or self._device
+        self._has_intrinsics |= frame.intrinsics is not None
+        self._distances.add(frame.distance)
+        self._amplitudes.add(frame.amplitude)
+        self._noise.add(frame)
+        limit = self._camera.sensor.saturation if self._camera is not None else 65535
+        self._missing += int((~(frame.distance > 0)).sum())
+        self._saturated += int((frame.amplitude >= limit).sum())
+        self._pixels += frame.distance.size
+        pose = dict(frame.pose_stamps)
+        if pose and pose != self._pose:
+            self._poses, self._pose = self._poses + 1, pose
+
+    def _begin(self, frame: RawFrame) -> None:
+        camera, self._shape = self._camera, frame.shape
+        self._in_metres = frame.distance.dtype.kind == "f"
+        if camera is not None and frame.shape != camera.shape:
+            raise InputError(
+                f"images of {frame.shape[1]} x {frame.shape[0]} px, but the camera file is for "
+                f"{camera.shape[1]} x {camera.shape[0]}",
+                remedy="give the camera file of this sensor",
+            )
+        stated = frame.settings.modulation_frequency
+        if camera is not None and stated is not None:
+            expected = camera.sensor.modulation_frequency
+            if abs(stated - expected) > _DETUNED * expected:
+                self.notes.append(
+                    f"modulation at {stated / 1e6:g} MHz, but the camera file is for {expected / 1e6:g} MHz: "
+                    "distances and noise are those of the camera file"
+                )
+        self._noise = Noise(camera, in_metres=self._in_metres)
 
     def facts(self) -> dict[str, Any]:
+        """Return plain facts."""
+        unit, width = "counts", 1.0
+        if self._in_metres:
+            unit, width = "m", METRES
+        elif self._camera is not None:
+            unit, width = "m", self._camera.sensor.lsb
+        pixels = self._pixels or None
         return {
-            "integration_times": {
-                f"{time:g}": count for time, count in sorted(self.integration_times.items())
-            },
-            **{name: list(seen) for name, seen in self._seen.items()},
+            "frames": len(self._timing),
+            "width": self._shape[1],
+            "height": self._shape[0],
+            "device": self._device,
+            "has_camera_info": self._has_intrinsics,
+            **self._timing.facts(),
+            "settings": self._settings.facts(),
+            "distance_unit": unit,
+            "distance_percentiles_1_50_99": self._distances.percentiles(width),
+            "amplitude_percentiles_1_50_99": self._amplitudes.percentiles(1.0),
+            "no_measurement_share": self._missing / pixels if pixels else None,
+            "saturated_share": self._saturated / pixels if pixels else None,
+            "noise": self._noise.facts() if self._noise is not None else None,
+            "poses": self._poses,
         }
 
 
-class _Noise:
-    """Noise by amplitude, from the differences of successive frames of one station and setting.
-
-    Sum of squared differences over 2 is unbiased while the scene rests; a drift enters by its step only.
-    """
-
-    def __init__(self, lsb: float, period: float | None) -> None:
-        self._lsb, self._period = lsb, period
-        self._before: RawFrame | None = None
-        classes = len(_CLASSES) - 1
-        self._sums, self._counts, self._amplitudes = np.zeros(classes), np.zeros(classes), np.zeros(classes)
-
-    def add(self, frame: RawFrame) -> None:
-        before, self._before = self._before, frame
-        if before is None or before.settings.integration_time != frame.settings.integration_time:
-            return
-        if dict(before.pose_stamps) != dict(frame.pose_stamps):
-            return
-        step = _metres(frame, self._lsb) - _metres(before, self._lsb)
-        if self._period is not None:
-            step -= self._period * np.rint(step / self._period)
-        amplitude = (frame.amplitude.astype(float) + before.amplitude) / 2
-        # a scene that moves would pass for noise
-        usable = np.isfinite(step) & (np.abs(step) < 0.5)
-        if not usable.any():
-            return
-        index = np.digitize(amplitude[usable], _CLASSES) - 1
-        classes = len(self._sums)
-        self._sums += np.bincount(index, step[usable] ** 2 / 2, classes)[:classes]
-        self._counts += np.bincount(index, minlength=classes)[:classes]
-        self._amplitudes += np.bincount(index, amplitude[usable], classes)[:classes]
-
-    def facts(self, camera: Camera | None) -> list[dict[str, Any]]:
-        rows = []
-        for i in np.flatnonzero(self._counts >= _LEAST):
-            mean = float(self._amplitudes[i] / self._counts[i])
-            row: dict[str, Any] = {
-                "amplitude_counts": [_CLASSES[i], _CLASSES[i + 1]],
-                "values": int(self._counts[i]),
-                "sigma_m": float(np.sqrt(self._sums[i] / self._counts[i])),
-            }
-            if camera is not None:
-                model = camera.noise.sigma_distance(np.array([mean]), background=camera.background)
-                row["model_m"] = float(model[0])
-            rows.append(row)
-        return rows
-
-
-class _Histogram:
-    """Percentiles of uint16 or float images without keeping them."""
-
-    def __init__(self, scale: float) -> None:
-        self._scale = scale
-        self._counts = np.zeros(65536, np.int64)
-
-    def add(self, values: NDArray[Any]) -> None:
-        index = (
-            values if values.dtype == np.uint16 else np.clip(values / self._scale, 0, 65535).astype(np.uint16)
-        )
-        self._counts += np.bincount(index.ravel(), minlength=65536)
-
-    def percentiles(self, shares: tuple[float, ...]) -> list[float] | None:
-        counts = self._counts.copy()
-        counts[0] = 0
-        total = counts.sum()
-        if total == 0:
-            return None
-        cumulative = np.cumsum(counts) / total
-        return [float(np.searchsorted(cumulative, share) * self._scale) for share in shares]
+def _until_fault[T](frames: Callable[[], Iterator[T]]) -> Iterator[tuple[T | None, RimError | None]]:
+    """Yield (frame, None) and, where reading ends in an error, (None, error) last."""
+    try:
+        for frame in frames():
+            yield frame, None
+    except RimError as error:
+        yield None, error
 
 
 def recording_facts(
@@ -131,115 +115,123 @@ def recording_facts(
     topics: Topics,
     camera: Camera | None = None,
     count: Callable[[int], Any] = lambda done: None,
-) -> dict[str, Any]:
-    """Return plain facts on a recording; ``camera`` gives counts their metres and the noise its model."""
+) -> tuple[dict[str, Any], RimError | None]:
+    """Return plain facts on a recording, and the error that kept it from being read (to the end).
+
+    ``camera`` gives counts their metres and the noise its model. Raises `InputError` where the path is no
+    recording, or one of another sensor than the camera's.
+    """
     with Recording(path, topics=topics) as bag:
         summary = bag.summary()
-        lsb = camera.sensor.lsb if camera is not None else None
-        period = camera.sensor.ambiguity if camera is not None and camera.sensor.wraps else None
-        distances = _Histogram(lsb or 1.0)
-        amplitudes = _Histogram(1.0)
-        settings = _Settings()
-        noise = _Noise(lsb, period) if lsb is not None else None
-        stamps: list[int] = []
-        stations: set[tuple[tuple[str, int], ...]] = set()
-        missing = saturated = pixels = 0
-        shape, device, intrinsics = (0, 0), "", False
-        for frame in bag.frames(on_backwards="count"):
-            stamps.append(frame.stamp)
-            shape, device = frame.shape, frame.device or device
-            intrinsics = intrinsics or frame.intrinsics is not None
-            if frame.distance.dtype.kind == "f":
-                lsb_here = 1e-4
-                distances = distances if distances._scale == lsb_here else _Histogram(lsb_here)
-                distances.add(np.nan_to_num(frame.distance))
-            else:
-                distances.add(frame.distance)
-            amplitudes.add(np.nan_to_num(frame.amplitude))
-            settings.add(frame)
-            if noise is not None:
-                noise.add(frame)
-            missing += int((~(frame.distance > 0)).sum())
-            limit = camera.sensor.saturation if camera is not None else 65535
-            saturated += int((frame.amplitude >= limit).sum())
-            pixels += frame.distance.size
-            if frame.pose_stamps:
-                stations.add(tuple(sorted(frame.pose_stamps.items())))
-            count(len(stamps))
-        return {
+        raw, corrected = _Raw(camera), None
+        fault: RimError | None = None
+        frames = _until_fault(lambda: bag.frames(on_backwards="count"))
+        for frame, fault in frames:  # noqa: B007 -- the last one counts
+            if frame is not None:
+                try:
+                    raw.add(frame)
+                except InputError as error:
+                    raise error.located(path) from None
+                count(len(raw))
+        if fault is not None and "corrected_distance" in summary.roles and not len(raw):
+            corrected, fault = _corrected_facts(bag, count)
+        facts = {
             "path": str(path),
             "storage": summary.storage,
+            **raw.facts(),
+            "corrected": corrected,
+            "truth_surfaces": list(summary.truth_surfaces),
+            "assumptions": list(bag.assumptions),
+            "notes": raw.notes,
+            "skipped": dict(bag.skipped),
+            "damage": summary.damage,
+            "fault": None if fault is None else str(fault),
             "topics": {
                 one.name: {"type": one.msgtype, "messages": one.count, "role": one.role}
                 for one in summary.topics
             },
-            "frames": len(stamps),
-            **_timing(stamps),
-            "device": device,
-            "width": shape[1],
-            "height": shape[0],
-            "has_camera_info": intrinsics,
-            "settings": settings.facts(),
-            "distance_unit": "m" if lsb is not None else "counts",
-            "distance_percentiles_1_50_99": distances.percentiles((0.01, 0.5, 0.99)),
-            "amplitude_percentiles_1_50_99": amplitudes.percentiles((0.01, 0.5, 0.99)),
-            "no_measurement_share": missing / pixels if pixels else None,
-            "saturated_share": saturated / pixels if pixels else None,
-            "noise": noise.facts(camera) if noise is not None else [],
-            "truth_surfaces": list(summary.truth_surfaces),
-            "poses": len(stations),
-            "assumptions": list(bag.assumptions),
-            "skipped": dict(bag.skipped),
-            "damage": summary.damage,
         }
+        return facts, fault
 
 
-def _metres(frame: RawFrame, lsb: float) -> NDArray[np.float64]:
-    metres = frame.distance.astype(float) * (1.0 if frame.distance.dtype.kind == "f" else lsb)
-    metres[~(metres > 0)] = np.nan
-    return metres
-
-
-def _timing(stamps: list[int]) -> dict[str, Any]:
-    if len(stamps) < 2:
-        return {"duration_s": 0.0, "rate_hz": None, "jitter_s": None, "gaps": 0, "missing_frames": 0}
-    steps = np.diff(np.array(stamps, np.int64)).astype(np.int64) / NANOSECONDS
-    period = float(np.median(steps))
-    gaps = np.asarray(steps > _GAP * period)
-    return {
-        "start_s": stamps[0] / NANOSECONDS,
-        "duration_s": (stamps[-1] - stamps[0]) / NANOSECONDS,
-        "rate_hz": 1.0 / period if period > 0 else None,
-        "jitter_s": float(np.std(steps[~gaps])) if (~gaps).any() else None,
-        "gaps": int(gaps.sum()),
-        "longest_gap_s": float(steps.max()) if gaps.any() else None,
-        "missing_frames": int(np.rint(steps[gaps] / period - 1).sum()) if period > 0 else 0,
+def _corrected_facts(
+    bag: Recording, count: Callable[[int], Any]
+) -> tuple[dict[str, Any] | None, RimError | None]:
+    """Return facts on a recording of corrected frames."""
+    distances, sigmas, timing = Histogram(METRES), Histogram(METRES / 10), Timing()
+    flags, pixels, shape = dict.fromkeys(Flag, 0), 0, (0, 0)
+    fault: RimError | None = None
+    for frame, fault in _until_fault(bag.corrected_frames):  # noqa: B007 -- the last one counts
+        if frame is None:
+            continue
+        timing.add(frame.stamp)
+        distances.add(frame.distance)
+        sigmas.add(frame.sigma)
+        for flag in flags:
+            flags[flag] += int((frame.flags & flag.value != 0).sum())
+        pixels, shape = pixels + frame.flags.size, frame.distance.shape
+        count(len(timing))
+    if not pixels:
+        return None, fault
+    facts = {
+        "frames": len(timing),
+        "width": shape[1],
+        "height": shape[0],
+        **timing.facts(),
+        "distance_percentiles_1_50_99_m": distances.percentiles(METRES),
+        "sigma_percentiles_1_50_99_m": sigmas.percentiles(METRES / 10),
+        "flag_shares": {str(flag.name).lower(): value / pixels for flag, value in flags.items()},
     }
+    return facts, fault
 
 
 def recording_text(facts: dict[str, Any]) -> str:
     """Return the facts for a person."""
-    settings = facts["settings"]
-    rate = "-" if facts["rate_hz"] is None else f"{facts['rate_hz']:.4g} Hz"
-    lines = [
-        ("recording", f"{facts['path']} ({facts['storage']})"),
-        ("device", facts["device"] or "not stated"),
-        ("frames", f"{facts['frames']} of {facts['width']} x {facts['height']} px"),
-        ("time", f"{facts['duration_s']:.4g} s at {rate}" + _jitter(facts)),
-    ]
-    if facts["gaps"]:
+    lines = [("recording", f"{facts['path']} ({facts['storage']})")]
+    if facts["frames"]:
+        lines += _raw_lines(facts)
+    elif facts["corrected"]:
+        lines += _corrected_lines(facts["corrected"])
+    if facts["truth_surfaces"]:
+        lines.append(("true poses", _poses(facts)))
+    parts = [section("", lines)]
+    if facts["noise"] and facts["noise"]["classes"]:
+        parts.append(_noise_text(facts["noise"]))
+    notes = [*facts["assumptions"], *facts["notes"]]
+    notes += [f"left out: {n} {why}" for why, n in facts["skipped"].items() if n]
+    if facts["damage"] and not facts["fault"]:  # a fault is the error that follows
+        notes.append(f"damage: {facts['damage']}")
+    if facts["frames"] and facts["distance_unit"] == "counts":
+        notes.append("--camera CAMERA gives distances in metres and the noise of its model")
+    if notes:
+        parts.append("notes\n" + wrapped(notes))
+    topics = [[name, one["role"] or "-", one["messages"]] for name, one in facts["topics"].items()]
+    if topics:
+        parts.append("topics\n" + table(["topic", "role", "messages"], topics, left=2))
+    return "\n\n".join(parts)
+
+
+def _time_lines(facts: dict[str, Any]) -> list[tuple[str, str]]:
+    lines = [("frames", f"{facts['frames']} of {facts['width']} x {facts['height']} px")]
+    if facts["rate_hz"] is not None:
+        jitter = facts["jitter_s"] * 1e3
+        steady = f"jitter {jitter:.2g} ms" if jitter >= 1e-3 else "no jitter"
         lines.append(
-            (
-                "gaps",
-                f"{facts['gaps']}, the longest {facts['longest_gap_s']:.4g} s; at this rate "
-                f"{facts['missing_frames']} frames are missing",
-            )
+            ("time", f"{number(facts['duration_s'], 's')} at {number(facts['rate_hz'], 'Hz')}, {steady}")
         )
+    if facts["gaps"]:
+        text = f"{facts['gaps']}, the longest {number(facts['longest_gap_s'], 's')}; "
+        lines.append(("gaps", text + f"at this rate {facts['missing_frames']} frames are missing"))
+    return lines
+
+
+def _raw_lines(facts: dict[str, Any]) -> list[tuple[str, str]]:
+    settings = facts["settings"]
+    lines = [("device", facts["device"] or "not stated"), *_time_lines(facts)]
     times = settings["integration_times"]
     if times:
-        lines.append(
-            ("integration time", ", ".join(f"{time} ({count} frames)" for time, count in times.items()))
-        )
+        stated = [f"{time} ({count} frames)" for time, count in times.items()]
+        lines.append(("integration time", listed_short(stated)))
     for name, label, unit, scale in (
         ("modulation_frequency", "modulation", "MHz", 1e-6),
         ("uptime", "uptime", "s", 1.0),
@@ -250,45 +242,54 @@ def recording_text(facts: dict[str, Any]) -> str:
         if name in settings:
             low, high = (value * scale for value in settings[name])
             lines.append((label, span(low, high, unit)))
-    for name, label, unit in (
-        ("distance", "distances", facts["distance_unit"]),
-        ("amplitude", "amplitudes", "counts"),
-    ):
+    for name, unit in (("distance", facts["distance_unit"]), ("amplitude", "counts")):
         values = facts[f"{name}_percentiles_1_50_99"]
-        if values:
-            least, median, most = map(number, values)
-            lines.append((label, f"{least} .. {most} {unit} (1 .. 99 %), median {median}"))
-    if facts["no_measurement_share"] is not None:
-        lines.append(("no measurement", f"{facts['no_measurement_share']:.2%} of the pixels"))
-        lines.append(("saturated", f"{facts['saturated_share']:.2%} of the pixels"))
-    if facts["truth_surfaces"]:
-        names = ", ".join(facts["truth_surfaces"])
-        lines.append(("true poses", f"{facts['poses']} of {names}"))
-    parts = [section("", lines)]
-    if facts["noise"]:
-        rows = [
-            [
-                f"{row['amplitude_counts'][0]} .. {row['amplitude_counts'][1]}",
-                row["values"],
-                f"{row['sigma_m'] * 1e3:.2f}",
-                f"{row['model_m'] * 1e3:.2f}",
-                f"{row['sigma_m'] / row['model_m']:.2f}",
-            ]
-            for row in facts["noise"]
-        ]
-        headings = ["amplitude [counts]", "values", "measured [mm]", "camera file [mm]", "ratio"]
-        parts.append("noise of one distance, from successive frames\n" + table(headings, rows))
-    notes = [*facts["assumptions"], *(f"left out: {n} {why}" for why, n in facts["skipped"].items() if n)]
-    if facts["damage"]:
-        notes.append(f"damage: {facts['damage']}")
-    if facts["distance_unit"] == "counts":
-        notes.append("give --camera for distances in metres and the noise against its model")
-    if notes:
-        parts.append("notes\n" + "\n".join(f"  {note}" for note in notes))
-    topics = [[name, one["messages"], one["role"] or "-"] for name, one in facts["topics"].items()]
-    parts.append("topics\n" + table(["topic", "messages", "role"], topics))
-    return "\n\n".join(parts)
+        lines.append((f"{name}s", _percentiles(values, unit)))
+    lines.append(("no measurement", f"{percent(facts['no_measurement_share'])} of the pixels"))
+    lines.append(("saturated", f"{percent(facts['saturated_share'])} of the pixels"))
+    if not facts["noise"]["classes"]:
+        lines.append(("noise", "not known: no two successive frames of one pose and setting"))
+    return lines
 
 
-def _jitter(facts: dict[str, Any]) -> str:
-    return "" if facts["jitter_s"] is None else f", jitter {facts['jitter_s'] * 1e3:.2g} ms"
+def _corrected_lines(facts: dict[str, Any]) -> list[tuple[str, str]]:
+    sigma = facts["sigma_percentiles_1_50_99_m"]
+    lines = [
+        ("content", "corrected frames, no raw ones"),
+        *_time_lines(facts),
+        ("distances", _percentiles(facts["distance_percentiles_1_50_99_m"], "m")),
+        ("sigma", _percentiles([s * 1e3 for s in sigma] if sigma else None, "mm")),
+    ]
+    for name, share in facts["flag_shares"].items():
+        lines.append((name.replace("_", " "), f"{percent(share)} of the pixels"))
+    return lines
+
+
+def _percentiles(values: list[float] | None, unit: str) -> str:
+    if values is None:
+        return "none"
+    least, median, most = map(number, values)
+    return f"{least} .. {most} {unit} (1 .. 99 %), median {median}"
+
+
+def _poses(facts: dict[str, Any]) -> str:
+    names = listed(facts["truth_surfaces"])
+    return f"{names}, {facts['poses']} different" if facts["poses"] > 1 else names
+
+
+def _noise_text(noise: dict[str, Any]) -> str:
+    scale, unit = (1e3, "mm") if noise["unit"] == "m" else (1.0, "counts")
+    modelled = "model" in noise["classes"][0]
+    rows = []
+    for row in noise["classes"]:
+        low, high = row["amplitude_counts"]
+        cells = [f"{low} .. {high}", row["values"], f"{row['sigma'] * scale:.2f}"]
+        if modelled:
+            cells += [f"{row['model'] * scale:.2f}", f"{row['sigma'] / row['model']:.2f}"]
+        rows.append(cells)
+    headings = ["amplitude [counts]", "values", f"measured [{unit}]"]
+    headings += [f"camera file [{unit}]", "ratio"] if modelled else []
+    text = "noise of one distance, from successive frames\n" + table(headings, rows)
+    if noise["moving"]:
+        text += "\n  grows from frame to frame: the scene or the camera moves, or drifts; the noise is less"
+    return text

@@ -8,7 +8,7 @@ import numpy as np
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.devices.timeline import Timeline
-from rim_camera_ros.info.text import number, section, span, table
+from rim_camera_ros.info.text import listed_short, number, percent, section, several, span, table
 from rim_camera_ros.pipeline.simulate import Simulation
 from rim_camera_ros.scene import Scene, Surface
 
@@ -58,13 +58,16 @@ def _seen(scene: Scene, camera: Camera) -> dict[str, Any]:
     signal = simulation.signal(context)
     geometry = simulation.geometry(exposure.poses)
     lit = geometry.hit & (signal.amplitude > 0)
+    dark = not lit.any()
     shares = {one.name: float((geometry.surface == i).mean()) for i, one in enumerate(scene.surfaces)}
     return {
         "integration_time": context.integration_time,
         "share_of_pixels": shares,
         "nothing": float((~geometry.hit).mean()),
-        "distance_m": [float(np.min(geometry.distance[lit])), float(np.max(geometry.distance[lit]))],
-        "amplitude_counts": [float(x) for x in np.percentile(signal.amplitude[lit], [1, 50, 99])],
+        "distance_m": None if dark else [float(f(geometry.distance[lit])) for f in (np.min, np.max)],
+        "amplitude_counts": None
+        if dark
+        else [float(x) for x in np.percentile(signal.amplitude[lit], [1, 50, 99])],
         "saturated": float((signal.published_amplitude >= camera.sensor.saturation).mean()),
     }
 
@@ -77,25 +80,26 @@ def scene_text(facts: dict[str, Any]) -> str:
         size = "-" if one["size_m"] is None else " x ".join(f"{x:g}" for x in one["size_m"])
         if one["type"] in ("disc", "sphere"):
             size = f"r {size}"
-        position = "truth" if one["position_m"] is None else " ".join(f"{x:g}" for x in one["position_m"])
+        position = "truth" if one["position_m"] is None else " ".join(map(number, one["position_m"]))
         row = [one["name"], one["type"], size, position, span(*one["reflectivity"])]
         if shares:
-            row.append(f"{shares[one['name']]:.1%}")
+            row.append(percent(shares[one["name"]]))
         rows.append(row)
     headings = ["surface", "type", "size [m]", "position [m]", "reflectivity"] + (
         ["of the image"] if shares else []
     )
-    parts = ["surfaces\n" + table(headings, rows)]
+    parts = ["surfaces\n" + table(headings, rows, left=2)]
     lines = []
     if facts["stations"]:
         lines.append(
             (
                 "schedule",
-                f"{facts['stations']} stations, {facts['frames']} frames, {facts['duration_s']:.4g} s",
+                f"{several(facts['stations'], 'station')}, {several(facts['frames'], 'frame')}, "
+                f"{number(facts['duration_s'], 's')}",
             )
         )
         if facts["integration_times"]:
-            lines.append(("integration times", ", ".join(map(number, facts["integration_times"]))))
+            lines.append(("integration times", listed_short(list(map(number, facts["integration_times"])))))
         if facts["ambient_degc"]:
             lines.append(("ambient", span(min(facts["ambient_degc"]), max(facts["ambient_degc"]), "degC")))
     else:
@@ -106,13 +110,14 @@ def scene_text(facts: dict[str, Any]) -> str:
         lines.append(("poses from a recording", f"{', '.join(facts['needs_truth'])} (--poses BAG)"))
     seen = facts.get("seen")
     if seen:
-        low, median, high = seen["amplitude_counts"]
+        low, median, high = seen["amplitude_counts"] or (0.0, 0.0, 0.0)
+        nearest, farthest = seen["distance_m"] or (None, None)
         lines += [
-            ("seen at setting", number(seen["integration_time"])),
-            ("distances", span(seen["distance_m"][0], seen["distance_m"][1], "m")),
-            ("amplitudes", f"{low:.0f} .. {high:.0f} counts (1 .. 99 %), median {median:.0f}"),
-            ("saturated", f"{seen['saturated']:.2%} of the pixels"),
-            ("nothing seen", f"{seen['nothing']:.2%} of the pixels"),
+            ("seen first", f"at setting {number(seen['integration_time'])}"),
+            ("distances", span(nearest, farthest, "m")),
+            ("amplitudes", f"{number(low)} .. {number(high)} counts (1 .. 99 %), median {number(median)}"),
+            ("saturated", f"{percent(seen['saturated'])} of the pixels"),
+            ("nothing seen", f"{percent(seen['nothing'])} of the pixels"),
         ]
     parts.append(section("", lines))
     return "\n\n".join(parts)

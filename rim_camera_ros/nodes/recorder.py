@@ -22,8 +22,8 @@ from rim_camera_ros.nodes.messages import ros_class
 _DEPTH = 200
 #: Seconds that messages of the last frame may take to arrive.
 _GRACE = 1.0
-#: Seconds between two looks for new surfaces.
-_LOOK = 0.5
+#: Seconds between two looks for new publishers.
+_LOOK = 0.1
 #: Every message here begins with a header: encapsulation (4 bytes), seconds, nanoseconds.
 _STAMP = struct.Struct("<4xiI")
 
@@ -31,7 +31,8 @@ _STAMP = struct.Struct("<4xiI")
 class Recorder:
     """Subscribes to all roles of ``topics`` and writes what comes, each message once.
 
-    ``frames`` counts distance images. Best-effort subscriptions are compatible with every publisher.
+    ``frames`` counts distance images. A subscription is made when a publisher appears, reliable where all
+    publishers of the topic are (then nothing is lost), else best effort, which suits every publisher.
     """
 
     def __init__(self, topics: Topics, writer: RecordingWriter, *, frames: int | None = None) -> None:
@@ -41,28 +42,34 @@ class Recorder:
         self._last: int | None = None
         self.frames = 0
         self.node = rclpy.create_node("recorder")
-        self._known: set[str] = set()
-        for role, (_, kind) in ROLES.items():
-            if role != "truth":
-                self._subscribe(role, topics[role], kind)
-        for role in ("distance", "depth"):
-            self._subscribe("camera_info", topics.info_beside(role), CAMERA_INFO)
+        self._known: dict[str, tuple[QoSProfile, Any]] = {}
+        self._routes = {
+            topics.info_beside(role): ("camera_info", CAMERA_INFO) for role in ("distance", "depth")
+        }
+        self._routes |= {topics[role]: (role, kind) for role, (_, kind) in ROLES.items() if role != "truth"}
 
-    def _subscribe(self, role: str, topic: str, kind: str) -> None:
-        if topic in self._known:
+    def look(self) -> None:
+        """Subscribe to what has appeared since the last look, as its publishers offer it."""
+        for topic, kinds in self.node.get_topic_names_and_types():
+            role, kind = self._routes.get(topic, ("truth", POSE))
+            if kind in kinds and (topic in self._routes or self._topics.surface_of(topic)):
+                offers = [one.qos_profile for one in self.node.get_publishers_info_by_topic(topic)]
+                if offers:
+                    self._subscribe(role, topic, kind, _suiting(role, offers))
+
+    def _subscribe(self, role: str, topic: str, kind: str, qos: QoSProfile) -> None:
+        known = self._known.get(topic)
+        if known is not None and known[0] == qos:
             return
-        self._known.add(topic)
-        latched = role == "truth"
-        qos = QoSProfile(
-            depth=_DEPTH,
-            reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-        )
 
         def take(data: bytes) -> None:
             self._take(role, topic, kind, bytes(data))
 
-        self.node.create_subscription(ros_class(kind), topic, take, qos, raw=True)
+        if known is not None:
+            # before the new one is made: a message that came twice would look like a stamp that stands still
+            self.node.destroy_subscription(known[1])
+        made = self.node.create_subscription(ros_class(kind), topic, take, qos, raw=True)
+        self._known[topic] = (qos, made)
 
     def _take(self, role: str, topic: str, kind: str, data: bytes) -> None:
         if len(data) < _STAMP.size or data[1] not in (0, 1):
@@ -83,11 +90,16 @@ class Recorder:
         """Whether all the frames that are wanted have come."""
         return self._last is not None
 
-    def look(self) -> None:
-        """Subscribe to the poses of surfaces that have appeared."""
-        for topic, kinds in self.node.get_topic_names_and_types():
-            if POSE in kinds and self._topics.surface_of(topic):
-                self._subscribe("truth", topic, POSE)
+
+def _suiting(role: str, offers: list[QoSProfile]) -> QoSProfile:
+    """Return the best that all publishers can serve; poses that were published before are asked for."""
+    reliable = all(one.reliability == ReliabilityPolicy.RELIABLE for one in offers)
+    kept = role == "truth" and all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in offers)
+    return QoSProfile(
+        depth=_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
+    )
 
 
 def record(

@@ -303,7 +303,7 @@ class Correction:
         """Whether the setting or the temperature lies outside the calibrated range."""
         limits = self.camera.validity
         pairs = (
-            (limits.integration_time, settings.integration_time),
+            (limits.integration_time, self.camera.stated_integration_time(settings)),
             (limits.temperature, settings.ambient_temperature),
         )
         return any(

@@ -66,7 +66,7 @@ class Folded:
             for one in active.values()
             for name in ("hyperbola", "polynomial", "offset")
         ]
-        t = context.settings.integration_time
+        t = context.camera.stated_integration_time(context.settings)
         #: whether the setting lies outside the calibrated rows
         self.outside = any(outside_rows(one, t) for one in rows if isinstance(one, Mapping))
 

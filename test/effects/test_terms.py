@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from rim_camera_ros.camera import Camera, Optics, Sensor
 from rim_camera_ros.camera_file import load_camera, with_effects
+from rim_camera_ros.effects import ORDER, Effect
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
@@ -587,3 +588,44 @@ def test_covariates_by_their_definitions() -> None:
 def test_normals_of_the_rotated_frame() -> None:
     """A guard on the corner above: -z of the frame faces the camera at identity."""
     assert rotation_matrix((0.0, 0.0, 0.0, 1.0))[:, 2].tolist() == [0, 0, 1]
+
+
+# --- a lens that sees nothing in its corners ------------------------------------------------------
+
+KINECT = Camera(
+    sensor=Sensor(width=33, height=27, pixel_pitch=(1e-4, 1e-4), modulation_frequency=20e6),
+    optics=Optics(fx=23.0, fy=23.0, cx=16.3, cy=12.6, d=(0.0847, -0.2594, -0.0076, 0.0055, 0.0)),
+    minimum_amplitude=0.0,
+)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", ORDER, ids=lambda one: one.name)
+def test_pixels_without_a_ray_see_nothing_and_spoil_nothing(kind: type[Effect]) -> None:
+    """Where the lens model has no inverse: no measurement, and the rest as if they were dark."""
+    lost = np.isnan(KINECT.rays[..., 0])
+    assert 0.01 < lost.mean() < 0.2
+    effect = kind.example(KINECT)
+    cam = with_effects(KINECT, {kind.name: effect})
+    scene = replace(_corner(), camera_motion=CameraMotion((0.0, 0.1, 0.2), (0.0, 0.0, 0.0)))
+    simulation = Simulation(cam, scene, noise=False, quantised=False)
+    there = Settings(integration_time=60.0, uptime=30.0, ambient_temperature=24.0)
+    exposure = Exposure(stamp=10**18, settings=there, poses=scene.fixed_poses())
+    frame = simulation.frame(exposure)
+    spread = kind.name in ("scattering", "mixed_pixels", "interference")
+    if not spread and kind.name != "reference_path":
+        assert np.isnan(frame.distance[lost]).all()
+    assert np.isfinite(frame.distance[~lost]).all()
+    here = simulation.context(exposure)
+    assert here.geometry is not None
+    assert here.geometry_at is not None
+    signal = Signal(here.geometry.distance, here.geometry_at(0.0)[1])
+    for by_distance, _ in effect.columns(signal, here).values():
+        assert np.isfinite(np.broadcast_to(by_distance, lost.shape)[~lost]).all()
+    for exact in (True, False):
+        found = Correction(cam, exact=exact).correct(frame)
+        seen = ~lost if kind.name != "reference_path" else ~lost & (found.flags == 0)
+        assert np.isfinite(found.distance[seen]).all()
+        if kind.undo == "exact" and not spread:
+            truth = simulation.true_distance(exposure)
+            np.testing.assert_allclose(found.distance[seen], truth[seen], atol=1e-5)

@@ -1,0 +1,106 @@
+"""``rim record`` of a running driver."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+import numpy as np
+
+from rim_camera_ros.bags import Recording, Topics
+
+from .helpers_cli import nothing_left, process, run
+from .ros.conftest import world  # noqa: F401 -- a fixture
+
+if TYPE_CHECKING:
+    from .ros.harness import World
+
+pytestmark = pytest.mark.ros
+
+#: A small simulated camera whose frames are the same in every run.
+DRIVER = {
+    "camera": "pmd3ks",
+    "scene": "wall",
+    "seed": 5,
+    "frame_rate": 50.0,
+    "integration_time": 17.0,
+    "qos.images": "reliable",
+    "qos.info": "reliable",
+}
+
+
+def test_a_number_of_frames_is_recorded_without_loss(world: World, tmp_path: Path) -> None:  # noqa: F811
+    out = tmp_path / "bag"
+    running = process("record", "--out", out, "--frames", "12", env=world.environment)
+    driver = world.start("driver_node", frames=12, wait_for_subscribers=1, **DRIVER)
+    text, err = running.communicate(timeout=60)
+    assert (running.returncode, text) == (0, f"12 frames recorded: {out}\n"), err + driver.text
+    assert "Ctrl-C ends it" in err
+    with Recording(out) as recording:
+        frames = list(recording.frames())
+        assert recording.truth_surfaces == ("wall",)
+    assert len(frames) == 12
+    assert {one.settings.integration_time for one in frames} == {17.0}
+    assert all(one.intrinsics is not None and one.intrinsics.width == 64 for one in frames)
+    assert len({one.distance.tobytes() for one in frames}) == 12
+    assert frames[0].truth["wall"].position == (0.0, 0.0, 2.463)
+    assert np.median(frames[0].amplitude) > 100
+
+
+def test_an_interrupted_recording_is_complete(
+    world: World,  # noqa: F811
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Ctrl-C twice: status 0, the file is whole, in another namespace too."""
+    out = tmp_path / "bag"
+    arguments = ("--out", out, "--namespace", "/left")
+    running = process("record", *arguments, env=world.environment)
+    world.start("driver_node", "-r", "__ns:=/left", wait_for_subscribers=1, **DRIVER)
+    end = world.until(lambda: any(one.stat().st_size > 50_000 for one in tmp_path.rglob("*.mcap")))
+    assert end, world.output()
+    running.send_signal(signal.SIGINT)
+    running.send_signal(signal.SIGINT)
+    text, err = running.communicate(timeout=30)
+    assert running.returncode == 0, err
+    assert "Traceback" not in err
+    with Recording(out, topics=Topics("/left")) as recording:
+        count = len(list(recording.frames()))
+        assert recording.summary().damage is None
+    assert count >= 3
+    assert text.endswith(f" frames recorded: {out}\n")
+    assert [one.name for one in tmp_path.iterdir() if one.name.startswith(".")] == []
+    status, text, _ = run(capsys, "info", out, "--json", "--namespace", "/left")
+    assert status == 0
+    assert json.loads(text)["frames"] == count
+
+
+def test_nothing_to_record(world: World, tmp_path: Path) -> None:  # noqa: F811
+    (tmp_path / "out").mkdir()
+    with nothing_left(tmp_path / "out"):
+        running = process(
+            "record", "--out", tmp_path / "out" / "bag", "--duration", "0.3", "--quiet", env=world.environment
+        )
+        text, err = running.communicate(timeout=30)
+        assert (running.returncode, text) == (1, "")
+        assert err.startswith("rim: no frame came on /camera/distance/image_raw (is a driver running")
+
+
+def test_the_output_is_checked_before(world: World, tmp_path: Path) -> None:  # noqa: F811
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "notes.txt").write_text("mine")
+    for more in ([], ["--force"]):
+        running = process(
+            "record", "--out", tmp_path / "bag", "--duration", "0.1", *more, env=world.environment
+        )
+        _, err = running.communicate(timeout=30)
+        assert running.returncode == 2
+        assert len(err.splitlines()) == 1
+        assert "bag: " in err
+        assert (tmp_path / "bag" / "notes.txt").read_text() == "mine"
