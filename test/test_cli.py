@@ -362,3 +362,15 @@ def test_recording_without_ros_says_what_to_do(tmp_path: Path) -> None:
     assert "recording needs ROS 2" in done.stderr
     assert "setup.bash" in done.stderr
     assert not (tmp_path / "bag").exists()
+
+
+def test_the_desk_commands_load_neither_ros_nor_matplotlib() -> None:
+    code = (
+        "import sys\n"
+        "from rim_camera_ros.cli import main\n"
+        "assert main(['info', 'wall', '--camera', 'pmd3ks']) == 0\n"
+        "print(sorted({'rclpy', 'matplotlib'} & set(sys.modules)))\n"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"

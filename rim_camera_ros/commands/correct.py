@@ -19,6 +19,7 @@ from rim_camera_ros.commands.common import (
     camera_of,
     check_file,
     check_outputs,
+    reading_notes,
     say,
     topics_of,
 )
@@ -84,10 +85,11 @@ def run(given: argparse.Namespace) -> int:
     without = [one.strip() for one in given.without.split(",") if one.strip()]
     correction = Correction(camera, without=without, minimum_amplitude=given.minimum_amplitude)
     single = given.ply is not None or given.npz is not None
-    count, chosen, written = 0, None, []
+    count, chosen = 0, None
+    written: list[str] = []
+    damaged: list[str] = []
     with ExitStack() as stack:
         bag = stack.enter_context(Recording(given.bag, topics=topics_of(given)))
-        say(given, bag.assumptions)
         total = bag.frame_count
         wanted = given.frame if given.frame >= 0 else total + given.frame
         frames = bag.frames()
@@ -126,12 +128,11 @@ def run(given: argparse.Namespace) -> int:
                 problem = f"only {several(count, 'frame')} of {total} could be read"
                 raise InputError(problem, file=given.bag, place=f"--frame {given.frame}")
             if writer is None and given.frame < 0 and (damage := bag.summary().damage):
-                say(
-                    given,
-                    [f"{given.bag} is damaged, frame {wanted} is counted from what can be read: {damage}"],
+                damaged.append(
+                    f"{given.bag} is damaged, frame {wanted} is counted from what can be read: {damage}"
                 )
             written = _write_frame(given, correction, wanted, chosen)
-    say(given, correction.notes)
+    say(given, [*correction.notes, *reading_notes(bag), *damaged])
     if not given.quiet:
         done = several(count, "frame") if given.out is not None else f"frame {wanted}"
         print(f"{done} corrected: {', '.join([str(given.out)] * (given.out is not None) + written)}")
