@@ -162,9 +162,11 @@ class World:
     def __exit__(self, *_: object) -> None:
         for one in self._processes:
             one.kill()
+        # the node leaves the executor before anything is destroyed: in the other order rclpy has crashed
+        self._executor.remove_node(self.node)
         self._executor.shutdown()
-        self.node.destroy_node()
         rclpy.shutdown(context=self._context)
+        self.node.destroy_node()
 
     # --- nodes ----------------------------------------------------------------------------------
 
