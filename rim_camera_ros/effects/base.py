@@ -142,9 +142,9 @@ class Effect(ABC):
         """Raise ValueError where the parameters do not fit the camera (shapes, regions)."""
 
     @classmethod
+    @abstractmethod
     def example(cls, camera: Camera) -> Effect:
         """Return the effect at a plausible strength, for demonstrations and tests."""
-        raise NotImplementedError
 
     def bounds(self) -> dict[str, tuple[float, float]]:
         """Return the allowed range of each parameter by dotted path."""
