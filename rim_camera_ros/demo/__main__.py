@@ -186,7 +186,8 @@ def _print_table(c: Comparison, shares: Any, live: dict[str, Any]) -> None:
             )
     print(
         f"frames          {live['raw_frames']} raw seen, {live.get('missing_in_raw', 0)} missing "
-        f"between them, {live['without_points']} without points"
+        f"between them, {live['without_points']} without points "
+        f"(and {live['before_first_points']} before the first points)"
     )
 
 

@@ -38,7 +38,10 @@ class Arrivals:
             period = float(np.median(steps))
             result["rate_hz"] = 1.0 / period
             result["missing_in_raw"] = int(np.rint(np.maximum(steps / period - 1, 0)).sum())
-        result["without_points"] = len(set(self.raw) - set(self.points))
+        # frames before the first points came while the processes were still finding each other
+        first = min(self.points, default=0)
+        result["before_first_points"] = sum(stamp < first for stamp in self.raw)
+        result["without_points"] = sum(stamp >= first and stamp not in self.points for stamp in self.raw)
         for name, arrived in (("raw", self.raw), ("points", self.points)):
             late = np.array([at - stamp for stamp, at in arrived.items()]) / 1e6
             if late.size:
