@@ -1,0 +1,1 @@
+"""Calibration: recordings -> stations -> normal equations -> parameters with their uncertainty."""

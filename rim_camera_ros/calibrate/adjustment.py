@@ -1,0 +1,358 @@
+"""The joint adjustment: Gauss-Newton over the whole forward chain, all effects and nuisances at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from rim_camera_ros.calibrate.library import optics_block, present_blocks
+from rim_camera_ros.calibrate.normal_equations import (
+    Block,
+    NormalEquations,
+    Reduced,
+    accumulate,
+    gain_block,
+    pose_block,
+)
+from rim_camera_ros.calibrate.prediction import AmplitudeModel, Forward, Prediction, excess
+from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.calibrate.views import Views
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import camera_numbers, with_numbers
+from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.scene import Scene, ScenePose, quaternion, rotation_matrix
+
+Array = NDArray[Any]
+
+#: Residuals beyond this many sigma weigh less (Huber), the more the farther.
+ROBUST_LIMIT = 4.0
+_OPTICAL = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
+_GAIN = "radiometry.gain"
+
+#: How well amplitudes are predicted is estimated anew in this many iterations, then kept.
+_SETTLED = 3
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is fitted: the data, the scene, which effects are free, and what else.
+
+    ``effects`` None frees all that the camera has; ``geometry`` names of `library.optics_block` to estimate;
+    ``robust`` bounds the weight of outliers; ``pattern`` estimates an offset per pixel.
+    """
+
+    dataset: Dataset
+    scene: Scene
+    effects: tuple[str, ...] | None = None
+    geometry: tuple[str, ...] = ()
+    gain: bool = True
+    pattern: bool = True
+    robust: bool = True
+    single: bool = False
+
+
+@dataclass
+class Fit:
+    """The result of an adjustment.
+
+    ``parameters`` by dotted path (``radiometry.gain`` in counts); ``covariance`` in their order;
+    ``pattern`` (H, W) m is what the fixed pattern is beyond the camera file's; ``nuisances`` the errors
+    found of poses and powers; ``chi_square`` of all residuals after the fit, prior terms left out, with
+    ``rows`` observations. ``equations`` are those at the solution, ``forward`` its predictions.
+    """
+
+    camera: Camera
+    scene: Scene
+    parameters: dict[str, float]
+    covariance: Array
+    pattern: Array
+    nuisances: dict[str, float]
+    chi_square: float
+    rows: int
+    converged: bool
+    iterations: int
+    equations: NormalEquations
+    reduced: Reduced
+    forward: Forward
+    priors: Array
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """1-sigma of each parameter."""
+        return dict(zip(self.parameters, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+def fit(
+    problem: Problem,
+    camera: Camera,
+    *,
+    fold_of: Mapping[tuple[int, int], int] | None = None,
+    further: Sequence[Block] = (),
+    iterations: int = 8,
+    tolerance: float = 0.05,
+    views: Views | None = None,
+    progress: Progress | None = None,
+) -> Fit:
+    """Adjust a camera's parameters to the data.
+
+    Steps end when no parameter moves by more than ``tolerance`` of its sigma. ``further`` blocks of
+    regressors stand beside the parameters in the final equations without being fitted (candidates).
+
+    Raises `RimError` where it does not converge to a finite solution, `InputError` without usable data.
+    """
+    start = camera
+    scene = problem.scene
+    moved = False
+    pattern, nuisances = np.zeros(camera.shape), dict[str, float]()
+    offsets: dict[str, float] = {}
+    best: Fit | None = None
+    gains: Mapping[tuple[int, int], float] | None = None
+    tau = 0.0
+    last_step: dict[str, float] = {}
+    numbers = camera_numbers(camera)
+    lows, highs = _bounds(camera)
+    converged = False
+    for count in range(iterations + 1):
+        forward = Forward(problem.dataset, scene, camera, views=None if moved else views)
+        views = forward.views
+        if gains is None:
+            forward.estimate_amplitudes()
+            tau = forward.amplitude_model.tau
+            gains = forward.amplitude_model.gains
+            if problem.gain and camera.radiometry.gain_sigma == 0 and gains:
+                camera = with_numbers(camera, {_GAIN: numbers[_GAIN] * next(iter(gains.values()))})
+                offsets[_GAIN] = float(np.log(camera.radiometry.gain / numbers[_GAIN]))
+                gains = dict.fromkeys(gains, 1.0)
+                forward = Forward(problem.dataset, scene, camera, views=forward.views)
+        elif count <= _SETTLED:
+            forward.amplitude_model = AmplitudeModel(gains, tau)
+            tau = amplitude_error(forward, nuisances)
+        forward.amplitude_model = AmplitudeModel(gains, tau)
+        blocks = _blocks(problem, camera, scene)
+        owned = sum(len(block.regressors) for block in blocks)
+        weigh = _huber(pattern, nuisances) if problem.robust and count > 0 else None
+        final = count == iterations or converged
+        equations = accumulate(
+            forward,
+            [*blocks, *further] if final else blocks,
+            fold_of=fold_of if final else None,
+            pattern=problem.pattern,
+            weigh=weigh,
+            single=problem.single,
+        )
+        if not equations.folds or equations.folds[0].rows == 0:
+            raise InputError(
+                "no pixel can be used: nothing of the recording agrees with scene and camera file",
+                remedy="check that the scene file describes the recording (rim info BAG lists its poses)",
+            )
+        reduced = equations.reduced()
+        regressors = equations.regressors[:owned]
+        prior = np.array([one.prior for one in regressors])
+        away = np.array([offsets.get(one.label, 0.0) for one in regressors])
+        own = slice(0, owned)
+        matrix = reduced.gram[own, own] + np.diag(prior**-2)
+        right = reduced.right[own] - away / prior**2
+        factor = linalg.cho_factor(matrix)
+        step = linalg.cho_solve(factor, right)
+        covariance = linalg.cho_solve(factor, np.eye(owned))
+        sigma = np.sqrt(np.diag(covariance))
+        here = float(reduced.square) + float(np.sum((away / prior) ** 2))
+        best = Fit(
+            camera=camera,
+            scene=scene,
+            parameters={one.label: _value(one.label, camera, offsets) for one in regressors},
+            covariance=_in_units(covariance, regressors, camera),
+            pattern=pattern,
+            nuisances=nuisances,
+            chi_square=float(reduced.square),
+            rows=reduced.rows,
+            converged=converged,
+            iterations=count,
+            equations=equations,
+            reduced=reduced,
+            forward=forward,
+            priors=prior,
+        )
+        if final:
+            values = np.zeros(len(equations.regressors))
+            best.nuisances, flat = reduced.recover(values)
+            best.pattern = flat.reshape(camera.shape) if problem.pattern else np.zeros(camera.shape)
+            break
+        if progress is not None:
+            progress(f"iteration {count + 1}: chi-square per value {here / max(reduced.rows, 1):.4f}")
+        if not np.all(np.isfinite(step)):
+            raise RimError("the adjustment found no finite solution", remedy="check scene and camera file")
+        nuisances, flat = reduced.recover(np.concatenate([step, np.zeros(reduced.gram.shape[0] - owned)]))
+        if problem.pattern:
+            pattern = flat.reshape(camera.shape)
+        gains = {key: g * _factor(nuisances.get(f"{key[0]}.{key[1]}.gain", 0.0)) for key, g in gains.items()}
+        nuisances = {name: e for name, e in nuisances.items() if not name.endswith(".gain")}
+        converged = bool(np.all(np.abs(step) <= tolerance * sigma)) if owned else True
+        changes = dict(zip((one.label for one in regressors), step.tolist(), strict=True))
+        for path, change in changes.items():
+            offsets[path] = offsets.get(path, 0.0) + change
+        camera = _moved(start, offsets, lows, highs, numbers)
+        for path in changes:
+            if path in numbers and path != _GAIN:
+                offsets[path] = camera_numbers(camera)[path] - numbers[path]
+        scene, moved = _moved_scene(problem.scene, offsets)
+        last_step = changes
+    assert best is not None
+    best.converged = converged
+    if not converged:
+        worst = max(last_step, key=lambda path: abs(last_step[path]) / max(best.sigma.get(path, 1.0), 1e-300))
+        best.notes.append(f"not converged after {iterations} iterations: {worst} still moves")
+    return best
+
+
+def _blocks(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
+    blocks = present_blocks(camera, effects=problem.effects)
+    if problem.gain:
+        blocks.append(gain_block())
+    blocks += [optics_block(camera, name) for name in problem.geometry]
+    free = [
+        (f"scene.{one.name}.{axis}", 1.0 if axis in "xyz" else 0.3)
+        for one in scene.surfaces
+        if isinstance(one.pose, ScenePose)
+        for axis in one.pose.free
+    ]
+    if free:
+        blocks.append(pose_block(free))
+    return blocks
+
+
+def _factor(change: float) -> float:
+    return float(np.exp(np.clip(change, -1.0, 1.0)))
+
+
+def _bounds(camera: Camera) -> tuple[dict[str, float], dict[str, float]]:
+    lows: dict[str, float] = {}
+    highs: dict[str, float] = {}
+    for name, effect in camera.effects.items():
+        for path, (low, high) in effect.bounds().items():
+            lows[f"effects.{name}.{path}"], highs[f"effects.{name}.{path}"] = low, high
+    return lows, highs
+
+
+def _value(path: str, camera: Camera, offsets: Mapping[str, float]) -> float:
+    return offsets.get(path, 0.0) if path.startswith("scene.") else camera_numbers(camera)[path]
+
+
+def _in_units(covariance: Array, regressors: Sequence[Any], camera: Camera) -> Array:
+    scale = np.array([camera.radiometry.gain if one.label == _GAIN else 1.0 for one in regressors])
+    return np.asarray(covariance * scale[:, None] * scale[None, :])
+
+
+def _moved(
+    camera: Camera,
+    offsets: Mapping[str, float],
+    lows: Mapping[str, float],
+    highs: Mapping[str, float],
+    numbers: Mapping[str, float],
+) -> Camera:
+    """Return the camera with its numbers moved, kept within their bounds and within reach."""
+    values: dict[str, float] = {}
+    for path, offset in offsets.items():
+        if path.startswith("scene."):
+            continue
+        value = numbers[path] * float(np.exp(np.clip(offset, -3, 3))) if path == _GAIN else numbers[path] + offset
+        low, high = lows.get(path, -np.inf), highs.get(path, np.inf)
+        if path.endswith("time_constant") or ".sigma." in path or path.endswith("blur"):
+            low = max(low, 0.2 * abs(numbers[path]))
+            high = min(high, 5.0 * abs(numbers[path]) + 1e-9)
+        if path.endswith(".b"):
+            limit = 10 * abs(numbers[path]) + 5.0
+            low, high = max(low, -limit), min(high, limit)
+        inside = 1e-9 * max(abs(value), 1.0)
+        values[path] = float(np.clip(value, low + inside if np.isfinite(low) and low > 0 else low, high))
+    return with_numbers(camera, values) if values else camera
+
+
+def _moved_scene(scene: Scene, offsets: Mapping[str, float]) -> tuple[Scene, bool]:
+    """Return the scene with its free poses moved."""
+    if not any(path.startswith("scene.") for path in offsets):
+        return scene, False
+    surfaces = []
+    for one in scene.surfaces:
+        pose = one.pose
+        if isinstance(pose, ScenePose) and pose.free:
+            shift = [offsets.get(f"scene.{one.name}.{axis}", 0.0) for axis in "xyz"]
+            rotation = rotation_matrix(pose.orientation)
+            for name, axis in _OPTICAL.items():
+                angle = offsets.get(f"scene.{one.name}.{name}", 0.0)
+                half = np.array(axis) * np.sin(angle / 2)
+                turn = rotation_matrix((half[0], half[1], half[2], float(np.cos(angle / 2))))
+                rotation = turn @ rotation
+            position = (pose.position[0] + shift[0], pose.position[1] + shift[1], pose.position[2] + shift[2])
+            pose = replace(pose, position=position, orientation=quaternion(rotation))
+        surfaces.append(replace(one, pose=pose))
+    return replace(scene, surfaces=tuple(surfaces)), True
+
+
+def _huber(
+    pattern: Array, nuisances: Mapping[str, float]
+) -> Callable[[Prediction], tuple[Array, Array]]:
+    """Return the weights of robust fitting for residuals after pattern and nuisances."""
+
+    def weigh(prediction: Prediction) -> tuple[Array, Array]:
+        distance, amplitude = after_nuisances(prediction, pattern, nuisances)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            z = np.abs(distance) / prediction.sigma
+            z_a = np.abs(amplitude) / prediction.amplitude_sigma
+            return (
+                np.where(z > ROBUST_LIMIT, ROBUST_LIMIT / z, 1.0),
+                np.where(z_a > ROBUST_LIMIT, ROBUST_LIMIT / z_a, 1.0),
+            )
+
+    return weigh
+
+
+def amplitude_error(forward: Forward, nuisances: Mapping[str, float]) -> float:
+    """Return the relative 1-sigma of predicted amplitudes beyond noise and errors of poses (robustly)."""
+    tau = forward.amplitude_model.tau
+    pattern = np.zeros(forward.camera.shape)
+    deviations, variances = [], []
+    for one in forward.predictions(slopes=False):
+        pixels = one.amplitude_used
+        if not pixels.any():
+            continue
+        _, amplitude = after_nuisances(one, pattern, nuisances)
+        reading = one.station.amplitude[pixels] - one.amplitude_residual[pixels]
+        relative = (one.amplitude_sigma[pixels] / reading) ** 2 - tau**2
+        sharp = relative <= np.quantile(relative, 0.5)
+        deviations.append((amplitude[pixels] / reading)[sharp])
+        variances.append(relative[sharp])
+    if not deviations:
+        return 0.0
+    return excess(np.concatenate(deviations), np.concatenate(variances))
+
+
+def after_nuisances(
+    prediction: Prediction, pattern: Array, nuisances: Mapping[str, float]
+) -> tuple[Array, Array]:
+    """Return the residuals of distance [m] and amplitude [counts] without pattern, pose and power errors."""
+    station = prediction.station
+    key = f"{station.recording}.{station.pose}"
+    distance = prediction.residual - pattern
+    amplitude = prediction.amplitude_residual
+    gain = nuisances.get(f"{key}.gain")
+    if gain:
+        by_distance, by_amplitude = prediction.gain_column()
+        distance = distance - gain * by_distance
+        amplitude = amplitude - gain * by_amplitude
+    for column in prediction.pose_columns:
+        error = nuisances.get(f"{key}.{column.path}")
+        if error:
+            by_distance, by_amplitude = prediction.pose_change(column)
+            distance = distance - error * by_distance
+            amplitude = amplitude - error * by_amplitude
+    return distance, amplitude
+

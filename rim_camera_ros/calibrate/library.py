@@ -1,0 +1,467 @@
+"""Every effect as regressors: those of a camera file, and those that it lacks, linear at strength zero.
+
+A candidate is one variant of one effect (a time constant, a width of a halo) with the columns that are
+linear in what is left of its parameters, and with the way back from coefficients to the effect, from where
+the non-linear fit goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.normal_equations import Block, Regressor, effect_block
+from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
+from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
+from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
+from rim_camera_ros.effects.base import Effect, row_name
+from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
+from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.effects.emission_pattern import EmissionPattern
+from rim_camera_ros.effects.emitter_offset import EmitterOffset
+from rim_camera_ros.effects.incidence_angle import IncidenceAngle
+from rim_camera_ros.effects.integration_time_offset import IntegrationTimeOffset
+from rim_camera_ros.effects.mixed_pixels import MixedPixels
+from rim_camera_ros.effects.motion import Motion
+from rim_camera_ros.effects.multipath import Multipath
+from rim_camera_ros.effects.saturation_bleed import SaturationBleed
+from rim_camera_ros.effects.scattering import Kernel, Scattering
+from rim_camera_ros.effects.warm_up_drift import Exponential, WarmUpDrift
+from rim_camera_ros.optics import pixel_rays
+from rim_camera_ros.parameters import with_values
+from rim_camera_ros.phasor import to_phasor
+
+Array = NDArray[Any]
+Coefficients = Mapping[str, float]
+
+#: 1-sigma of a distance term's prior [m] where it is at its largest.
+TERM_SIZE = 0.05
+#: Angle [gon] at which the incidence polynomial's prior has that size.
+_STEEP = 60.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One variant of an effect that a camera file lacks.
+
+    ``effect`` is its name in the vocabulary, ``variant`` tells variants apart; ``build`` makes the camera with
+    it from the coefficients by label.
+    """
+
+    effect: str
+    variant: str
+    block: Block
+    build: Callable[[Camera, Coefficients], Camera]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What the recordings contain, as far as the library depends on it."""
+
+    integration_times: tuple[float, ...]
+    amplitude: float
+    uptime: tuple[float, float] | None
+    ambient: tuple[float, float] | None
+    duration: float
+    saturated: bool
+    moves: bool
+    surfaces: int
+
+    @classmethod
+    def of(cls, dataset: Dataset, *, moves: bool, surfaces: int, camera: Camera) -> Facts:
+        """Collect them from the stations."""
+        times = {camera.integration_time(one.settings) for one in dataset.stations}
+        uptimes = [one.settings.uptime for one in dataset.stations]
+        ambients = [one.settings.ambient_temperature for one in dataset.stations]
+        known_up = [u for u in uptimes if u is not None]
+        known_ambient = [a for a in ambients if a is not None]
+        bright = [float(np.median(one.amplitude[one.count > 0])) for one in dataset.stations if one.count.any()]
+        return cls(
+            integration_times=tuple(sorted(times)),
+            amplitude=float(np.median(bright)) if bright else 1.0,
+            uptime=(min(known_up), max(known_up)) if len(known_up) == len(uptimes) and known_up else None,
+            ambient=(min(known_ambient), max(known_ambient)) if known_ambient else None,
+            duration=max((one.time for one in dataset.stations), default=0.0),
+            saturated=any(bool(one.saturated.any()) for one in dataset.stations),
+            moves=moves,
+            surfaces=surfaces,
+        )
+
+
+def present_blocks(camera: Camera, *, effects: Sequence[str] | None = None) -> list[Block]:
+    """Return the regressors of a camera's own effects: its parameters, about their values.
+
+    Priors are weak: as wide as the value itself, or as such effects are large.
+    """
+    blocks = []
+    for name, effect in camera.effects.items():
+        if name in UNFITTED or (effects is not None and name not in effects):
+            continue
+        priors = present_priors(effect, camera)
+        if priors:
+            blocks.append(effect_block(effect, priors))
+    return blocks
+
+
+#: Effects whose parameters no mean of a recording tells, or that are tables of their own.
+UNFITTED = frozenset(
+    {
+        "fixed_pattern_offset",
+        "integral_table",
+        "empirical",
+        "interference",
+        "reference_path",
+        "background_light",
+    }
+)
+
+
+def present_priors(effect: Effect, camera: Camera) -> dict[str, float]:
+    """Return the free parameters of an effect by path with the 1-sigma of their weak prior."""
+    if isinstance(effect, IncidenceAngle):
+        return {
+            f"polynomial.{row_name(key)}.{i}": TERM_SIZE / _STEEP ** (4 - i)
+            for key in effect.polynomial
+            for i in range(4)
+        }
+    if isinstance(effect, AmplitudeOffset):
+        priors = {}
+        for key, one in effect.hyperbola.items():
+            priors[f"hyperbola.{row_name(key)}.a"] = max(abs(one.a), 1e-3)
+            priors[f"hyperbola.{row_name(key)}.b"] = max(abs(one.b), 0.02 * abs(one.a))
+        return priors
+    if isinstance(effect, AmbientTemperature):
+        return {"coefficient": 0.005, "time_constant": max(0.5 * effect.time_constant, 30.0)}
+    if isinstance(effect, CyclicError):
+        priors = {}
+        for i, one in enumerate(effect.harmonics):
+            priors[f"harmonics.{i}.amplitude"] = max(abs(one.amplitude), 0.005)
+            priors[f"harmonics.{i}.phase"] = 1.0
+        priors |= {"gradient.0": 0.005, "gradient.1": 0.005}
+        return priors
+    if isinstance(effect, WarmUpDrift):
+        priors = {}
+        for i, term in enumerate(effect.terms):
+            priors[f"terms.{i}.amplitude"] = max(abs(term.amplitude), 0.02)
+            priors[f"terms.{i}.time_constant"] = 0.5 * term.time_constant
+        return priors
+    if isinstance(effect, Scattering):
+        priors = {}
+        for i, kernel in enumerate(effect.kernels):
+            priors[f"kernels.{i}.weight"] = max(kernel.weight, 0.01)
+            priors[f"kernels.{i}.sigma.0"] = max(0.5 * kernel.sigma[0], 0.3)
+            priors[f"kernels.{i}.sigma.1"] = max(0.5 * kernel.sigma[1], 0.3)
+        if effect.ghost is not None:
+            priors["ghost.weight"] = max(effect.ghost.weight, 0.003)
+        return priors
+    return dict(effect.priors())
+
+
+# --- what a camera file may lack --------------------------------------------------------------------
+
+
+def candidates(camera: Camera, facts: Facts, *, effects: Sequence[str] | None = None) -> list[Candidate]:
+    """Return the variants of every effect that the camera lacks and the recordings could contain."""
+    found: list[Candidate] = []
+    for name, make in _MAKERS.items():
+        if name in camera.effects or (effects is not None and name not in effects):
+            continue
+        found += make(camera, facts)
+    for name, make in _GEOMETRY.items():
+        if effects is None or name in effects:
+            found += make(camera, facts)
+    return found
+
+
+def _linear(effect: Effect, priors: Mapping[str, float], variant: str = "") -> Candidate:
+    """A variant that is linear in the named parameters, which the given effect has at zero."""
+    block = effect_block(effect, priors, label=f"@{variant}" if variant else "")
+    labels = dict(zip(priors, (one.label for one in block.regressors), strict=True))
+
+    def build(camera: Camera, values: Coefficients) -> Camera:
+        own = {path: values[label] for path, label in labels.items()}
+        bounds = effect.bounds()
+        clipped = {path: float(np.clip(v, *bounds.get(path, (-np.inf, np.inf)))) for path, v in own.items()}
+        return added(camera, with_values(effect, clipped))
+
+    return Candidate(effect.name, variant, block, build)
+
+
+def added(camera: Camera, effect: Effect) -> Camera:
+    """Return the camera with one effect more, in the order along the light."""
+    from rim_camera_ros.camera_file import with_effects
+
+    return with_effects(camera, {**camera.effects, effect.name: effect})
+
+
+def _cyclic(camera: Camera, facts: Facts) -> list[Candidate]:
+    return [_harmonics((4,)), _harmonics((4, 8)), _harmonics((8,)), _harmonics((2,)), _harmonics((1,))]
+
+
+def _harmonics(orders: tuple[int, ...]) -> Candidate:
+    base = CyclicError(harmonics=tuple(Harmonic(order, 1.0, 0.0) for order in orders))
+    priors: dict[str, float] = {}
+    for i in range(len(orders)):
+        priors |= {f"harmonics.{i}.amplitude": 0.02, f"harmonics.{i}.phase": 0.02}
+    variant = "+".join(str(order) for order in orders)
+    block = effect_block(base, priors, label=f"@{variant}")
+    names = [one.label for one in block.regressors]
+
+    def build(camera: Camera, values: Coefficients) -> Camera:
+        harmonics = []
+        for i, order in enumerate(orders):
+            sine, cosine = values[names[2 * i]], values[names[2 * i + 1]]
+            size, phase = float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine))
+            harmonics.append(Harmonic(order, max(size, 1e-5), phase))
+        return added(camera, CyclicError(harmonics=tuple(harmonics)))
+
+    return Candidate("cyclic_error", variant, block, build)
+
+
+def _amplitude(camera: Camera, facts: Facts) -> list[Candidate]:
+    """a / (A - b) ~ a / A + a b / A^2, per integration time."""
+    found = []
+    size = TERM_SIZE * facts.amplitude
+    for curved in (False, True):
+        base = AmplitudeOffset(
+            hyperbola=MappingProxyType({t: Hyperbola(1.0, 0.0) for t in facts.integration_times})
+        )
+        priors: dict[str, float] = {}
+        for t in facts.integration_times:
+            priors[f"hyperbola.{row_name(t)}.a"] = size
+            if curved:
+                priors[f"hyperbola.{row_name(t)}.b"] = size * 0.2 * facts.amplitude
+        variant = "a,b" if curved else "a"
+        block = effect_block(base, priors, label=f"@{variant}")
+        labels = dict(zip(priors, (one.label for one in block.regressors), strict=True))
+        found.append(
+            Candidate("amplitude_offset", variant, block, _amplitude_builder(labels, facts, curved=curved))
+        )
+    return found
+
+
+def _amplitude_builder(
+    labels: Mapping[str, str], facts: Facts, *, curved: bool
+) -> Callable[[Camera, Coefficients], Camera]:
+    def build(camera: Camera, values: Coefficients) -> Camera:
+        rows = {}
+        lowest = max(camera.sensor.amplitude_threshold, 0.02 * facts.amplitude)
+        for t in facts.integration_times:
+            a = values[labels[f"hyperbola.{row_name(t)}.a"]]
+            square = values[labels[f"hyperbola.{row_name(t)}.b"]] if curved else 0.0
+            b = float(np.clip(square / a, -0.5 * lowest, 0.5 * lowest)) if abs(a) > 1e-9 else 0.0
+            rows[t] = Hyperbola(float(a), b)
+        return added(camera, AmplitudeOffset(hyperbola=MappingProxyType(rows)))
+
+    return build
+
+
+def _incidence(camera: Camera, facts: Facts) -> list[Candidate]:
+    base = IncidenceAngle(
+        polynomial=MappingProxyType({t: (0.0, 0.0, 0.0, 0.0) for t in facts.integration_times})
+    )
+    return [_linear(base, present_priors(base, camera))]
+
+
+def _integration(camera: Camera, facts: Facts) -> list[Candidate]:
+    if len(facts.integration_times) < 2:
+        return []
+    base = IntegrationTimeOffset(offset=MappingProxyType(dict.fromkeys(facts.integration_times, 0.0)))
+    return [_linear(base, dict(base.priors()))]
+
+
+def _warm_up(camera: Camera, facts: Facts) -> list[Candidate]:
+    if facts.uptime is None or facts.uptime[1] - facts.uptime[0] < 1.0:
+        return []
+    grid = [t for t in (15.0, 40.0, 100.0, 250.0, 600.0, 1500.0) if t > facts.uptime[0] / 6]
+    found = [
+        _linear(WarmUpDrift(terms=(Exponential(0.0, t),)), {"terms.0.amplitude": TERM_SIZE}, f"{t:g} s")
+        for t in grid
+    ]
+    for slow, fast in ((600.0, 60.0), (250.0, 25.0)):
+        base = WarmUpDrift(terms=(Exponential(0.0, fast), Exponential(0.0, slow)))
+        priors = {"terms.0.amplitude": TERM_SIZE, "terms.1.amplitude": TERM_SIZE}
+        found.append(_linear(base, priors, f"{fast:g}+{slow:g} s"))
+    return found
+
+
+def _ambient(camera: Camera, facts: Facts) -> list[Candidate]:
+    if facts.ambient is None or facts.ambient[1] - facts.ambient[0] < 0.5:
+        return []
+    middle = round(sum(facts.ambient) / 2, 1)
+    return [
+        _linear(AmbientTemperature(0.0, middle, lag), {"coefficient": 0.005}, f"{lag:g} s")
+        for lag in (0.0, 60.0, 150.0, 300.0, 600.0, 1200.0, 2400.0)
+    ]
+
+
+def _scale(camera: Camera, facts: Facts) -> list[Candidate]:
+    return [_linear(DistanceScale(scale=0.0), {"scale": 0.02})]
+
+
+def _scattering(camera: Camera, facts: Facts) -> list[Candidate]:
+    width = camera.sensor.width
+    sizes = [max(width * share, 1.0) for share in (0.02, 0.045, 0.1, 0.2, 0.4, 0.9)]
+    found = [
+        _linear(Scattering(kernels=(Kernel(0.0, (s, s)),)), {"kernels.0.weight": 0.05}, f"{s:.3g} px")
+        for s in sizes
+    ]
+    for narrow, wide in ((sizes[1], sizes[4]), (sizes[2], sizes[5]), (sizes[0], sizes[3])):
+        base = Scattering(kernels=(Kernel(0.0, (narrow, narrow)), Kernel(0.0, (wide, wide))))
+        priors = {"kernels.0.weight": 0.05, "kernels.1.weight": 0.05}
+        found.append(_linear(base, priors, f"{narrow:.3g}+{wide:.3g} px"))
+    return found
+
+
+def _emitter(camera: Camera, facts: Facts) -> list[Candidate]:
+    base = EmitterOffset(position=(0.0, 0.0, 0.0))
+    return [_linear(base, {"position.0": 0.05, "position.1": 0.05, "position.2": 0.05})]
+
+
+def _emission(camera: Camera, facts: Facts) -> list[Candidate]:
+    return [_linear(EmissionPattern(falloff=(0.0, 0.0)), {"falloff.0": 2.0, "falloff.1": 4.0})]
+
+
+def _mixed(camera: Camera, facts: Facts) -> list[Candidate]:
+    return [_blurred(b) for b in (0.25, 0.35, 0.5, 0.65, 0.8, 1.0, 1.3, 1.7)]
+
+
+def _blurred(blur: float) -> Candidate:
+    """The change that a blur makes, scaled by a coefficient of prior 1 (its square root scales the blur)."""
+    effect = MixedPixels(blur=blur)
+    label = f"effects.mixed_pixels.blur@{blur:g} px"
+
+    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
+        signal = prediction.before_effect(effect.name)
+        phasor = to_phasor(signal.distance, signal.amplitude, prediction.context.ambiguity)
+        blurred = effect.apply(phasor, prediction.context)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            relative = np.where(phasor == 0, 0, blurred / phasor)
+            # large changes turn the phase by angles, not by ratios
+            change = np.where(relative == 0, 0, np.log(np.where(relative == 0, 1, relative)))
+        return [prediction.light_change(effect.name, change, phasor)]
+
+    block = Block((Regressor(label, effect.name, 1.0),), columns)
+
+    def build(camera: Camera, values: Coefficients) -> Camera:
+        share = max(values[label], 0.01)
+        return added(camera, MixedPixels(blur=blur * float(np.sqrt(share))))
+
+    return Candidate("mixed_pixels", f"{blur:g} px", block, build)
+
+
+def _bleed(camera: Camera, facts: Facts) -> list[Candidate]:
+    if not facts.saturated:
+        return []
+    return [_linear(SaturationBleed(row=0.0, column=0.0), {"row": 0.02, "column": 0.02})]
+
+
+def _multipath(camera: Camera, facts: Facts) -> list[Candidate]:
+    if facts.surfaces < 2:
+        return []
+    return [_linear(Multipath(strength=0.0), {"strength": 1.0})]
+
+
+def _motion(camera: Camera, facts: Facts) -> list[Candidate]:
+    return [_linear(Motion(sample_interval=0.0), {"sample_interval": 0.003})] if facts.moves else []
+
+
+def _compression(camera: Camera, facts: Facts) -> list[Candidate]:
+    return [_linear(AmplitudeNonlinearity(compression=0.0), {"compression": 0.1 / max(facts.amplitude, 1.0)})]
+
+
+_OPTICS: dict[str, tuple[tuple[str, float, float], ...]] = {
+    # name of the diagnosis: (path, step of the derivative, prior)
+    "camera_constant": (
+        ("fx", 0.1, 5.0),
+        ("fy", 0.1, 5.0),
+        ("cx", 0.1, 3.0),
+        ("cy", 0.1, 3.0),
+    ),
+    "lens_distortion": (
+        ("d.0", 1e-3, 0.1),
+        ("d.1", 1e-3, 0.1),
+        ("d.2", 1e-4, 0.003),
+        ("d.3", 1e-4, 0.003),
+    ),
+}
+
+
+def optics_block(camera: Camera, name: str) -> Block:
+    """Return the regressors of the camera geometry: the optics' parameters behind a name of the vocabulary."""
+    parts = _OPTICS[name]
+    changes: list[Array] = []
+    for path, step, _ in parts:
+        sides = []
+        for sign in (1.0, -1.0):
+            value = _optics_value(camera, path) + sign * step
+            optics = with_values(camera.optics, {path: value})
+            sides.append(pixel_rays(optics, width=camera.sensor.width, height=camera.sensor.height))
+        changes.append((sides[0] - sides[1]) / (2 * step))
+    regressors = tuple(Regressor(f"optics.{path}", name, prior) for path, _, prior in parts)
+
+    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
+        geometry = prediction.view.geometry
+        rays = camera.rays
+        along = np.einsum("ijk,ijk->ij", geometry.normals, rays)
+        result: list[tuple[Array, Array | None]] = []
+        for change in changes:
+            with np.errstate(invalid="ignore", divide="ignore"):
+                by = -geometry.distance * np.einsum("ijk,ijk->ij", geometry.normals, change) / along
+            by = np.where(geometry.hit, np.nan_to_num(by), 0.0)
+            result.append((np.asarray(prediction.reading_change(by, 0.0)[0]), None))
+        return result
+
+    return Block(regressors, columns)
+
+
+def _optics_value(camera: Camera, path: str) -> float:
+    from rim_camera_ros.parameters import flatten
+
+    return flatten(camera.optics)[path]
+
+
+def _geometry(name: str) -> Callable[[Camera, Facts], list[Candidate]]:
+    def make(camera: Camera, facts: Facts) -> list[Candidate]:
+        block = optics_block(camera, name)
+
+        def build(one: Camera, values: Coefficients) -> Camera:
+            moved = {
+                label.removeprefix("optics."): _optics_value(one, label.removeprefix("optics.")) + values[label]
+                for label in (r.label for r in block.regressors)
+            }
+            return replace(one, optics=with_values(one.optics, moved))
+
+        return [Candidate(name, "", block, build)]
+
+    return make
+
+
+_MAKERS: dict[str, Callable[[Camera, Facts], list[Candidate]]] = {
+    "cyclic_error": _cyclic,
+    "amplitude_offset": _amplitude,
+    "incidence_angle": _incidence,
+    "integration_time_offset": _integration,
+    "warm_up_drift": _warm_up,
+    "ambient_temperature": _ambient,
+    "distance_scale": _scale,
+    "scattering": _scattering,
+    "emitter_offset": _emitter,
+    "emission_pattern": _emission,
+    "mixed_pixels": _mixed,
+    "saturation_bleed": _bleed,
+    "multipath": _multipath,
+    "motion": _motion,
+    "amplitude_nonlinearity": _compression,
+}
+_GEOMETRY: dict[str, Callable[[Camera, Facts], list[Candidate]]] = {
+    name: _geometry(name) for name in ("camera_constant", "lens_distortion")
+}

@@ -1,0 +1,397 @@
+"""Normal equations of a joint fit: streamed over stations, folds of poses kept apart.
+
+Unknowns are the regressors (parameters of effects), the errors of every pose and the emitter's power at
+every pose (random effects with priors), and one offset per pixel (the fixed pattern, eliminated by a Schur
+complement). What is kept does not grow with the number of frames: one Gram matrix per fold of poses and the
+weighted sums per pixel that the elimination of the pattern needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from rim_camera_ros.calibrate.prediction import Forward, Prediction
+from rim_camera_ros.effects.base import Effect
+
+Array = NDArray[Any]
+
+#: 1-sigma of the fixed pattern's prior [m]: as good as unknown.
+PATTERN_PRIOR = 0.05
+_EFFECTS_WITHOUT_AMPLITUDE = frozenset(
+    {
+        "cyclic_error",
+        "background_light",
+        "amplitude_offset",
+        "incidence_angle",
+        "integration_time_offset",
+        "fixed_pattern_offset",
+        "saturation_bleed",
+        "warm_up_drift",
+        "ambient_temperature",
+        "distance_scale",
+        "integral_table",
+        "empirical",
+    }
+)
+
+
+@dataclass(frozen=True)
+class Regressor:
+    """One column of the design: label, the effect or curve it belongs to, 1-sigma of its prior."""
+
+    label: str
+    owner: str
+    prior: float
+
+
+#: Derivatives of measured distance and published amplitude (None: none) by each regressor of a block.
+ColumnsOf = Callable[[Prediction], Sequence[tuple[Array, Array | None]]]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Regressors whose columns are computed together."""
+
+    regressors: tuple[Regressor, ...]
+    columns: ColumnsOf
+
+
+def effect_block(
+    effect: Effect, priors: Mapping[str, float], *, owner: str | None = None, label: str = ""
+) -> Block:
+    """Return the regressors of some parameters of an effect: ``priors`` by dotted path.
+
+    The label is ``effects.NAME.PATH``, with ``label`` appended where variants must be told apart.
+    """
+    paths = tuple(priors)
+    has_amplitude = effect.name not in _EFFECTS_WITHOUT_AMPLITUDE
+
+    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
+        found = prediction.columns(effect)
+        return [(found[path][0], found[path][1] if has_amplitude else None) for path in paths]
+
+    name = effect.name if owner is None else owner
+    regressors = tuple(Regressor(f"effects.{effect.name}.{p}{label}", name, priors[p]) for p in paths)
+    return Block(regressors, columns)
+
+
+@dataclass
+class Fold:
+    """Sums over the stations of one fold of poses.
+
+    ``nuisances``: name, 1-sigma of the prior, and where the equations are linearised (their prior's mean is 0).
+    ``gram`` (M, M) over regressors, this fold's nuisances and the observations (last); ``pixel`` (P, M) and
+    ``weight`` (P,) the sums per pixel of the distance channel; ``rows`` the number of observations.
+    """
+
+    nuisances: list[tuple[str, float, float]]
+    gram: Array
+    pixel: Array
+    weight: Array
+    rows: int = 0
+
+
+@dataclass
+class NormalEquations:
+    """All folds; ``regressors`` in the order of the columns."""
+
+    regressors: list[Regressor]
+    folds: list[Fold] = field(default_factory=list)
+    shape: tuple[int, int] = (0, 0)
+    pattern_prior: float = PATTERN_PRIOR
+
+    def reduced(self, leave_out: int | None = None) -> Reduced:
+        """Return the equations of the regressors alone, of all folds but one; nuisances are eliminated."""
+        kept = [fold for i, fold in enumerate(self.folds) if i != leave_out]
+        return reduce_folds(kept, len(self.regressors), self.pattern_prior)
+
+
+@dataclass
+class Reduced:
+    """Equations of the regressors after eliminating all nuisances.
+
+    ``gram`` (K, K) and ``right`` (K,) or (K, R); ``square`` y' V^-1 y; ``rows`` observations. ``recover``
+    gives nuisances and pattern for given regressor values.
+    """
+
+    gram: Array
+    right: Array
+    square: Array
+    rows: int
+    recover: Callable[[Array], tuple[dict[str, float], Array]]
+
+
+def _stacked(folds: Sequence[Fold], count: int) -> tuple[Array, Array, Array, list[tuple[str, float, float]]]:
+    """Put folds together: Gram matrix, sums per pixel, weights, nuisances; order regressors, nuisances, y."""
+    nuisances = [one for fold in folds for one in fold.nuisances]
+    size = count + len(nuisances) + 1
+    pixels = len(folds[0].weight)
+    gram = np.zeros((size, size))
+    pixel = np.zeros((pixels, size), folds[0].pixel.dtype)
+    weight = np.zeros(pixels)
+    start = count
+    for fold in folds:
+        own = np.r_[np.arange(count), start + np.arange(len(fold.nuisances)), size - 1]
+        gram[np.ix_(own, own)] += fold.gram
+        pixel[:, :count] += fold.pixel[:, :count]
+        pixel[:, start : start + len(fold.nuisances)] = fold.pixel[:, count:-1]
+        pixel[:, -1] += fold.pixel[:, -1]
+        weight += fold.weight
+        start += len(fold.nuisances)
+    return gram, pixel, weight, nuisances
+
+
+def _stacked_replicates(
+    folds: Sequence[Fold], count: int, replicates: Sequence[tuple[Array, Array]]
+) -> tuple[Array, Array]:
+    """Put the replicates of folds together as `_stacked` does with the observations."""
+    own = [count + len(fold.nuisances) for fold in folds]
+    right = np.zeros((count + sum(n - count for n in own), replicates[0][0].shape[1]))
+    start = count
+    for n, (part, _) in zip(own, replicates, strict=True):
+        right[:count] += part[:count]
+        right[start : start + n - count] = part[count:]
+        start += n - count
+    return right, np.asarray(sum(pixel for _, pixel in replicates))
+
+
+def reduce_folds(
+    folds: Sequence[Fold],
+    count: int,
+    pattern_prior: float,
+    *,
+    replicates: Sequence[tuple[Array, Array]] | None = None,
+) -> Reduced:
+    """Eliminate pattern and nuisances from the sum of some folds.
+
+    ``replicates`` of each fold, right-hand sides (M - 1, R) and sums per pixel (P, R), take the place of the
+    observations.
+    """
+    gram, pixel, weight, nuisances = _stacked(folds, count)
+    scale = 1.0 / (weight + pattern_prior**-2)
+    scaled = pixel * np.sqrt(scale)[:, None].astype(pixel.dtype)
+    full = gram - (scaled.T @ scaled).astype(np.float64)
+    inner = slice(count, count + len(nuisances))
+    keep = np.r_[np.arange(count), full.shape[0] - 1]
+    block = full[inner, inner] + np.diag([p**-2 for _, p, _ in nuisances])
+    cross = full[inner][:, keep]
+    pull = np.array([at / p**2 for _, p, at in nuisances])
+    full[-1, -1] += sum((at / p) ** 2 for _, p, at in nuisances)
+    if nuisances:
+        cross[:, -1] -= pull
+        factor = linalg.cho_factor(block, check_finite=False)
+        solved = linalg.cho_solve(factor, cross, check_finite=False)
+        reduced = full[np.ix_(keep, keep)] - cross.T @ solved
+    else:
+        solved = cross
+        reduced = full[np.ix_(keep, keep)]
+    right = reduced[:-1, -1]
+    if replicates is not None:
+        drawn, summed = _stacked_replicates(folds, count, replicates)
+        drawn -= pixel[:, :-1].T @ (summed * scale[:, None].astype(summed.dtype))
+        right = drawn[:count]
+        if nuisances:
+            right = right - cross[:, :-1].T @ linalg.cho_solve(factor, drawn[count:], check_finite=False)
+
+    def recover(values: Array) -> tuple[dict[str, float], Array]:
+        errors = solved[:, -1] - solved[:, :-1] @ values if nuisances else np.zeros(0)
+        everything = np.concatenate([values, errors])
+        pattern = scale * (pixel[:, -1] - pixel[:, :-1] @ everything)
+        return {name: float(e) for (name, _, _), e in zip(nuisances, errors, strict=True)}, pattern
+
+    return Reduced(
+        gram=(reduced[:-1, :-1] + reduced[:-1, :-1].T) / 2,
+        right=right,
+        square=reduced[-1, -1],
+        rows=sum(fold.rows for fold in folds),
+        recover=recover,
+    )
+
+
+def accumulate(
+    forward: Forward,
+    blocks: Sequence[Block],
+    *,
+    fold_of: Mapping[tuple[int, int], int] | None = None,
+    pattern: bool = True,
+    weigh: Callable[[Prediction], tuple[Array, Array]] | None = None,
+    single: bool = False,
+) -> NormalEquations:
+    """Stream all stations into normal equations.
+
+    ``fold_of`` maps (recording, pose) to a fold number (default: all in fold 0); ``pattern`` estimates an
+    offset per pixel; ``weigh`` returns factors on the weights of both channels (robust fitting); ``single``
+    keeps the sums per pixel in float32.
+    """
+    regressors = [one for block in blocks for one in block.regressors]
+    count = len(regressors)
+    camera = forward.camera
+    gain_sigma = camera.radiometry.gain_sigma
+    sums: dict[int, _FoldSums] = {}
+    for prediction in forward.predictions():
+        station = prediction.station
+        key = (station.recording, station.pose)
+        number = 0 if fold_of is None else fold_of[key]
+        if number not in sums:
+            sums[number] = _FoldSums(count, camera.sensor.width * camera.sensor.height, single=single)
+        factors = None if weigh is None else weigh(prediction)
+        sums[number].add(prediction, blocks, gain_sigma, pattern, factors)
+    folds = [sums[number].fold(pattern) for number in sorted(sums)]
+    return NormalEquations(regressors, folds, camera.shape)
+
+
+class _FoldSums:
+    def __init__(self, count: int, pixels: int, *, single: bool) -> None:
+        self._count = count
+        self._type = np.float32 if single else np.float64
+        self._nuisances: dict[str, tuple[float, float]] = {}
+        self._gram = np.zeros((count, count))
+        self._right = np.zeros(count)
+        self._square = 0.0
+        self._rows = 0
+        self._pixel = np.zeros((pixels, count), self._type)
+        self._pixel_y = np.zeros(pixels, self._type)
+        self._weight = np.zeros(pixels)
+        # of each nuisance: products with the regressors, with y, and its sums per pixel
+        self._cross: dict[str, Array] = {}
+        self._cross_y: dict[str, float] = {}
+        self._inner: dict[tuple[str, str], float] = {}
+        self._nuisance_pixel: dict[str, Array] = {}
+
+    def add(
+        self,
+        prediction: Prediction,
+        blocks: Sequence[Block],
+        gain_sigma: float,
+        pattern: bool,
+        factors: tuple[Array, Array] | None,
+    ) -> None:
+        used, amplitude_used = prediction.used, prediction.amplitude_used
+        columns = [pair for block in blocks for pair in block.columns(prediction)]
+        nuisances = _nuisances(prediction, gain_sigma)
+        weight = 1.0 / prediction.sigma[used] ** 2
+        weight_a = 1.0 / prediction.amplitude_sigma[amplitude_used] ** 2
+        if factors is not None:
+            weight = weight * factors[0][used]
+            weight_a = weight_a * factors[1][amplitude_used]
+        design = np.empty((int(used.sum()), len(columns) + len(nuisances) + 1))
+        for i, (distance, _) in enumerate(columns):
+            design[:, i] = distance[used]
+        for i, (_, _, _, distance, _) in enumerate(nuisances):
+            design[:, len(columns) + i] = distance[used]
+        design[:, -1] = prediction.residual[used]
+        np.nan_to_num(design, copy=False, posinf=0.0, neginf=0.0)
+        weighted = design * weight[:, None]
+        gram = design.T @ weighted
+        with_amplitude = [i for i, (_, amplitude) in enumerate(columns) if amplitude is not None]
+        index = np.r_[with_amplitude, np.arange(len(columns), len(columns) + len(nuisances) + 1)].astype(int)
+        if amplitude_used.any():
+            light = np.empty((int(amplitude_used.sum()), len(index)))
+            for j, i in enumerate(with_amplitude):
+                amplitude = columns[i][1]
+                assert amplitude is not None
+                light[:, j] = amplitude[amplitude_used]
+            for j, (*_, amplitude) in enumerate(nuisances):
+                light[:, len(with_amplitude) + j] = amplitude[amplitude_used]
+            light[:, -1] = prediction.amplitude_residual[amplitude_used]
+            np.nan_to_num(light, copy=False, posinf=0.0, neginf=0.0)
+            gram[np.ix_(index, index)] += light.T @ (light * weight_a[:, None])
+        self._rows += len(weight) + len(weight_a)
+        self._sum(gram, nuisances)
+        if pattern:
+            pixels = np.flatnonzero(used.ravel())
+            self._pixel[pixels] += weighted[:, : self._count].astype(self._type)
+            self._pixel_y[pixels] += weighted[:, -1].astype(self._type)
+            self._weight[pixels] += weight
+            for i, (name, *_) in enumerate(nuisances):
+                sums = self._nuisance_pixel.setdefault(name, np.zeros(self._pixel.shape[0], self._type))
+                sums[pixels] += weighted[:, self._count + i].astype(self._type)
+
+    def _sum(self, gram: Array, nuisances: Sequence[_Nuisance]) -> None:
+        count = self._count
+        self._gram += gram[:count, :count]
+        self._right += gram[:count, -1]
+        self._square += gram[-1, -1]
+        for i, (name, prior, at, _, _) in enumerate(nuisances):
+            self._nuisances.setdefault(name, (prior, at))
+            self._cross[name] = self._cross.get(name, 0.0) + gram[:count, count + i]
+            self._cross_y[name] = self._cross_y.get(name, 0.0) + float(gram[-1, count + i])
+            for j, (other, *_) in enumerate(nuisances):
+                both = (name, other)
+                self._inner[both] = self._inner.get(both, 0.0) + float(gram[count + i, count + j])
+
+    def fold(self, pattern: bool) -> Fold:
+        count, names = self._count, list(self._nuisances)
+        size = count + len(names) + 1
+        gram = np.zeros((size, size))
+        gram[:count, :count] = self._gram
+        gram[:count, -1] = gram[-1, :count] = self._right
+        gram[-1, -1] = self._square
+        place = {name: count + i for i, name in enumerate(names)}
+        for name in names:
+            k = place[name]
+            gram[:count, k] = gram[k, :count] = self._cross[name]
+            gram[k, -1] = gram[-1, k] = self._cross_y[name]
+        for (one, other), value in self._inner.items():
+            gram[place[one], place[other]] = value
+        pixels = len(self._weight)
+        pixel = np.zeros((pixels if pattern else 1, size), self._type)
+        if pattern:
+            pixel[:, :count] = self._pixel
+            pixel[:, -1] = self._pixel_y
+            for name, sums in self._nuisance_pixel.items():
+                pixel[:, place[name]] = sums
+        weight = self._weight if pattern else np.zeros(1)
+        nuisances = [(name, *self._nuisances[name]) for name in names]
+        return Fold(nuisances, gram, pixel, weight, self._rows)
+
+
+#: Name, 1-sigma of the prior, value at the linearisation, derivatives of both channels.
+_Nuisance = tuple[str, float, float, Array, Array]
+
+
+def _nuisances(prediction: Prediction, gain_sigma: float) -> list[_Nuisance]:
+    """Return name, prior, value and both columns of a station's random effects: errors of poses, emitted power."""
+    station = prediction.station
+    key = f"{station.recording}.{station.pose}"
+    result = []
+    for column in prediction.pose_columns:
+        if column.path.startswith("scene."):
+            continue
+        distance, amplitude = prediction.pose_change(column)
+        result.append((f"{key}.{column.path}", column.prior, 0.0, distance, amplitude))
+    if gain_sigma > 0:
+        distance, amplitude = prediction.gain_column()
+        at = float(np.log(prediction.gain))
+        result.append((f"{key}.gain", gain_sigma, at, distance, amplitude))
+    return result
+
+
+def pose_block(paths: Sequence[tuple[str, float]]) -> Block:
+    """Return the regressors of the free poses of a scene: ``scene.SURFACE.AXIS`` with their priors."""
+    regressors = tuple(Regressor(path, "scene", prior) for path, prior in paths)
+
+    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
+        found = {one.path: one for one in prediction.pose_columns}
+        zero = np.zeros(prediction.distance.shape)
+        result: list[tuple[Array, Array | None]] = []
+        for path, _ in paths:
+            result.append(prediction.pose_change(found[path]) if path in found else (zero, zero))
+        return result
+
+    return Block(regressors, columns)
+
+
+def gain_block(prior: float = 1.0) -> Block:
+    """Return the regressor of the relative radiometric gain (label ``radiometry.gain``, relative)."""
+
+    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
+        return [prediction.gain_column()]
+
+    return Block((Regressor("radiometry.gain", "radiometry", prior),), columns)

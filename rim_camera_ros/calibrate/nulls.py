@@ -1,0 +1,88 @@
+"""Recordings in which nothing is left out, drawn in the space of the normal equations.
+
+Under the fitted baseline the sums that the equations consist of are Gaussian with a known covariance, so that
+a replicate of noise, pose errors and powers costs a few products instead of a simulated recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from rim_camera_ros.calibrate.normal_equations import Fold, NormalEquations, reduce_folds
+from rim_camera_ros.calibrate.selection import Scores
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class _Draw:
+    """Right-hand sides (M - 1, R) and sums per pixel (P, R) of the replicates of one fold."""
+
+    right: Array
+    pixel: Array
+
+
+def null_scores(
+    equations: NormalEquations,
+    base: Sequence[int],
+    *,
+    replicates: int = 200,
+    seed: int = 0,
+    temper: float = 1.0,
+) -> Scores:
+    """Return scores whose right-hand sides are those of replicates, (K, R).
+
+    ``temper`` is the variance of the residuals in units of the noise model.
+    """
+    rng = np.random.default_rng([seed, 41])
+    draws = [_draw(fold, replicates, rng, equations.pattern_prior) for fold in equations.folds]
+    factor = np.sqrt(temper)
+    scores = Scores.__new__(Scores)
+    scores.regressors = equations.regressors
+    scores.base = np.array(sorted(base), int)
+    scores.prior = np.array([one.prior for one in equations.regressors])
+    scores.temper = temper
+    count = len(equations.regressors)
+
+    def reduced(leave_out: int | None) -> Any:
+        kept = [i for i in range(len(equations.folds)) if i != leave_out]
+        return reduce_folds(
+            [equations.folds[i] for i in kept],
+            count,
+            equations.pattern_prior,
+            replicates=[(factor * draws[i].right, factor * draws[i].pixel) for i in kept],
+        )
+
+    scores.full = reduced(None)
+    scores.trained = [reduced(k) for k in range(len(equations.folds))] if len(equations.folds) > 1 else []
+    return scores
+
+
+def _draw(fold: Fold, replicates: int, rng: np.random.Generator, pattern_prior: float) -> _Draw:
+    size = fold.gram.shape[0] - 1
+    count = size - len(fold.nuisances)
+    design = fold.pixel[:, :size]
+    weight = fold.weight
+    lit = weight > 0
+    root = np.sqrt(weight).astype(np.float32)
+    noise = root[:, None] * rng.standard_normal((len(weight), replicates), dtype=np.float32)
+    inverse = np.where(lit, 1.0 / np.where(lit, weight, 1.0), 0.0)
+    mean = design.T @ (noise * inverse[:, None].astype(np.float32))
+    scaled = design * np.sqrt(inverse)[:, None]
+    rest = fold.gram[:size, :size] - scaled.T @ scaled
+    values, vectors = linalg.eigh((rest + rest.T) / 2)
+    spread = vectors * np.sqrt(np.maximum(values, 0.0))
+    right = mean.astype(float) + spread @ rng.standard_normal((size, replicates))
+    pixel = noise
+    if fold.nuisances:
+        sigma = np.array([prior for _, prior, _ in fold.nuisances])
+        errors = sigma[:, None] * rng.standard_normal((len(sigma), replicates))
+        right = right + fold.gram[:size, count:size] @ errors
+        pixel = pixel + (design[:, count:] @ errors.astype(design.dtype)).astype(np.float32)
+    return _Draw(right, pixel)

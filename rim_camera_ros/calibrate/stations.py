@@ -1,0 +1,284 @@
+"""Recordings reduced to stations: sums per pixel over frames of one pose and one setting.
+
+A station holds all that a fit needs of its frames, so that memory does not grow with their number. Sums
+are integers where the recording holds counts, so that nothing is lost. The reduction is a pure function of
+recording and camera and may run anywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.bags import Recording, Topics
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.frame import NANOSECONDS, Pose, RawFrame, Settings
+
+#: A pose that lasts longer is cut into blocks, so that drifts can be followed [s].
+BLOCK_SECONDS = 5.0
+#: Blocks become longer where a recording would have more of them than this.
+MOST_BLOCKS = 400
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Station:
+    """Frames of one pose, one setting and (within a long pose) one block of time.
+
+    ``distance`` [m] and ``amplitude`` [counts] (H, W) are means over the valid frames (NaN and 0 without
+    one; a wrapping camera's distances are averaged modulo L); ``distance_variance`` [m^2] and
+    ``amplitude_variance`` [counts^2] of single frames (NaN below two); ``count`` the valid frames of each
+    pixel; ``saturated`` how many of its frames were saturated. ``pose`` numbers the poses of the recording;
+    ``stamp`` [ns] and ``time`` [s since the first frame] are the middle of the block. ``common`` is the
+    frame-to-frame variation that all pixels share, as chi-square per degree of freedom of the mean complex
+    deviation (1: none; None for one frame).
+    """
+
+    recording: int
+    pose: int
+    frames: int
+    stamp: int
+    time: float
+    settings: Settings
+    truth: Mapping[str, Pose]
+    distance: Array
+    amplitude: Array
+    distance_variance: Array
+    amplitude_variance: Array
+    count: Array
+    saturated: Array
+    common: float | None = None
+
+
+@dataclass
+class Dataset:
+    """Stations of one or more recordings, in order; ``notes`` say what was assumed or left out."""
+
+    stations: list[Station]
+    files: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    frames: int = 0
+
+    @property
+    def poses(self) -> int:
+        """Number of different poses over all recordings."""
+        return len({(one.recording, one.pose) for one in self.stations})
+
+    @property
+    def integration_times(self) -> list[float]:
+        """The settings that occur, sorted."""
+        return sorted(
+            {
+                one.settings.integration_time
+                for one in self.stations
+                if one.settings.integration_time is not None
+            }
+        )
+
+
+class _Block:
+    """Integer sums of the frames of one station."""
+
+    def __init__(self, first: RawFrame, camera: Camera, pose: int) -> None:
+        self._camera = camera
+        self.pose = pose
+        self.first = first
+        self._counts = first.distance.dtype == np.uint16
+        self._period = round(camera.sensor.ambiguity / camera.sensor.lsb) if camera.sensor.wraps else 0
+        shape = first.distance.shape
+        whole = np.int64 if self._counts else np.float64
+        self._reference = np.zeros(shape, np.int32 if self._counts else np.float64)
+        self._seen = np.zeros(shape, bool)
+        self._count = np.zeros(shape, np.int32)
+        self._saturated = np.zeros(shape, np.int32)
+        self._sums = [np.zeros(shape, whole) for _ in range(4)]
+        self._stamps: list[int] = []
+        self._settings: list[Settings] = []
+        self._kept: list[Array] = []
+
+    def add(self, frame: RawFrame) -> None:
+        self._stamps.append(frame.stamp)
+        self._settings.append(frame.settings)
+        if self._counts:
+            valid = frame.distance != 0
+            value = frame.distance.astype(np.int32)
+            amplitude = frame.amplitude.astype(np.int64)
+        else:
+            valid = np.isfinite(frame.distance) & (frame.distance > 0)
+            value = np.where(valid, frame.distance, 0.0).astype(np.float64)
+            amplitude = np.nan_to_num(frame.amplitude.astype(np.float64))
+        saturated = frame.amplitude >= self._camera.sensor.saturation
+        self._saturated += saturated
+        valid = valid & ~saturated
+        new = valid & ~self._seen
+        self._reference[new] = value[new]
+        self._seen |= valid
+        difference = value - self._reference
+        period = self._period if self._counts else self._camera.sensor.ambiguity
+        if self._camera.sensor.wraps:
+            half = period // 2 if self._counts else period / 2
+            difference = (difference + half) % period - half
+        difference[~valid] = 0
+        amplitude = np.where(valid, amplitude, 0)
+        wide = difference.astype(self._sums[0].dtype)
+        self._count += valid
+        self._sums[0] += wide
+        self._sums[1] += wide * wide
+        self._sums[2] += amplitude
+        self._sums[3] += amplitude * amplitude
+        if len(self._kept) < 8:
+            lsb = self._camera.sensor.lsb if self._counts else 1.0
+            phase = value.astype(np.float32) * np.float32(2 * np.pi * lsb / self._camera.sensor.ambiguity)
+            self._kept.append(np.where(valid, amplitude, 0) * np.exp(1j * phase).astype(np.complex64))
+
+    def station(self, recording: int, start: int) -> Station:
+        lsb = self._camera.sensor.lsb if self._counts else 1.0
+        n = self._count
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mean = self._reference + self._sums[0] / n
+            if self._camera.sensor.wraps:
+                mean %= self._period if self._counts else self._camera.sensor.ambiguity
+            variance = (self._sums[1] - self._sums[0].astype(float) ** 2 / n) / (n - 1)
+            amplitude = self._sums[2] / n
+            amplitude_variance = (self._sums[3] - self._sums[2].astype(float) ** 2 / n) / (n - 1)
+        several = n > 1
+        middle = (self._stamps[0] + self._stamps[-1]) // 2
+        return Station(
+            recording=recording,
+            pose=self.pose,
+            frames=len(self._stamps),
+            stamp=middle,
+            time=(middle - start) / NANOSECONDS,
+            settings=_mean_settings(self._settings),
+            truth=self.first.truth,
+            distance=np.where(n > 0, mean * lsb, np.nan).astype(np.float64),
+            amplitude=np.where(n > 0, amplitude, 0.0).astype(np.float32),
+            distance_variance=np.where(several, variance * lsb**2, np.nan).astype(np.float32),
+            amplitude_variance=np.where(several, amplitude_variance, np.nan).astype(np.float32),
+            count=n,
+            saturated=self._saturated.astype(np.uint16),
+            common=self._common_variation(),
+        )
+
+    def _common_variation(self) -> float | None:
+        """Mean complex deviation of all pixels per frame, squared, over its expectation."""
+        if len(self._kept) < 2:
+            return None
+        stack = np.stack(self._kept)
+        stack = stack[:, (stack != 0).all(axis=0)]
+        if stack.shape[1] < 50:
+            return None
+        deviation = stack - stack.mean(axis=0)
+        frames = len(stack)
+        variance = (np.abs(deviation) ** 2).sum(axis=0) / (frames - 1)
+        # noise grows with the amplitude where the floor prevails: those pixels say little
+        weight = 1.0 / np.maximum(variance, np.quantile(variance, 0.2) + 1e-12)
+        total = (deviation * weight).sum(axis=1)
+        expected = (weight**2 * variance).sum() * (frames - 1) / frames
+        return float((np.abs(total) ** 2).mean() / expected)
+
+
+def _mean_settings(settings: list[Settings]) -> Settings:
+    """Return the first frame's settings with the means of what changes steadily."""
+
+    def mean(name: str) -> float | None:
+        values = [getattr(one, name) for one in settings]
+        return None if any(v is None for v in values) else float(np.mean(values))
+
+    changing = ("uptime", "body_temperature", "ambient_temperature", "reference_distance")
+    return replace(settings[0], **{name: mean(name) for name in changing})
+
+
+def reduce_frames(
+    frames: Iterable[RawFrame], camera: Camera, *, recording: int = 0, block_seconds: float = BLOCK_SECONDS
+) -> Iterator[Station]:
+    """Yield the stations of a recording's frames.
+
+    Raises `InputError` for images of another size than the camera's, or another modulation frequency.
+    """
+    start: int | None = None
+    poses: dict[tuple[tuple[str, int], ...], int] = {}
+    block: _Block | None = None
+    key: Any = None
+    for frame in frames:
+        if start is None:
+            start = frame.stamp
+        check_frame(frame, camera)
+        messages = tuple(sorted(frame.pose_stamps.items()))
+        own = (messages, frame.settings.integration_time)
+        late = block is not None and frame.stamp - block.first.stamp > block_seconds * NANOSECONDS
+        if block is None or own != key or late:
+            if block is not None:
+                yield block.station(recording, start)
+            block, key = _Block(frame, camera, poses.setdefault(messages, len(poses))), own
+        block.add(frame)
+    if block is not None and start is not None:
+        yield block.station(recording, start)
+
+
+def check_frame(frame: RawFrame, camera: Camera) -> None:
+    """Raise `InputError` where a frame cannot be of this camera."""
+    if frame.shape != camera.shape:
+        raise InputError(
+            f"its images have {frame.shape[1]} x {frame.shape[0]} px, "
+            f"the camera file {camera.shape[1]} x {camera.shape[0]}",
+            remedy="give the camera file of the camera that recorded it",
+        )
+    frequency, own = frame.settings.modulation_frequency, camera.sensor.modulation_frequency
+    if frequency is not None and abs(frequency / own - 1) > 1e-3:
+        raise InputError(
+            f"it was recorded at a modulation frequency of {frequency / 1e6:g} MHz, the camera file says "
+            f"{own / 1e6:g} MHz",
+            place="frame_info",
+            remedy="calibrate each modulation frequency by itself",
+        )
+
+
+def reduce_recording(
+    path: str | PathLike[str],
+    camera: Camera,
+    *,
+    topics: Topics | None = None,
+    recording: int = 0,
+    progress: Callable[[Iterable[RawFrame]], Iterable[RawFrame]] | None = None,
+) -> Dataset:
+    """Return the stations of one recording, a pure function of recording and camera.
+
+    ``progress`` wraps the iteration over frames. Raises `InputError` naming the recording.
+    """
+    with Recording(path, topics=topics) as bag:
+        summary = bag.summary()
+        seconds = max(BLOCK_SECONDS, summary.duration / MOST_BLOCKS)
+        frames: Iterable[RawFrame] = bag.frames()
+        if progress is not None:
+            frames = progress(frames)
+        try:
+            stations = list(reduce_frames(frames, camera, recording=recording, block_seconds=seconds))
+        except InputError as error:
+            raise error.located(path) from None
+        notes = list(bag.assumptions)
+        if summary.damage:
+            notes.append(f"{path}: {summary.damage}: only what could be read is used")
+        notes += [f"{path}: left out: {number} {why}" for why, number in bag.skipped.items() if number]
+    return Dataset(stations, [str(path)], notes, sum(one.frames for one in stations))
+
+
+def merged(parts: Iterable[Dataset]) -> Dataset:
+    """Return the stations of several recordings as one dataset, numbered in their order.
+
+    Raises `InputError` for recordings of different devices or modulation frequencies.
+    """
+    result = Dataset([])
+    for number, part in enumerate(parts):
+        result.stations += [replace(one, recording=number) for one in part.stations]
+        result.files += part.files
+        result.notes += part.notes
+        result.frames += part.frames
+    return result

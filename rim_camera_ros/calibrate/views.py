@@ -1,0 +1,175 @@
+"""What each station's pixels see: geometry, which pixels to trust, and how errors of a pose move it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.stations import Station
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.frame import Pose
+from rim_camera_ros.scene import Geometry, Scene, ScenePose, Surface, rotation_matrix, see
+
+Array = NDArray[Any]
+
+#: A pixel is left out whose ray passes this near to the outline of a surface, or to the edge of a tile [px].
+OUTLINE_MARGIN = 0.4
+TILE_MARGIN = 0.3
+#: Geometries are kept up to this many bytes; beyond, they are computed again in each pass.
+_KEPT_BYTES = 600_000_000
+
+_OPTICAL = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+@dataclass(frozen=True)
+class View:
+    """Geometry of a station and the pixels (H, W) whose ray stays away from outlines and tile edges."""
+
+    geometry: Geometry
+    clean: NDArray[np.bool_]
+    poses: Mapping[str, Pose]
+    pose_columns: list[PoseColumn] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class PoseColumn:
+    """Derivative of the distance by one error of one pose.
+
+    ``path`` names it: ``pose.SURFACE.offset|tilt_x|tilt_y`` with the 1-sigma ``prior`` of the reference
+    instrument, or ``scene.SURFACE.AXIS`` of a free pose. ``distance`` (H, W) in m per m or per rad.
+    """
+
+    path: str
+    prior: float
+    distance: Array
+
+
+class Views:
+    """The views of a scene's stations through one camera geometry; the latest are kept."""
+
+    def __init__(self, camera: Camera, scene: Scene) -> None:
+        self.camera, self.scene = camera, scene
+        height, width = camera.shape
+        self._most = max(4, _KEPT_BYTES // (height * width * 75))
+        self._kept: dict[Any, View] = {}
+        self._around = {m: _rays_around(camera.rays, m) for m in (OUTLINE_MARGIN, TILE_MARGIN)}
+
+    def fits(self, camera: Camera) -> bool:
+        """Return whether these views hold for a camera: same rays."""
+        return camera.optics == self.camera.optics and camera.shape == self.camera.shape
+
+    def view(self, station: Station) -> View:
+        """Return what a station's pixels see. Raises `InputError` for a missing pose."""
+        poses = self.scene.poses_for(station.truth)
+        key = tuple(poses[one.name] for one in self.scene.surfaces)
+        found = self._kept.get(key)
+        if found is None:
+            geometry = see(self.scene, poses, self.camera.rays)
+            found = View(geometry, self._clean(geometry, poses), poses)
+            found.pose_columns.extend(self._pose_columns(found))
+            if len(self._kept) >= self._most:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[key] = found
+        return found
+
+    def _clean(self, geometry: Geometry, poses: Mapping[str, Pose]) -> NDArray[np.bool_]:
+        clean = geometry.hit.copy()
+        surfaces = self.scene.surfaces
+        uncertain = len(surfaces) > 1 or surfaces[0].type != "plane"
+        if uncertain:
+            for rays in self._around[OUTLINE_MARGIN]:
+                clean &= see(self.scene, poses, rays).surface == geometry.surface
+        textured = [i for i, one in enumerate(surfaces) if one.texture is not None]
+        for i in textured:
+            texture = surfaces[i].texture
+            assert texture is not None
+            pose = poses[surfaces[i].name]
+            rotation = rotation_matrix(pose.orientation)
+            mine = geometry.surface == i
+            for rays in self._around[TILE_MARGIN]:
+                length = surfaces[i].lengths(pose, np.zeros(3), rays[mine])
+                met = np.isfinite(length)
+                local = (np.where(met, length, 0.0)[:, None] * rays[mine] - np.array(pose.position)) @ rotation
+                same = texture.reflectivity(local[:, 0], local[:, 1]) == geometry.reflectivity[mine]
+                clean[mine] &= same | ~met
+        return clean
+
+    def _pose_columns(self, view: View) -> list[PoseColumn]:
+        """Return how errors of the poses change the distance of a view, surface by surface.
+
+        The plane n . (d r) = n . p gives dd = n . dp / (n . r) for a shift and (w x n) . (p - X) / (n . r)
+        for a small rotation w about p.
+        """
+        result: list[PoseColumn] = []
+        for i, surface in enumerate(self.scene.surfaces):
+            mine = view.geometry.surface == i
+            if not mine.any():
+                continue
+            if surface.pose == "truth":
+                result += _truth_columns(surface, view, mine, self.camera.rays)
+            elif isinstance(surface.pose, ScenePose) and surface.pose.free:
+                result += _free_columns(surface, surface.pose, view, mine, self.camera.rays)
+        return result
+
+
+def _truth_columns(surface: Surface, view: View, mine: Array, rays: Array) -> list[PoseColumn]:
+    offset, tilt = surface.pose_sigma
+    rotation = rotation_matrix(view.poses[surface.name].orientation)
+    result = []
+    if offset > 0:
+        shift = _by_shift(rotation[:, 2], view, mine, rays)
+        result.append(PoseColumn(f"pose.{surface.name}.offset", offset, shift))
+    if tilt > 0 and surface.type != "sphere":
+        for name, axis in (("tilt_x", rotation[:, 0]), ("tilt_y", rotation[:, 1])):
+            turn = _by_rotation(axis, view.poses[surface.name], view, mine, rays)
+            result.append(PoseColumn(f"pose.{surface.name}.{name}", tilt, turn))
+    return result
+
+
+def _free_columns(
+    surface: Surface, pose: ScenePose, view: View, mine: Array, rays: Array
+) -> list[PoseColumn]:
+    result = []
+    for name in pose.free:
+        path = f"scene.{surface.name}.{name}"
+        if name in _AXES:
+            column = _by_shift(np.array(_AXES[name]), view, mine, rays)
+            result.append(PoseColumn(path, 1.0, column))
+        else:
+            column = _by_rotation(np.array(_OPTICAL[name]), view.poses[surface.name], view, mine, rays)
+            result.append(PoseColumn(path, 0.3, column))
+    return result
+
+
+def _along_rays(view: View, mine: Array, rays: Array) -> Array:
+    return np.einsum("nk,nk->n", view.geometry.normals[mine], rays[mine])
+
+
+def _by_shift(direction: Array, view: View, mine: Array, rays: Array) -> Array:
+    column = np.zeros(mine.shape)
+    column[mine] = view.geometry.normals[mine] @ direction / _along_rays(view, mine, rays)
+    return column
+
+
+def _by_rotation(axis: Array, pose: Pose, view: View, mine: Array, rays: Array) -> Array:
+    column = np.zeros(mine.shape)
+    arm = np.array(pose.position) - view.geometry.points[mine]
+    turned = np.cross(axis, view.geometry.normals[mine])
+    column[mine] = np.einsum("nk,nk->n", turned, arm) / _along_rays(view, mine, rays)
+    return column
+
+
+def _rays_around(rays: Array, margin: float) -> list[Array]:
+    """Return the rays ``margin`` pixels to the four diagonal sides, by linear interpolation."""
+    result = []
+    down = np.gradient(rays, axis=0)
+    across = np.gradient(rays, axis=1)
+    for dv, du in ((-1, -1), (-1, 1), (1, -1), (1, 1), (0, -1), (0, 1), (-1, 0), (1, 0)):
+        moved = rays + margin * (dv * down + du * across)
+        result.append(moved / np.linalg.norm(moved, axis=-1, keepdims=True))
+    return result
