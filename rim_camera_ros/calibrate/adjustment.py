@@ -45,7 +45,8 @@ class Problem:
     """What is fitted: the data, the scene, which effects are free, and what else.
 
     ``effects`` None frees all that the camera has; ``geometry`` names of `library.optics_block` to estimate;
-    ``robust`` bounds the weight of outliers; ``pattern`` estimates an offset per pixel.
+    ``robust`` bounds the weight of outliers; ``pattern`` estimates an offset per pixel;
+    ``masks`` restrict the pixels (`Forward`).
     """
 
     dataset: Dataset
@@ -56,6 +57,7 @@ class Problem:
     pattern: bool = True
     robust: bool = True
     single: bool = False
+    masks: Sequence[tuple[Array, Array]] | None = None
 
 
 @dataclass
@@ -123,6 +125,7 @@ def fit(
     for count in range(iterations + 1):
         forward = Forward(problem.dataset, scene, camera, views=None if moved else views)
         views = forward.views
+        forward.masks = problem.masks
         if gains is None:
             forward.estimate_amplitudes()
             tau = forward.amplitude_model.tau
@@ -132,6 +135,7 @@ def fit(
                 offsets[_GAIN] = float(np.log(camera.radiometry.gain / numbers[_GAIN]))
                 gains = dict.fromkeys(gains, 1.0)
                 forward = Forward(problem.dataset, scene, camera, views=forward.views)
+                forward.masks = problem.masks
         elif count <= _SETTLED:
             forward.amplitude_model = AmplitudeModel(gains, tau)
             tau = amplitude_error(forward, nuisances)

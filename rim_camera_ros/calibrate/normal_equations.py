@@ -87,7 +87,8 @@ class Fold:
 
     ``nuisances``: name, 1-sigma of the prior, and where the equations are linearised (their prior's mean is 0).
     ``gram`` (M, M) over regressors, this fold's nuisances and the observations (last); ``pixel`` (P, M) and
-    ``weight`` (P,) the sums per pixel of the distance channel; ``rows`` the number of observations.
+    ``weight`` (P,) the sums per pixel of the distance channel; ``rows`` the number of observations,
+    ``log_sigma`` the sum of their log standard deviations.
     """
 
     nuisances: list[tuple[str, float, float]]
@@ -95,6 +96,7 @@ class Fold:
     pixel: Array
     weight: Array
     rows: int = 0
+    log_sigma: float = 0.0
 
 
 @dataclass
@@ -116,14 +118,16 @@ class NormalEquations:
 class Reduced:
     """Equations of the regressors after eliminating all nuisances.
 
-    ``gram`` (K, K) and ``right`` (K,) or (K, R); ``square`` y' V^-1 y; ``rows`` observations. ``recover``
-    gives nuisances and pattern for given regressor values.
+    ``gram`` (K, K) and ``right`` (K,) or (K, R); ``square`` y' V^-1 y; ``log_norm`` half the log determinant of
+    V; ``rows`` observations. ``recover`` gives nuisances and pattern for
+    given regressor values.
     """
 
     gram: Array
     right: Array
     square: Array
     rows: int
+    log_norm: float
     recover: Callable[[Array], tuple[dict[str, float], Array]]
 
 
@@ -181,6 +185,8 @@ def reduce_folds(
     keep = np.r_[np.arange(count), full.shape[0] - 1]
     block = full[inner, inner] + np.diag([p**-2 for _, p, _ in nuisances])
     cross = full[inner][:, keep]
+    log_norm = sum(fold.log_sigma for fold in folds)
+    log_norm += 0.5 * float(np.sum(np.log1p(weight * pattern_prior**2)))
     pull = np.array([at / p**2 for _, p, at in nuisances])
     full[-1, -1] += sum((at / p) ** 2 for _, p, at in nuisances)
     if nuisances:
@@ -188,6 +194,7 @@ def reduce_folds(
         factor = linalg.cho_factor(block, check_finite=False)
         solved = linalg.cho_solve(factor, cross, check_finite=False)
         reduced = full[np.ix_(keep, keep)] - cross.T @ solved
+        log_norm += float(np.sum(np.log(np.diag(factor[0]))) + sum(np.log(p) for _, p, _ in nuisances))
     else:
         solved = cross
         reduced = full[np.ix_(keep, keep)]
@@ -210,6 +217,7 @@ def reduce_folds(
         right=right,
         square=reduced[-1, -1],
         rows=sum(fold.rows for fold in folds),
+        log_norm=log_norm,
         recover=recover,
     )
 
@@ -255,6 +263,7 @@ class _FoldSums:
         self._right = np.zeros(count)
         self._square = 0.0
         self._rows = 0
+        self._log_sigma = 0.0
         self._pixel = np.zeros((pixels, count), self._type)
         self._pixel_y = np.zeros(pixels, self._type)
         self._weight = np.zeros(pixels)
@@ -303,6 +312,7 @@ class _FoldSums:
             np.nan_to_num(light, copy=False, posinf=0.0, neginf=0.0)
             gram[np.ix_(index, index)] += light.T @ (light * weight_a[:, None])
         self._rows += len(weight) + len(weight_a)
+        self._log_sigma -= 0.5 * float(np.log(weight).sum() + np.log(weight_a).sum())
         self._sum(gram, nuisances)
         if pattern:
             pixels = np.flatnonzero(used.ravel())
@@ -349,7 +359,7 @@ class _FoldSums:
                 pixel[:, place[name]] = sums
         weight = self._weight if pattern else np.zeros(1)
         nuisances = [(name, *self._nuisances[name]) for name in names]
-        return Fold(nuisances, gram, pixel, weight, self._rows)
+        return Fold(nuisances, gram, pixel, weight, self._rows, self._log_sigma)
 
 
 #: Name, 1-sigma of the prior, value at the linearisation, derivatives of both channels.

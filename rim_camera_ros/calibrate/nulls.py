@@ -76,8 +76,11 @@ def _draw(fold: Fold, replicates: int, rng: np.random.Generator, pattern_prior: 
     mean = design.T @ (noise * inverse[:, None].astype(np.float32))
     scaled = design * np.sqrt(inverse)[:, None]
     rest = fold.gram[:size, :size] - scaled.T @ scaled
-    values, vectors = linalg.eigh((rest + rest.T) / 2)
-    spread = vectors * np.sqrt(np.maximum(values, 0.0))
+    # columns differ by many orders of magnitude
+    diagonal = np.diag(rest)
+    unit = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    values, vectors = linalg.eigh((rest + rest.T) / 2 / unit[:, None] / unit[None, :])
+    spread = unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     right = mean.astype(float) + spread @ rng.standard_normal((size, replicates))
     pixel = noise
     if fold.nuisances:

@@ -148,13 +148,18 @@ class AmplitudeModel:
 
 
 class Forward:
-    """Predictions of a dataset's stations by one camera, in order of time."""
+    """Predictions of a dataset's stations by one camera, in order of time.
+
+    ``masks`` of each station and channel, where given, restrict the pixels that are used, so that fits by
+    different cameras can be compared.
+    """
 
     def __init__(self, dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None) -> None:
         self.dataset, self.scene, self.camera = dataset, scene, camera
         self.views = views if views is not None and views.fits(camera) else Views(camera, scene)
         self.notes: set[str] = set()
         self.amplitude_model = AmplitudeModel()
+        self.masks: Sequence[tuple[Array, Array]] | None = None
         self._order = {name: i for i, name in enumerate(registry())}
 
     def estimate_amplitudes(self, gains: Mapping[tuple[int, int], float] | None = None) -> AmplitudeModel:
@@ -194,10 +199,18 @@ class Forward:
         model = self.amplitude_model if model is None else model
         memory: dict[str, Any] = {}
         recording = None
-        for station in self.dataset.stations:
+        for number, station in enumerate(self.dataset.stations):
             if station.recording != recording:
                 memory, recording = {}, station.recording
-            yield self._predict(station, memory, model, slopes)
+            one = self._predict(station, memory, model, slopes)
+            if self.masks is not None:
+                one.used &= self.masks[number][0]
+                one.amplitude_used &= self.masks[number][1]
+            yield one
+
+    def pixels_used(self) -> list[tuple[Array, Array]]:
+        """Return the pixels of each station that are fitted: both channels, (H, W) each."""
+        return [(one.used, one.amplitude_used) for one in self.predictions(slopes=False)]
 
     def _expanded(self, published: Array) -> Array:
         effect: Any = self.camera.effects.get("amplitude_nonlinearity")

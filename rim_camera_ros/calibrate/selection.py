@@ -77,6 +77,17 @@ class Scores:
             return everything
         return sum(everything - self._evidence(one, columns) for one in self.trained)
 
+    def log_likelihood(self, extra: Iterable[int] = ()) -> float:
+        """Return the held-out log likelihood in nats with all its constants but the number of values.
+
+        Comparable between fits of the same pixels at different parameters.
+        """
+        total = float(self.held_out(extra))
+        for one in self.trained or []:
+            total -= 0.5 * float(self.full.square - one.square) / self.temper
+            total -= self.full.log_norm - one.log_norm
+        return total
+
     def gain(self, extra: Iterable[int]) -> Any:
         """Return the gain of a set over the base alone, in nats."""
         return self.held_out(extra) - self.held_out()

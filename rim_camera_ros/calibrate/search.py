@@ -1,0 +1,338 @@
+"""Forward search: which effects the recordings ask for, beyond those of the camera file.
+
+One exploration linearises all candidates at the present fit and scores them, alone and in pairs, against a
+threshold from simulated nulls of this very recording. The leaders are then fitted non-linearly in the full
+forward chain, and the best of them joins the camera; then everything is looked at anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
+from rim_camera_ros.calibrate.library import Candidate, Facts, candidates
+from rim_camera_ros.calibrate.normal_equations import Block
+from rim_camera_ros.calibrate.nulls import null_scores
+from rim_camera_ros.calibrate.selection import Scores, folds_of
+from rim_camera_ros.camera import Camera
+
+Array = NDArray[Any]
+
+#: Share of nulls that may raise an alarm, and the least threshold in nats.
+ALARM_RATE = 0.02
+LEAST_THRESHOLD = 8.0
+#: A further effect must gain this share of what the effects before it gained.
+LEAST_SHARE = 0.01
+#: A further effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
+LEAST_SIZE = 0.0005
+MOST_EFFECTS = 4
+
+
+@dataclass
+class Exploration:
+    """Scores of all candidates at one fit.
+
+    ``gains`` in nats of held-out log likelihood, one per candidate; ``threshold`` from ``null_maxima``, the
+    greatest gain of any candidate in each replicate in which nothing is left out.
+    """
+
+    fit: Fit
+    candidates: Sequence[Candidate]
+    scores: Scores
+    spans: list[list[int]]
+    gains: Array
+    null_maxima: Array
+    threshold: float
+
+    def best(self) -> dict[str, int]:
+        """Return the best variant of each effect, the best effect first."""
+        result: dict[str, int] = {}
+        for k in np.argsort(-self.gains):
+            result.setdefault(self.candidates[int(k)].effect, int(k))
+        return result
+
+    def joint(self, *numbers: int) -> float:
+        """Return the gain of several candidates together."""
+        return float(self.scores.gain([i for k in numbers for i in self.spans[k]]))
+
+    def best_pair(self, most: int = 12) -> tuple[float, tuple[int, int]] | None:
+        """Return the best pair of different effects among the leading variants of every effect."""
+        leaders = list(self.best().values())[:most]
+        extra = [
+            int(k)
+            for k in np.argsort(-self.gains)[: 2 * most]
+            if int(k) not in leaders and self.gains[int(k)] > 0.3 * self.gains.max()
+        ]
+        pool = leaders + extra[:6]
+        pairs = [
+            (self.joint(a, b), (a, b))
+            for a, b in combinations(pool, 2)
+            if self.candidates[a].effect != self.candidates[b].effect
+        ]
+        return max(pairs, default=None)
+
+    def camera_with(self, numbers: Sequence[int]) -> Camera:
+        """Return the fitted camera with candidates at the strength that the linear fit gives them."""
+        values = self.scores.values([i for k in numbers for i in self.spans[k]])
+        camera = self.fit.camera
+        for k in numbers:
+            camera = self.candidates[k].build(camera, values)
+        return camera
+
+
+def explore(
+    problem: Problem,
+    camera: Camera,
+    found: Sequence[Candidate],
+    folds: Mapping[tuple[int, int], int],
+    *,
+    views: Any = None,
+    seed: int = 0,
+    replicates: int = 200,
+    iterations: int = 8,
+    progress: Callable[[str], None] | None = None,
+) -> Exploration:
+    """Fit the camera and score all candidates at the solution."""
+    blocks: list[Block] = [one.block for one in found]
+    fitted = fit(
+        problem, camera, fold_of=folds, further=blocks, views=views, iterations=iterations, progress=progress
+    )
+    return explored(fitted, found, seed=seed, replicates=replicates)
+
+
+def explored(
+    fitted: Fit, found: Sequence[Candidate], *, seed: int = 0, replicates: int = 200
+) -> Exploration:
+    """Score the candidates whose columns stand in a fit's equations after its parameters."""
+    count = len(fitted.parameters)
+    spans: list[list[int]] = []
+    start = count
+    for one in found:
+        width = len(one.block.regressors)
+        spans.append(list(range(start, start + width)))
+        start += width
+    scores = Scores(fitted.equations, range(count))
+    # what no model explains makes every gain larger than the noise would: measure in its units
+    chi_square, rows = scores.chi_square(held_out=True)
+    temper = max(1.0, chi_square / max(rows, 1)) if rows else 1.0
+    gains = np.array([float(scores.gain(span)) for span in spans])
+    maxima = np.zeros(0)
+    threshold = LEAST_THRESHOLD
+    if replicates and scores.trained and found:
+        nulls = null_scores(fitted.equations, range(count), replicates=replicates, seed=seed, temper=temper)
+        base = nulls.held_out()
+        maxima = np.max([nulls.held_out(span) - base for span in spans], axis=0)
+        threshold = max(LEAST_THRESHOLD, gumbel_quantile(maxima, 1 - ALARM_RATE))
+    return Exploration(fitted, found, scores, spans, gains, maxima, threshold)
+
+
+def gumbel_quantile(maxima: Array, probability: float) -> float:
+    """Return a quantile of maxima by a Gumbel distribution of their mean and spread."""
+    scale = float(np.std(maxima)) * np.sqrt(6) / np.pi
+    location = float(np.mean(maxima)) - 0.5772 * scale
+    return location - scale * float(np.log(-np.log(probability)))
+
+
+@dataclass
+class Found:
+    """An effect that joined: its gain in nats alone at that step, and who else could have explained it."""
+
+    effect: str
+    gain: float
+    rivals: list[tuple[str, float]] = field(default_factory=list)
+    ties: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Result:
+    """The search's end: the camera with all that was found, its last fit, and every exploration."""
+
+    camera: Camera
+    found: list[Found]
+    explorations: list[Exploration]
+    log_likelihood: float
+    start_log_likelihood: float
+    problem: Problem
+    folds: Mapping[tuple[int, int], int]
+
+    @property
+    def fit(self) -> Fit:
+        """The fit of the final camera."""
+        return self.explorations[-1].fit
+
+
+def search(
+    problem: Problem,
+    camera: Camera,
+    facts: Facts,
+    *,
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+    most: int = MOST_EFFECTS,
+    further: Sequence[Candidate] = (),
+    progress: Callable[[str], None] | None = None,
+) -> Result:
+    """Add effects to a camera one after the other as long as held-out poses ask for them.
+
+    ``effects`` restricts the candidates. ``further`` candidates are scored with the others in the first
+    exploration but never join (smooth terms).
+    """
+    say = progress if progress is not None else _silent
+    folds = folds_of(problem.dataset)
+    pool = candidates(camera, facts, effects=effects)
+    say(f"baseline and {len(pool)} candidates")
+    first = explore(problem, camera, [*pool, *further], folds, seed=seed)
+    problem = replace(problem, masks=first.fit.forward.pixels_used())
+    explorations = [first]
+    start = first.scores.log_likelihood()
+    found: list[Found] = []
+    total = 0.0
+    step = first
+    tried: set[str] = set()
+    while len(found) < most:
+        named = _named(step, pool)
+        if not named:
+            break
+        leader, gain = named[0]
+        need = max(step.threshold, LEAST_SHARE * total)
+        pair = step.best_pair() if gain > 0.5 * step.threshold else None
+        numbers: tuple[int, ...] = (leader,)
+        if pair is not None and leader not in pair[1] and pair[0] > gain + max(need, 0.25 * gain):
+            numbers = pair[1]
+        elif gain <= need:
+            if pair is None or pair[0] <= 1.5 * need:
+                break
+            numbers = pair[1]
+        chosen, likelihood, next_step = _refined(problem, step, numbers, folds, pool, explorations, seed, say)
+        before = step.scores.log_likelihood()
+        gain = likelihood - before
+        if gain <= need or effect_size(next_step.fit, chosen) < LEAST_SIZE:
+            tried |= set(chosen)
+            break
+        total += gain
+        for name in chosen:
+            rivals, ties = _rivals(step, name, need)
+            found.append(Found(name, gain, rivals, ties))
+        explorations.append(next_step)
+        step = next_step
+        pool = list(step.candidates)
+    return Result(
+        camera=step.fit.camera,
+        found=found,
+        explorations=explorations,
+        log_likelihood=step.scores.log_likelihood(),
+        start_log_likelihood=start,
+        problem=problem,
+        folds=folds,
+    )
+
+
+def _silent(text: str) -> None:
+    return None
+
+
+def _named(step: Exploration, pool: Sequence[Candidate]) -> list[tuple[int, float]]:
+    order = [(k, float(step.gains[k])) for k in range(len(pool))]
+    return sorted(order, key=lambda one: -one[1])
+
+
+def _refined(
+    problem: Problem,
+    step: Exploration,
+    numbers: tuple[int, ...],
+    folds: Mapping[tuple[int, int], int],
+    pool: Sequence[Candidate],
+    explorations: list[Exploration],
+    seed: int,
+    say: Callable[[str], None],
+) -> tuple[list[str], float, Exploration]:
+    """Fit the leader and its near rivals non-linearly; return the best by held-out likelihood."""
+    trials: list[tuple[int, ...]] = [numbers]
+    lead = step.joint(*numbers)
+    if len(numbers) == 1:
+        for effect, k in step.best().items():
+            close = step.gains[k] > 0.6 * lead or lead - step.gains[k] < 2 * step.threshold
+            if k < len(pool) and effect != step.candidates[numbers[0]].effect and close:
+                trials.append((k,))
+    best: tuple[float, list[str], Exploration] | None = None
+    for trial in trials[:3]:
+        names = [step.candidates[k].effect for k in trial]
+        say("fitting " + " and ".join(names))
+        left = [one for one in pool if one.effect not in names]
+        next_step = explore(
+            problem, step.camera_with(trial), left, folds, views=step.fit.forward.views, seed=seed
+        )
+        likelihood = next_step.scores.log_likelihood()
+        if best is None or likelihood > best[0]:
+            best = (likelihood, names, next_step)
+    assert best is not None
+    return best[1], best[0], best[2]
+
+
+def _rivals(step: Exploration, name: str, need: float) -> tuple[list[tuple[str, float]], list[str]]:
+    """Return the gains of all effects, and those which the named one cannot be told apart from.
+
+    The encompassing test: a rival ties unless the named effect gains well on top of it.
+    """
+    best = step.best()
+    rivals = [(effect, float(step.gains[k])) for effect, k in best.items()]
+    own = best.get(name)
+    ties = []
+    if own is not None:
+        for effect, k in best.items():
+            if effect == name or step.gains[k] < 0.5 * step.gains[own]:
+                continue
+            on_top = step.joint(own, k) - float(step.gains[k])
+            if on_top < min(need, 0.5 * float(step.gains[own])):
+                ties.append(effect)
+    return rivals, ties
+
+
+def effect_size(fitted: Fit, names: Sequence[str]) -> float:
+    """Return how far effects move distances [m], or relative amplitudes times 0.1 m.
+
+    RMS over the 5 % of pixel values that they move most, after the fit of all else.
+    """
+    parts = []
+    for one in fitted.forward.predictions():
+        total: Any = 0.0
+        for name in names:
+            total = total + contribution(one, name)
+        parts.append(np.abs(np.broadcast_to(total, one.used.shape)[one.used]))
+    values = np.concatenate(parts) if parts else np.zeros(1)
+    if not values.size:
+        return 0.0
+    top = values[values >= np.quantile(values, 0.95)]
+    return float(np.sqrt(np.mean(top**2)))
+
+
+def contribution(prediction: Any, name: str) -> Array:
+    """Return what an effect of the camera does to the measured distance [m] of a station, (H, W).
+
+    For effects on the light, by leaving it out; where it only changes amplitudes, their relative change
+    times 0.1 m.
+    """
+    camera = prediction.context.camera
+    if name in ("camera_constant", "lens_distortion"):
+        return np.full(prediction.used.shape, 1.0)
+    effect = camera.effects[name]
+    if hasattr(effect, "term"):
+        value = effect.term(prediction.delivered.distance, prediction.amplitude, prediction.context)
+        return np.broadcast_to(np.asarray(value, float), prediction.used.shape)
+    if name == "amplitude_nonlinearity":
+        return np.asarray(0.1 * effect.compression * prediction.amplitude)
+    before = prediction.before_effect(name)
+    after = effect.simulate(before, prediction.context)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.where(before.amplitude > 0, np.log(after.amplitude / before.amplitude), 0.0)
+    by_distance = np.nan_to_num(after.distance - before.distance)
+    moved, _ = prediction.reading_change(by_distance, relative)
+    if name == "emission_pattern":
+        return np.asarray(np.nan_to_num(np.maximum(np.abs(moved), 0.1 * np.abs(relative))))
+    return np.asarray(np.nan_to_num(moved))
