@@ -135,8 +135,6 @@ def _exposures(
         if given.frames:
             exposures, total = islice(exposures, given.frames), min(given.frames, total)
         return exposures, total
-    if scene.needs_truth:
-        scene.poses_for({})
     timeline = Timeline(
         scene,
         camera,
