@@ -28,9 +28,9 @@ _PATIENCE = 3.0
 
 def command_modules() -> dict[str, ModuleType]:
     """Return the modules of the commands by name."""
-    from rim_camera_ros.commands import correct, info, record, simulate
+    from rim_camera_ros.commands import correct, diagnose, info, record, simulate
 
-    return {"simulate": simulate, "record": record, "correct": correct, "info": info}
+    return {"simulate": simulate, "record": record, "correct": correct, "diagnose": diagnose, "info": info}
 
 
 def parser() -> argparse.ArgumentParser:

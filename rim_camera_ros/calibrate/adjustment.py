@@ -46,7 +46,7 @@ class Problem:
 
     ``effects`` None frees all that the camera has; ``geometry`` names of `library.optics_block` to estimate;
     ``robust`` bounds the weight of outliers; ``pattern`` estimates an offset per pixel;
-    ``masks`` restrict the pixels (`Forward`).
+    ``masks`` restrict the pixels, ``shifts`` stand for another simulation (both as in `Forward`).
     """
 
     dataset: Dataset
@@ -58,11 +58,12 @@ class Problem:
     robust: bool = True
     single: bool = False
     masks: Sequence[tuple[Array, Array]] | None = None
+    shifts: Sequence[tuple[Array, Array]] | None = None
 
 
 @dataclass
 class Fit:
-    """The result of an adjustment.
+    """The result of an adjustment, from the camera ``start`` to ``camera``.
 
     ``parameters`` by dotted path (``radiometry.gain`` in counts); ``covariance`` in their order;
     ``pattern`` (H, W) m is what the fixed pattern is beyond the camera file's; ``nuisances`` the errors
@@ -70,6 +71,7 @@ class Fit:
     ``rows`` observations. ``equations`` are those at the solution, ``forward`` its predictions.
     """
 
+    start: Camera
     camera: Camera
     scene: Scene
     parameters: dict[str, float]
@@ -125,7 +127,7 @@ def fit(
     for count in range(iterations + 1):
         forward = Forward(problem.dataset, scene, camera, views=None if moved else views)
         views = forward.views
-        forward.masks = problem.masks
+        forward.masks, forward.shifts = problem.masks, problem.shifts
         if gains is None:
             forward.estimate_amplitudes()
             tau = forward.amplitude_model.tau
@@ -135,11 +137,11 @@ def fit(
                 offsets[_GAIN] = float(np.log(camera.radiometry.gain / numbers[_GAIN]))
                 gains = dict.fromkeys(gains, 1.0)
                 forward = Forward(problem.dataset, scene, camera, views=forward.views)
-                forward.masks = problem.masks
+                forward.masks, forward.shifts = problem.masks, problem.shifts
         elif count <= _SETTLED:
-            forward.amplitude_model = AmplitudeModel(gains, tau)
+            forward.amplitude_model = AmplitudeModel(dict(gains), tau)
             tau = amplitude_error(forward, nuisances)
-        forward.amplitude_model = AmplitudeModel(gains, tau)
+        forward.amplitude_model = AmplitudeModel(dict(gains), tau)
         blocks = _blocks(problem, camera, scene)
         owned = sum(len(block.regressors) for block in blocks)
         weigh = _huber(pattern, nuisances) if problem.robust and count > 0 else None
@@ -170,6 +172,7 @@ def fit(
         sigma = np.sqrt(np.diag(covariance))
         here = float(reduced.square) + float(np.sum((away / prior) ** 2))
         best = Fit(
+            start=start,
             camera=camera,
             scene=scene,
             parameters={one.label: _value(one.label, camera, offsets) for one in regressors},
@@ -267,7 +270,9 @@ def _moved(
     for path, offset in offsets.items():
         if path.startswith("scene."):
             continue
-        value = numbers[path] * float(np.exp(np.clip(offset, -3, 3))) if path == _GAIN else numbers[path] + offset
+        value = (
+            numbers[path] * float(np.exp(np.clip(offset, -3, 3))) if path == _GAIN else numbers[path] + offset
+        )
         low, high = lows.get(path, -np.inf), highs.get(path, np.inf)
         if path.endswith("time_constant") or ".sigma." in path or path.endswith("blur"):
             low = max(low, 0.2 * abs(numbers[path]))
@@ -301,9 +306,7 @@ def _moved_scene(scene: Scene, offsets: Mapping[str, float]) -> tuple[Scene, boo
     return replace(scene, surfaces=tuple(surfaces)), True
 
 
-def _huber(
-    pattern: Array, nuisances: Mapping[str, float]
-) -> Callable[[Prediction], tuple[Array, Array]]:
+def _huber(pattern: Array, nuisances: Mapping[str, float]) -> Callable[[Prediction], tuple[Array, Array]]:
     """Return the weights of robust fitting for residuals after pattern and nuisances."""
 
     def weigh(prediction: Prediction) -> tuple[Array, Array]:
@@ -359,4 +362,3 @@ def after_nuisances(
             distance = distance - error * by_distance
             amplitude = amplitude - error * by_amplitude
     return distance, amplitude
-

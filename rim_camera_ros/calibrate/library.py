@@ -83,7 +83,9 @@ class Facts:
         ambients = [one.settings.ambient_temperature for one in dataset.stations]
         known_up = [u for u in uptimes if u is not None]
         known_ambient = [a for a in ambients if a is not None]
-        bright = [float(np.median(one.amplitude[one.count > 0])) for one in dataset.stations if one.count.any()]
+        bright = [
+            float(np.median(one.amplitude[one.count > 0])) for one in dataset.stations if one.count.any()
+        ]
         return cls(
             integration_times=tuple(sorted(times)),
             amplitude=float(np.median(bright)) if bright else 1.0,
@@ -175,7 +177,7 @@ def candidates(camera: Camera, facts: Facts, *, effects: Sequence[str] | None = 
         if name in camera.effects or (effects is not None and name not in effects):
             continue
         found += make(camera, facts)
-    for name, make in _GEOMETRY.items():
+    for name, make in GEOMETRY.items():
         if effects is None or name in effects:
             found += make(camera, facts)
     return found
@@ -227,7 +229,7 @@ def _harmonics(orders: tuple[int, ...]) -> Candidate:
 
 
 def _amplitude(camera: Camera, facts: Facts) -> list[Candidate]:
-    """a / (A - b) ~ a / A + a b / A^2, per integration time."""
+    """A / (A - b) ~ a / A + a b / A^2, per integration time."""
     found = []
     size = TERM_SIZE * facts.amplitude
     for curved in (False, True):
@@ -266,7 +268,7 @@ def _amplitude_builder(
 
 def _incidence(camera: Camera, facts: Facts) -> list[Candidate]:
     base = IncidenceAngle(
-        polynomial=MappingProxyType({t: (0.0, 0.0, 0.0, 0.0) for t in facts.integration_times})
+        polynomial=MappingProxyType(dict.fromkeys(facts.integration_times, (0.0, 0.0, 0.0, 0.0)))
     )
     return [_linear(base, present_priors(base, camera))]
 
@@ -435,7 +437,8 @@ def _geometry(name: str) -> Callable[[Camera, Facts], list[Candidate]]:
 
         def build(one: Camera, values: Coefficients) -> Camera:
             moved = {
-                label.removeprefix("optics."): _optics_value(one, label.removeprefix("optics.")) + values[label]
+                label.removeprefix("optics."): _optics_value(one, label.removeprefix("optics."))
+                + values[label]
                 for label in (r.label for r in block.regressors)
             }
             return replace(one, optics=with_values(one.optics, moved))
@@ -462,6 +465,6 @@ _MAKERS: dict[str, Callable[[Camera, Facts], list[Candidate]]] = {
     "motion": _motion,
     "amplitude_nonlinearity": _compression,
 }
-_GEOMETRY: dict[str, Callable[[Camera, Facts], list[Candidate]]] = {
+GEOMETRY: dict[str, Callable[[Camera, Facts], list[Candidate]]] = {
     name: _geometry(name) for name in ("camera_constant", "lens_distortion")
 }

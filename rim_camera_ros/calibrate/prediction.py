@@ -21,6 +21,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import registry
 from rim_camera_ros.effects.base import ComplexEffect, Context, DistanceTerm, Effect, Signal, from_phasor
 from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.noise import sigma_amplitude
 from rim_camera_ros.phasor import to_phasor, wrap_residual
 from rim_camera_ros.scene import Scene
@@ -151,7 +152,8 @@ class Forward:
     """Predictions of a dataset's stations by one camera, in order of time.
 
     ``masks`` of each station and channel, where given, restrict the pixels that are used, so that fits by
-    different cameras can be compared.
+    different cameras can be compared. ``shifts`` of each station and channel are what another simulation
+    says beyond this one's prediction at the start.
     """
 
     def __init__(self, dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None) -> None:
@@ -160,6 +162,7 @@ class Forward:
         self.notes: set[str] = set()
         self.amplitude_model = AmplitudeModel()
         self.masks: Sequence[tuple[Array, Array]] | None = None
+        self.shifts: Sequence[tuple[Array, Array]] | None = None
         self._order = {name: i for i, name in enumerate(registry())}
 
     def estimate_amplitudes(self, gains: Mapping[tuple[int, int], float] | None = None) -> AmplitudeModel:
@@ -194,7 +197,9 @@ class Forward:
         self.amplitude_model = AmplitudeModel(dict(gains), tau)
         return self.amplitude_model
 
-    def predictions(self, model: AmplitudeModel | None = None, *, slopes: bool = True) -> Iterator[Prediction]:
+    def predictions(
+        self, model: AmplitudeModel | None = None, *, slopes: bool = True
+    ) -> Iterator[Prediction]:
         """Yield the prediction of each station, in order."""
         model = self.amplitude_model if model is None else model
         memory: dict[str, Any] = {}
@@ -203,10 +208,39 @@ class Forward:
             if station.recording != recording:
                 memory, recording = {}, station.recording
             one = self._predict(station, memory, model, slopes)
+            if self.shifts is not None:
+                one.residual = one.residual - self.shifts[number][0]
+                one.amplitude_residual = one.amplitude_residual - self.shifts[number][1]
+                one.used &= np.isfinite(one.residual)
+                one.amplitude_used &= one.used
             if self.masks is not None:
                 one.used &= self.masks[number][0]
                 one.amplitude_used &= self.masks[number][1]
             yield one
+
+    def shifts_to(self, other: Dataset) -> list[tuple[Array, Array]]:
+        """Return what another recording of the same stations measures beyond these predictions.
+
+        Raises `InputError` where it does not have the same stations.
+        """
+        if len(other.stations) != len(self.dataset.stations):
+            raise InputError(
+                f"holds {len(other.stations)} stations, the recording {len(self.dataset.stations)}",
+                file=other.files[0] if other.files else None,
+                remedy="simulate it with --poses BAG of the recording",
+            )
+        own = Forward(other, self.scene, self.camera, views=self.views)
+        result = []
+        for one, mine in zip(own.predictions(slopes=False), self.dataset.stations, strict=True):
+            if one.station.truth != mine.truth:
+                raise InputError(
+                    f"its station at {one.station.time:.3f} s has other poses than the recording's",
+                    file=other.files[0] if other.files else None,
+                    remedy="simulate it with --poses BAG of the recording",
+                )
+            distance = np.where(one.station.count > 0, one.residual, np.nan)
+            result.append((distance, one.amplitude_residual))
+        return result
 
     def pixels_used(self) -> list[tuple[Array, Array]]:
         """Return the pixels of each station that are fitted: both channels, (H, W) each."""
@@ -226,8 +260,11 @@ class Forward:
         gain = model.gains.get((station.recording, station.pose), 1.0)
         with np.errstate(invalid="ignore"):
             ideal = (
-                camera.radiometry.gain * camera.integration_time(settings) * gain
-            ) * geometry.reflectivity * geometry.cos_incidence / geometry.distance**2
+                (camera.radiometry.gain * camera.integration_time(settings) * gain)
+                * geometry.reflectivity
+                * geometry.cos_incidence
+                / geometry.distance**2
+            )
         ideal = np.where(geometry.hit, ideal, 0.0)
         motion = self.scene.camera_motion
 
@@ -240,8 +277,11 @@ class Forward:
             there = see(self.scene, moved, camera.rays)
             with np.errstate(invalid="ignore"):
                 light = (
-                    camera.radiometry.gain * camera.integration_time(settings) * gain
-                ) * there.reflectivity * there.cos_incidence / there.distance**2
+                    (camera.radiometry.gain * camera.integration_time(settings) * gain)
+                    * there.reflectivity
+                    * there.cos_incidence
+                    / there.distance**2
+                )
             return there, np.where(there.hit, light, 0.0)
 
         context = Context(

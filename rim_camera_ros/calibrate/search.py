@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
-from rim_camera_ros.calibrate.library import Candidate, Facts, candidates
+from rim_camera_ros.calibrate.library import GEOMETRY, Candidate, Facts, candidates, optics_block
 from rim_camera_ros.calibrate.normal_equations import Block
 from rim_camera_ros.calibrate.nulls import null_scores
+from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.selection import Scores, folds_of
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.parameters import flatten
 
 Array = NDArray[Any]
 
@@ -39,7 +41,8 @@ class Exploration:
     """Scores of all candidates at one fit.
 
     ``gains`` in nats of held-out log likelihood, one per candidate; ``threshold`` from ``null_maxima``, the
-    greatest gain of any candidate in each replicate in which nothing is left out.
+    greatest gain of any candidate in each replicate in which nothing is left out. The first ``named``
+    candidates are of the vocabulary, the others stand for what is not.
     """
 
     fit: Fit
@@ -49,13 +52,19 @@ class Exploration:
     gains: Array
     null_maxima: Array
     threshold: float
+    named: int
 
     def best(self) -> dict[str, int]:
-        """Return the best variant of each effect, the best effect first."""
+        """Return the best variant of each effect, the best effect first; further candidates left out."""
         result: dict[str, int] = {}
-        for k in np.argsort(-self.gains):
+        for k in np.argsort(-self.gains[: self.named]):
             result.setdefault(self.candidates[int(k)].effect, int(k))
         return result
+
+    def best_further(self) -> tuple[float, int] | None:
+        """Return gain and number of the best candidate that is not of the vocabulary."""
+        rest = self.gains[self.named :]
+        return (float(rest.max()), self.named + int(rest.argmax())) if rest.size else None
 
     def joint(self, *numbers: int) -> float:
         """Return the gain of several candidates together."""
@@ -66,8 +75,8 @@ class Exploration:
         leaders = list(self.best().values())[:most]
         extra = [
             int(k)
-            for k in np.argsort(-self.gains)[: 2 * most]
-            if int(k) not in leaders and self.gains[int(k)] > 0.3 * self.gains.max()
+            for k in np.argsort(-self.gains[: self.named])[: 2 * most]
+            if int(k) not in leaders and self.gains[int(k)] > 0.3 * self.gains[: self.named].max()
         ]
         pool = leaders + extra[:6]
         pairs = [
@@ -92,6 +101,7 @@ def explore(
     found: Sequence[Candidate],
     folds: Mapping[tuple[int, int], int],
     *,
+    further: Sequence[Candidate] = (),
     views: Any = None,
     seed: int = 0,
     replicates: int = 200,
@@ -99,18 +109,24 @@ def explore(
     progress: Callable[[str], None] | None = None,
 ) -> Exploration:
     """Fit the camera and score all candidates at the solution."""
-    blocks: list[Block] = [one.block for one in found]
+    blocks: list[Block] = [one.block for one in (*found, *further)]
     fitted = fit(
         problem, camera, fold_of=folds, further=blocks, views=views, iterations=iterations, progress=progress
     )
-    return explored(fitted, found, seed=seed, replicates=replicates)
+    return explored(fitted, found, further=further, seed=seed, replicates=replicates)
 
 
 def explored(
-    fitted: Fit, found: Sequence[Candidate], *, seed: int = 0, replicates: int = 200
+    fitted: Fit,
+    named: Sequence[Candidate],
+    *,
+    further: Sequence[Candidate] = (),
+    seed: int = 0,
+    replicates: int = 200,
 ) -> Exploration:
     """Score the candidates whose columns stand in a fit's equations after its parameters."""
     count = len(fitted.parameters)
+    found = [*named, *further]
     spans: list[list[int]] = []
     start = count
     for one in found:
@@ -129,7 +145,7 @@ def explored(
         base = nulls.held_out()
         maxima = np.max([nulls.held_out(span) - base for span in spans], axis=0)
         threshold = max(LEAST_THRESHOLD, gumbel_quantile(maxima, 1 - ALARM_RATE))
-    return Exploration(fitted, found, scores, spans, gains, maxima, threshold)
+    return Exploration(fitted, found, scores, spans, gains, maxima, threshold, len(named))
 
 
 def gumbel_quantile(maxima: Array, probability: float) -> float:
@@ -180,23 +196,22 @@ def search(
 ) -> Result:
     """Add effects to a camera one after the other as long as held-out poses ask for them.
 
-    ``effects`` restricts the candidates. ``further`` candidates are scored with the others in the first
-    exploration but never join (smooth terms).
+    ``effects`` restricts the candidates. ``further`` candidates are scored with the others but never join
+    (smooth terms).
     """
     say = progress if progress is not None else _silent
     folds = folds_of(problem.dataset)
     pool = candidates(camera, facts, effects=effects)
     say(f"baseline and {len(pool)} candidates")
-    first = explore(problem, camera, [*pool, *further], folds, seed=seed)
+    first = explore(problem, camera, pool, folds, further=further, seed=seed)
     problem = replace(problem, masks=first.fit.forward.pixels_used())
     explorations = [first]
     start = first.scores.log_likelihood()
     found: list[Found] = []
     total = 0.0
     step = first
-    tried: set[str] = set()
     while len(found) < most:
-        named = _named(step, pool)
+        named = _named(step)
         if not named:
             break
         leader, gain = named[0]
@@ -209,19 +224,19 @@ def search(
             if pair is None or pair[0] <= 1.5 * need:
                 break
             numbers = pair[1]
-        chosen, likelihood, next_step = _refined(problem, step, numbers, folds, pool, explorations, seed, say)
+        chosen, likelihood, next_step, next_problem = _refined(
+            problem, step, numbers, folds, further, seed, say
+        )
         before = step.scores.log_likelihood()
         gain = likelihood - before
-        if gain <= need or effect_size(next_step.fit, chosen) < LEAST_SIZE:
-            tried |= set(chosen)
+        if gain <= need or effect_size(next_step.fit, chosen, camera) < LEAST_SIZE:
             break
         total += gain
         for name in chosen:
             rivals, ties = _rivals(step, name, need)
             found.append(Found(name, gain, rivals, ties))
         explorations.append(next_step)
-        step = next_step
-        pool = list(step.candidates)
+        step, problem = next_step, next_problem
     return Result(
         camera=step.fit.camera,
         found=found,
@@ -237,8 +252,8 @@ def _silent(text: str) -> None:
     return None
 
 
-def _named(step: Exploration, pool: Sequence[Candidate]) -> list[tuple[int, float]]:
-    order = [(k, float(step.gains[k])) for k in range(len(pool))]
+def _named(step: Exploration) -> list[tuple[int, float]]:
+    order = [(k, float(step.gains[k])) for k in range(step.named)]
     return sorted(order, key=lambda one: -one[1])
 
 
@@ -247,32 +262,39 @@ def _refined(
     step: Exploration,
     numbers: tuple[int, ...],
     folds: Mapping[tuple[int, int], int],
-    pool: Sequence[Candidate],
-    explorations: list[Exploration],
+    further: Sequence[Candidate],
     seed: int,
     say: Callable[[str], None],
-) -> tuple[list[str], float, Exploration]:
+) -> tuple[list[str], float, Exploration, Problem]:
     """Fit the leader and its near rivals non-linearly; return the best by held-out likelihood."""
     trials: list[tuple[int, ...]] = [numbers]
     lead = step.joint(*numbers)
     if len(numbers) == 1:
         for effect, k in step.best().items():
             close = step.gains[k] > 0.6 * lead or lead - step.gains[k] < 2 * step.threshold
-            if k < len(pool) and effect != step.candidates[numbers[0]].effect and close:
+            if effect != step.candidates[numbers[0]].effect and close:
                 trials.append((k,))
-    best: tuple[float, list[str], Exploration] | None = None
+    best: tuple[float, list[str], Exploration, Problem] | None = None
     for trial in trials[:3]:
         names = [step.candidates[k].effect for k in trial]
         say("fitting " + " and ".join(names))
-        left = [one for one in pool if one.effect not in names]
+        left = [one for one in step.candidates[: step.named] if one.effect not in names]
+        geometry = tuple(dict.fromkeys([*problem.geometry, *(n for n in names if n in GEOMETRY)]))
+        own = replace(problem, geometry=geometry)
         next_step = explore(
-            problem, step.camera_with(trial), left, folds, views=step.fit.forward.views, seed=seed
+            own,
+            step.camera_with(trial),
+            left,
+            folds,
+            further=further,
+            views=step.fit.forward.views,
+            seed=seed,
         )
         likelihood = next_step.scores.log_likelihood()
         if best is None or likelihood > best[0]:
-            best = (likelihood, names, next_step)
+            best = (likelihood, names, next_step, own)
     assert best is not None
-    return best[1], best[0], best[2]
+    return best[1], best[0], best[2], best[3]
 
 
 def _rivals(step: Exploration, name: str, need: float) -> tuple[list[tuple[str, float]], list[str]]:
@@ -294,7 +316,7 @@ def _rivals(step: Exploration, name: str, need: float) -> tuple[list[tuple[str, 
     return rivals, ties
 
 
-def effect_size(fitted: Fit, names: Sequence[str]) -> float:
+def effect_size(fitted: Fit, names: Sequence[str], start: Camera) -> float:
     """Return how far effects move distances [m], or relative amplitudes times 0.1 m.
 
     RMS over the 5 % of pixel values that they move most, after the fit of all else.
@@ -303,7 +325,7 @@ def effect_size(fitted: Fit, names: Sequence[str]) -> float:
     for one in fitted.forward.predictions():
         total: Any = 0.0
         for name in names:
-            total = total + contribution(one, name)
+            total = total + contribution(one, name, start)
         parts.append(np.abs(np.broadcast_to(total, one.used.shape)[one.used]))
     values = np.concatenate(parts) if parts else np.zeros(1)
     if not values.size:
@@ -312,15 +334,15 @@ def effect_size(fitted: Fit, names: Sequence[str]) -> float:
     return float(np.sqrt(np.mean(top**2)))
 
 
-def contribution(prediction: Any, name: str) -> Array:
+def contribution(prediction: Prediction, name: str, start: Camera) -> Array:
     """Return what an effect of the camera does to the measured distance [m] of a station, (H, W).
 
     For effects on the light, by leaving it out; where it only changes amplitudes, their relative change
-    times 0.1 m.
+    times 0.1 m; for the camera geometry, by the optics of ``start``.
     """
     camera = prediction.context.camera
-    if name in ("camera_constant", "lens_distortion"):
-        return np.full(prediction.used.shape, 1.0)
+    if name in GEOMETRY:
+        return _geometry_contribution(prediction, name, start)
     effect = camera.effects[name]
     if hasattr(effect, "term"):
         value = effect.term(prediction.delivered.distance, prediction.amplitude, prediction.context)
@@ -336,3 +358,13 @@ def contribution(prediction: Any, name: str) -> Array:
     if name == "emission_pattern":
         return np.asarray(np.nan_to_num(np.maximum(np.abs(moved), 0.1 * np.abs(relative))))
     return np.asarray(np.nan_to_num(moved))
+
+
+def _geometry_contribution(prediction: Prediction, name: str, start: Camera) -> Array:
+    block = optics_block(prediction.context.camera, name)
+    before, after = flatten(start.optics), flatten(prediction.context.camera.optics)
+    total = np.zeros(prediction.used.shape)
+    for one, (column, _) in zip(block.regressors, block.columns(prediction), strict=True):
+        path = one.label.removeprefix("optics.")
+        total = total + (after[path] - before[path]) * column
+    return total

@@ -7,7 +7,7 @@ from (K, K) matrices, so that thousands of sets cost a second.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -130,7 +130,8 @@ class Scores:
 
     def information(self, extra: Sequence[int]) -> float:
         """Return what the data tell about regressors beside the base: half the logarithm of the determinant
-        of their prior over their posterior covariance, in nats."""
+        of their prior over their posterior covariance, in nats.
+        """
         sign_and_log = np.linalg.slogdet(self._conditional(list(extra)))
         return float(0.5 * sign_and_log[1])
 

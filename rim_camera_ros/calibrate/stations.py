@@ -19,6 +19,7 @@ from rim_camera_ros.bags import Recording, Topics
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import NANOSECONDS, Pose, RawFrame, Settings
+from rim_camera_ros.scene import Scene
 
 #: A pose that lasts longer is cut into blocks, so that drifts can be followed [s].
 BLOCK_SECONDS = 5.0
@@ -71,6 +72,27 @@ class Dataset:
         """Number of different poses over all recordings."""
         return len({(one.recording, one.pose) for one in self.stations})
 
+    def with_poses(self, scene: Scene, path: str | PathLike[str] | None = None) -> None:
+        """Leave out stations before the first pose of a surface with ``pose: truth``, which is noted.
+
+        Raises `InputError` where no station has all poses.
+        """
+        needed = scene.needs_truth
+        kept = [one for one in self.stations if all(name in one.truth for name in needed)]
+        lost = sum(one.frames for one in self.stations) - sum(one.frames for one in kept)
+        if not kept:
+            present = {name for one in self.stations for name in one.truth}
+            absent = [name for name in needed if name not in present]
+            raise InputError(
+                f"holds no pose of {', '.join(absent) or 'all surfaces together'}",
+                file=path,
+                place="scene with pose: truth",
+                remedy=f"record /ground_truth/{(absent or list(needed))[0]}/pose, or state the pose in the scene file",
+            )
+        if lost:
+            self.notes.append(f"left out: {lost} frames before the first pose of every surface")
+        self.stations = kept
+
     @property
     def integration_times(self) -> list[float]:
         """The settings that occur, sorted."""
@@ -94,11 +116,11 @@ class _Block:
         self._period = round(camera.sensor.ambiguity / camera.sensor.lsb) if camera.sensor.wraps else 0
         shape = first.distance.shape
         whole = np.int64 if self._counts else np.float64
-        self._reference = np.zeros(shape, np.int32 if self._counts else np.float64)
+        self._reference: Array = np.zeros(shape, np.int32 if self._counts else np.float64)
         self._seen = np.zeros(shape, bool)
         self._count = np.zeros(shape, np.int32)
         self._saturated = np.zeros(shape, np.int32)
-        self._sums = [np.zeros(shape, whole) for _ in range(4)]
+        self._sums: list[Array] = [np.zeros(shape, whole) for _ in range(4)]
         self._stamps: list[int] = []
         self._settings: list[Settings] = []
         self._kept: list[Array] = []
@@ -108,8 +130,8 @@ class _Block:
         self._settings.append(frame.settings)
         if self._counts:
             valid = frame.distance != 0
-            value = frame.distance.astype(np.int32)
-            amplitude = frame.amplitude.astype(np.int64)
+            value: Array = frame.distance.astype(np.int32)
+            amplitude: Array = frame.amplitude.astype(np.int64)
         else:
             valid = np.isfinite(frame.distance) & (frame.distance > 0)
             value = np.where(valid, frame.distance, 0.0).astype(np.float64)
@@ -192,8 +214,13 @@ def _mean_settings(settings: list[Settings]) -> Settings:
         values = [getattr(one, name) for one in settings]
         return None if any(v is None for v in values) else float(np.mean(values))
 
-    changing = ("uptime", "body_temperature", "ambient_temperature", "reference_distance")
-    return replace(settings[0], **{name: mean(name) for name in changing})
+    return replace(
+        settings[0],
+        uptime=mean("uptime"),
+        body_temperature=mean("body_temperature"),
+        ambient_temperature=mean("ambient_temperature"),
+        reference_distance=mean("reference_distance"),
+    )
 
 
 def reduce_frames(

@@ -94,7 +94,9 @@ class Views:
             for rays in self._around[TILE_MARGIN]:
                 length = surfaces[i].lengths(pose, np.zeros(3), rays[mine])
                 met = np.isfinite(length)
-                local = (np.where(met, length, 0.0)[:, None] * rays[mine] - np.array(pose.position)) @ rotation
+                local = (
+                    np.where(met, length, 0.0)[:, None] * rays[mine] - np.array(pose.position)
+                ) @ rotation
                 same = texture.reflectivity(local[:, 0], local[:, 1]) == geometry.reflectivity[mine]
                 clean[mine] &= same | ~met
         return clean

@@ -179,3 +179,27 @@ class Progress:
         left = f", {max(self._total - done, 0) / rate:.0f} s left" if self._total and rate > 0 else ""
         sys.stderr.write(f"\r\033[K{self._words} {done}{of} frames ({rate:.0f}/s{left})")
         sys.stderr.flush()
+
+
+class Stages:
+    """One line on a terminal that says what is being done; nothing in a pipe or with --quiet."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self._shown = not quiet and sys.stderr.isatty()
+        self._start = time.monotonic()
+
+    def __enter__(self) -> Stages:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._shown:
+            sys.stderr.write("\r\033[K")
+            sys.stderr.flush()
+
+    def show(self, text: str) -> None:
+        """Say what is being done, and for how long the work has gone on."""
+        if self._shown:
+            sys.stderr.write(f"\r\033[K{time.monotonic() - self._start:.0f} s: {text}"[:120])
+            sys.stderr.flush()

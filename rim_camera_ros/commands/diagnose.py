@@ -1,0 +1,118 @@
+"""``rim diagnose``: where a recording differs from its simulation, and what physics was left out."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import tempfile
+from pathlib import Path
+
+from rim_camera_ros.calibrate.stations import Dataset, reduce_recording
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.commands.common import (
+    Progress,
+    Stages,
+    add_command,
+    add_output,
+    add_topics,
+    camera_of,
+    check_outputs,
+    say,
+    scene_of,
+    topics_of,
+)
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.files import find_camera, find_scene
+from rim_camera_ros.scene import Scene
+
+_EXAMPLES = """
+rim diagnose bag --camera camera.yaml --scene scene.yaml --out diagnosis
+rim diagnose bag --camera sr3000 --scene board --out diagnosis --against simulated_bag
+"""
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = add_command(
+        commands,
+        "diagnose",
+        "Compare a recording with the simulation of its scene. Says where they differ, names the physics "
+        "that the camera file leaves out, models it, and shows on held-out poses that the simulation improved. "
+        "Writes report.html, report.json, where.npy and the improved camera.yaml into a folder.",
+        _EXAMPLES,
+    )
+    parser.add_argument("bag", metavar="BAG", type=Path, help="recording with true poses: rosbag2 or ROS 1")
+    parser.add_argument("--camera", required=True, help="camera file, or the name of a shipped one")
+    parser.add_argument("--scene", required=True, help="scene file, or the name of a shipped one")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
+    parser.add_argument(
+        "--against",
+        type=Path,
+        metavar="BAG",
+        help="a recording of the simulation, compared with instead of simulating anew",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the simulated nulls (0)")
+    add_topics(parser)
+    add_output(parser)
+    parser.set_defaults(run=run)
+
+
+def run(given: argparse.Namespace) -> int:
+    """Diagnose, and write the report."""
+    inputs = [given.bag, given.against, find_camera(given.camera), find_scene(given.scene)]
+    check_outputs({"--out": given.out}, inputs)
+    _check_folder(given.out, force=given.force)
+    camera, scene = camera_of(given.camera), scene_of(given.scene)
+    dataset = _stations(given, given.bag, camera, scene)
+    against = None if given.against is None else _stations(given, given.against, camera, scene)
+    from rim_camera_ros.diagnose.run import diagnose
+
+    with Stages(quiet=given.quiet) as stages:
+        try:
+            result = diagnose(dataset, scene, camera, against=against, seed=given.seed, progress=stages.show)
+        except InputError as error:
+            raise error.located(given.bag) from None
+    from rim_camera_ros.diagnose.page import write_page
+    from rim_camera_ros.diagnose.report import write_report
+
+    # a folder of its own first: what is there stays until everything is written
+    temporary = Path(tempfile.mkdtemp(prefix=f".{given.out.name}.", dir=given.out.absolute().parent))
+    try:
+        temporary.chmod(0o755)
+        header = f"Diagnosis of {given.bag} with camera {given.camera} and scene {given.scene}."
+        write_report(result, temporary, header=header)
+        write_page(result, temporary, recording=str(given.bag), camera=given.camera, scene=given.scene)
+        if given.out.exists():
+            shutil.rmtree(given.out)
+        temporary.rename(given.out)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+    say(given, result.notes)
+    if not given.quiet:
+        from rim_camera_ros.diagnose.summary import summary
+
+        print(summary(result, given.out))
+    return 0
+
+
+def _check_folder(folder: Path, *, force: bool) -> None:
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise InputError("is a file, not a folder", file=folder, remedy="give another name")
+    content = {one.name for one in folder.iterdir()}
+    if content and not force:
+        raise InputError("exists already", file=folder, remedy="--force replaces it")
+    if content and "report.json" not in content:
+        raise InputError(
+            "holds something else than a diagnosis", file=folder, remedy="give another name or empty it"
+        )
+
+
+def _stations(given: argparse.Namespace, path: Path, camera: Camera, scene: Scene) -> Dataset:
+    """Read a recording and keep the stations that have all poses."""
+    with Progress("read", None, quiet=given.quiet) as progress:
+        dataset = reduce_recording(path, camera, topics=topics_of(given), progress=progress.over)
+    dataset.with_poses(scene, path)
+    return dataset

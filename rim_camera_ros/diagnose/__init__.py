@@ -1,0 +1,1 @@
+"""Diagnosis: where simulation and recording differ, what physics was left out, and a model of it."""

@@ -1,0 +1,109 @@
+"""Does the model help? Residuals of poses that it was not fitted to, before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.adjustment import Fit, Problem, after_nuisances, fit
+from rim_camera_ros.calibrate.library import present_priors
+from rim_camera_ros.calibrate.normal_equations import effect_block
+from rim_camera_ros.calibrate.search import Result
+from rim_camera_ros.calibrate.selection import Scores
+from rim_camera_ros.camera import Camera
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """RMS [m] of the residuals of held-out poses and their chi-square per value, before and after;
+    ``noise_floor`` [m]: RMS that the noise of the stations' means makes.
+    """
+
+    rms_before: float
+    rms_after: float
+    noise_floor: float
+    chi2_before: float
+    chi2_after: float
+    held_out: bool
+
+
+def accuracy(camera: Camera, model: Camera, result: Result, unknown: Any = None) -> Accuracy:
+    """Compare two cameras on the poses that their parameters were not fitted to.
+
+    The camera before is as its file says; errors of the poses, powers and the fixed pattern are estimated
+    for both, the pattern from the other folds.
+    """
+    problem = result.problem
+    views = result.fit.forward.views
+    frozen = Problem(
+        problem.dataset,
+        problem.scene,
+        effects=(),
+        gain=False,
+        robust=False,
+        masks=problem.masks,
+        shifts=problem.shifts,
+    )
+    before = fit(frozen, camera, fold_of=result.folds, iterations=1, views=views)
+    if model.effects == camera.effects and model.optics == camera.optics:
+        after = before
+    else:
+        own = Problem(
+            problem.dataset,
+            result.fit.scene,
+            effects=None,
+            gain=True,
+            geometry=problem.geometry if unknown is None else (),
+            robust=False,
+            masks=problem.masks,
+            shifts=problem.shifts,
+        )
+        after = fit(own, model, fold_of=result.folds, iterations=2, views=views)
+    rms_before, chi_before = _held_out(before, result.folds)
+    rms_after, chi_after = (rms_before, chi_before) if after is before else _held_out(after, result.folds)
+    floors = [one.sigma[one.used] ** 2 for one in before.forward.predictions(slopes=False)]
+    floor = float(np.sqrt(np.mean(np.concatenate(floors)))) if floors else 0.0
+    return Accuracy(
+        rms_before, rms_after, floor, chi_before, chi_after, held_out=len(after.equations.folds) > 1
+    )
+
+
+def _held_out(fitted: Fit, folds: Mapping[tuple[int, int], int]) -> tuple[float, float]:
+    """Return RMS [m] and chi-square per value of held-out poses."""
+    count = len(fitted.parameters)
+    scores = Scores(fitted.equations, range(count))
+    chi_square, rows = scores.chi_square(held_out=True)
+    total, number = 0.0, 0
+    trained: list[tuple[dict[str, float], Array, dict[str, float]]] = []
+    for k in range(len(scores.trained)):
+        values = scores.values(leave_out=k)
+        _, flat = scores.trained[k].recover(np.array([values[r.label] for r in scores.regressors]))
+        trained.append((values, flat.reshape(fitted.camera.shape), {}))
+    blocks = {
+        name: effect_block(effect, present_priors(effect, fitted.camera))
+        for name, effect in fitted.camera.effects.items()
+        if any(path.startswith(f"effects.{name}.") for path in fitted.parameters)
+    }
+    for one in fitted.forward.predictions():
+        key = (one.station.recording, one.station.pose)
+        fold = folds[key] if trained else 0
+        pattern = trained[fold][1] if trained else fitted.pattern
+        rest, _ = after_nuisances(one, pattern, fitted.nuisances)
+        if trained:
+            values = trained[fold][0]
+            for block in blocks.values():
+                for regressor, (column, _) in zip(block.regressors, block.columns(one), strict=True):
+                    change = values.get(regressor.label, 0.0)
+                    if change:
+                        rest = rest - change * np.nan_to_num(column)
+        used = one.used & np.isfinite(rest)
+        total += float(np.sum(rest[used] ** 2))
+        number += int(used.sum())
+    rms = float(np.sqrt(total / number)) if number else 0.0
+    return rms, chi_square / max(rows, 1)

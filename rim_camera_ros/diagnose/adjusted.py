@@ -1,0 +1,92 @@
+"""Known terms whose parameters moved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from rim_camera_ros.calibrate.adjustment import Fit
+from rim_camera_ros.calibrate.library import UNFITTED
+from rim_camera_ros.calibrate.search import contribution
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import camera_numbers
+
+#: A term has moved where chance would do so once in this many times, and distances by this much [m].
+_CHANCE = 1e-4
+LEAST_CHANGE = 0.0004
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """A known term before and after, by path relative to it."""
+
+    effect: str
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+
+
+def adjusted_terms(camera: Camera, fitted: Fit) -> list[Adjusted]:
+    """Return the terms of a camera file whose parameters differ in a fit, significantly and in millimetres."""
+    before, after = camera_numbers(camera), camera_numbers(fitted.camera)
+    names = list(fitted.parameters)
+    result = []
+    for name in camera.effects:
+        if name in UNFITTED:
+            continue
+        prefix = f"effects.{name}."
+        index = [i for i, path in enumerate(names) if path.startswith(prefix) and path in before]
+        if not index:
+            continue
+        change = np.array([after[names[i]] - before[names[i]] for i in index])
+        covariance = fitted.covariance[np.ix_(index, index)]
+        scale = np.sqrt(np.diag(covariance))
+        normal = change / scale
+        correlation = covariance / scale[:, None] / scale[None, :] + 1e-9 * np.eye(len(index))
+        wald = float(normal @ np.linalg.solve(correlation, normal))
+        if wald < chi2.isf(_CHANCE, len(index)) or _moved(camera, fitted, name) < LEAST_CHANGE:
+            continue
+        result.append(
+            Adjusted(
+                name,
+                {names[i].removeprefix(prefix): before[names[i]] for i in index},
+                {names[i].removeprefix(prefix): after[names[i]] for i in index},
+            )
+        )
+    gain = fitted.parameters.get("radiometry.gain")
+    if gain is not None:
+        ratio = gain / camera.radiometry.gain - 1
+        poses = max(len({(s.recording, s.pose) for s in fitted.forward.dataset.stations}), 1)
+        limit = max(0.03, 4 * camera.radiometry.gain_sigma / np.sqrt(poses))
+        if abs(ratio) > limit:
+            result.append(Adjusted("radiometry", {"gain": camera.radiometry.gain}, {"gain": gain}))
+    return result
+
+
+def _moved(camera: Camera, fitted: Fit, name: str) -> float:
+    """RMS [m] of the change of a term over the pixels, its mean per pixel aside where that is all."""
+    from rim_camera_ros.calibrate.prediction import Forward
+
+    before = Forward(fitted.forward.dataset, fitted.scene, camera, views=fitted.forward.views)
+    before.amplitude_model = fitted.forward.amplitude_model
+    before.masks = fitted.forward.masks
+    before.shifts = fitted.forward.shifts
+    shape = camera.shape
+    total, square, count = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    for old, new in zip(
+        before.predictions(slopes=False), fitted.forward.predictions(slopes=False), strict=True
+    ):
+        change = np.broadcast_to(
+            contribution(new, name, fitted.start) - contribution(old, name, fitted.start), shape
+        )
+        used = new.used & old.used & np.isfinite(change)
+        total[used] += change[used]
+        square[used] += change[used] ** 2
+        count[used] += 1
+    known = count > 1
+    if not known.any():
+        return 0.0
+    variance = square[known] / count[known] - (total[known] / count[known]) ** 2
+    return float(np.sqrt(np.mean(np.maximum(variance, 0.0))))

@@ -1,0 +1,108 @@
+"""The diagnosis as files: report.json, where.npy, camera.yaml."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rim_camera_ros.camera_file import save_camera
+from rim_camera_ros.diagnose.run import Diagnosis, Missing
+from rim_camera_ros.parameters import encode, write_whole
+
+FORMAT = "rim_diagnosis/1"
+MODEL = "camera.yaml"
+WHERE = "where.npy"
+
+
+def as_json(result: Diagnosis) -> dict[str, Any]:
+    """Return the report in the form of `rim_diagnosis/1`; further fields follow the required ones."""
+    measure = result.accuracy
+    report: dict[str, Any] = {
+        "format": FORMAT,
+        "verdict": result.verdict,
+        "missing": [_missing(one, result) for one in result.missing],
+        "adjusted": [
+            {"effect": one.effect, "from": dict(one.before), "to": dict(one.after)} for one in result.adjusted
+        ],
+        "ranking": [
+            {"effect": name, "probability": probability, "held_out_gain": gain}
+            for name, probability, gain in result.ranking
+        ],
+        "indistinguishable": result.indistinguishable,
+        "where": {
+            "covariates": [{"name": name, "share": share} for name, share in result.where.covariates],
+            "pixels": WHERE,
+            "times": [list(one) for one in result.where.times],
+        },
+        "fit": {
+            "rms_before": measure.rms_before,
+            "rms_after": measure.rms_after,
+            "noise_floor": measure.noise_floor,
+            "chi2_before": measure.chi2_before,
+            "chi2_after": measure.chi2_after,
+            "held_out": measure.held_out,
+        },
+        "next_recording": result.next_recording,
+        "model": MODEL,
+        "threshold": result.baseline.threshold,
+        "variance_ratio": result.variance.ratio if result.variance.repeated else None,
+        "not_visible_here": result.unseen,
+        "notes": result.notes,
+    }
+    if result.reason is not None:
+        report["reason"] = result.reason
+    return _plain(report)
+
+
+def _missing(one: Missing, result: Diagnosis) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "effect": one.effect,
+        "probability": one.probability,
+        "parameters": _parameters(one, result),
+        "interval": {path: [low, high] for path, (low, high) in one.interval.items()},
+        "sentence": one.sentence,
+    }
+    if one.magnitude is not None:
+        entry["magnitude"] = one.magnitude
+    if one.covariates:
+        entry["covariates"] = list(one.covariates)
+        entry["closed_form"] = one.formula
+    return entry
+
+
+def _parameters(one: Missing, result: Diagnosis) -> Any:
+    """Return the parameters as in the camera file."""
+    effect = result.camera.effects.get("empirical" if one.covariates else one.effect)
+    return encode(effect) if effect is not None else dict(one.parameters)
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold: numbers that are not finite become null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, np.integer):
+        return int(value)
+    return value
+
+
+def write_report(result: Diagnosis, folder: Path, *, header: str = "") -> None:
+    """Write report.json, where.npy and camera.yaml into an existing folder, the report last.
+
+    Raises `RimError` where a file cannot be written.
+    """
+    pixels = np.asarray(result.where.pixels, np.float32)
+    write_whole(folder / WHERE, lambda stream: np.save(stream, pixels, allow_pickle=False))
+    # a covariance or validity that was stated for the camera as it was does not hold for the new one
+    camera = replace(result.camera, covariance=None) if result.verdict != "consistent" else result.camera
+    save_camera(camera, folder / MODEL, header=header)
+    text = json.dumps(as_json(result), indent=1, allow_nan=False) + "\n"
+    write_whole(folder / "report.json", lambda stream: stream.write(text.encode()))

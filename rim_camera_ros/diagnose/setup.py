@@ -1,0 +1,148 @@
+"""Is it the recording of this scene by this camera at all? Poses that no physics explains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rim_camera_ros.calibrate.adjustment import Fit, after_nuisances
+
+#: A pose error beyond this many sigma of its instrument is no error of the instrument.
+FAR = 8.0
+#: Chi-square per value of a pose that stands out: by itself, and against the median pose.
+LARGE = 4.0
+AGAINST_MEDIAN = 5.0
+#: Median distance residual [m] and relative amplitude error beyond which nothing fits.
+GROSS_DISTANCE = 0.10
+GROSS_AMPLITUDE = 0.6
+#: Share of the pixels that see a surface in the scene and deliver a distance, below which the scene is wrong.
+LEAST_OVERLAP = 0.15
+
+
+@dataclass(frozen=True)
+class PoseCheck:
+    """One pose: chi-square per value, its greatest error in sigmas, its median residual [m] and name."""
+
+    key: tuple[int, int]
+    chi_square: float
+    error: float
+    error_of: str
+    median: float
+    time: float
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Poses by how badly they agree, and why the setup cannot be trusted (None: it can)."""
+
+    poses: tuple[PoseCheck, ...]
+    reason: str | None
+
+
+def check_poses(fitted: Fit) -> list[PoseCheck]:
+    """Return how well each pose agrees with a fit, after the errors of poses and the fixed pattern."""
+    worst: dict[tuple[int, int], tuple[float, str]] = {}
+    sigma = {name: prior for fold in fitted.equations.folds for name, prior, _ in fold.nuisances}
+    for name, value in fitted.nuisances.items():
+        recording, pose, rest = name.split(".", 2)
+        key = (int(recording), int(pose))
+        error = abs(value) / sigma[name]
+        if rest != "gain" and error > worst.get(key, (0.0, ""))[0]:
+            worst[key] = (error, rest)
+    result: dict[tuple[int, int], PoseCheck] = {}
+    for one in fitted.forward.predictions():
+        key = (one.station.recording, one.station.pose)
+        if not one.used.any() or key in result:
+            continue
+        rest_image, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
+        z = rest_image[one.used] / one.sigma[one.used]
+        error, name = worst.get(key, (0.0, ""))
+        result[key] = PoseCheck(
+            key,
+            float(np.mean(z**2)),
+            error,
+            name,
+            float(np.median(one.residual[one.used])),
+            one.station.time,
+        )
+    return list(result.values())
+
+
+def overlap(fitted: Fit) -> float:
+    """Return the share of the pixels with a measurement at which the scene has a surface."""
+    both = measured = 0
+    for one in fitted.forward.predictions(slopes=False):
+        valid = one.station.count > 0
+        measured += int(valid.sum())
+        both += int((valid & one.view.geometry.hit).sum())
+    return both / measured if measured else 0.0
+
+
+def check_setup(fitted: Fit, *, explained: float = 0.0) -> Setup:
+    """Say whether scene, poses and camera belong to the recording.
+
+    ``explained`` is the share of the excess chi-square that the physics found explains: what it explains is
+    no fault of the setup.
+    """
+    poses = check_poses(fitted)
+    reason = None
+    if not poses:
+        reason = "no pixel of the recording can be compared with the scene"
+    else:
+        reason = _gross(fitted, poses) or _few(poses)
+    if explained > 0.5 and reason is not None and "poses" not in reason:
+        reason = None
+    return Setup(tuple(poses), reason)
+
+
+def _gross(fitted: Fit, poses: list[PoseCheck]) -> str | None:
+    median = float(np.median([abs(one.median) for one in poses]))
+    spread = float(np.std([one.median for one in poses]))
+    chi_square = float(np.median([one.chi_square for one in poses]))
+    share = overlap(fitted)
+    if share < LEAST_OVERLAP:
+        return (
+            f"only {share:.0%} of the measured pixels see a surface of the scene: the scene file does not describe "
+            "this recording"
+        )
+    if chi_square > 50 and (spread > GROSS_DISTANCE or median > 3 * GROSS_DISTANCE):
+        return (
+            f"distances differ from the scene's by {median:.2f} m (varying by {spread:.2f} m from pose to pose) "
+            "and no physics of a camera explains it: another scene, or poses of another recording"
+        )
+    tau = fitted.forward.amplitude_model.tau
+    if tau > GROSS_AMPLITUDE:
+        return (
+            f"amplitudes differ from the scene's by a factor of {np.exp(tau):.1f} from pixel to pixel: a board was "
+            "swapped or turned, or the scene's reflectivities are others"
+        )
+    return None
+
+
+def _few(poses: list[PoseCheck]) -> str | None:
+    typical = float(np.median([one.chi_square for one in poses]))
+    bad = [
+        one
+        for one in poses
+        if one.error > FAR or (one.chi_square > LARGE and one.chi_square > AGAINST_MEDIAN * typical)
+    ]
+    if not bad or len(bad) > 0.5 * len(poses):
+        return None
+    worst = sorted(bad, key=lambda one: -max(one.error, one.chi_square))[:5]
+    names = ", ".join(str(one.key[1]) for one in worst)
+    first = worst[0]
+    detail = (
+        f"pose {first.key[1]} at {first.time:.1f} s: {first.error_of.removeprefix('pose.')} is off by "
+        f"{first.error:.0f} sigma of its instrument"
+        if first.error > FAR
+        else f"pose {first.key[1]} at {first.time:.1f} s: chi-square per value {first.chi_square:.1f}"
+    )
+    return f"{len(bad)} of {len(poses)} poses do not agree with the rest ({names}); {detail}"
+
+
+def standard_errors(fitted: Fit) -> Mapping[str, float]:
+    """Return every error found of poses and powers in units of its prior."""
+    sigma = {name: prior for fold in fitted.equations.folds for name, prior, _ in fold.nuisances}
+    return {name: value / sigma[name] for name, value in fitted.nuisances.items()}

@@ -1,0 +1,39 @@
+"""The diagnosis in a few lines, for a terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rim_camera_ros.diagnose.run import Diagnosis
+
+WORDS = {
+    "consistent": "The simulation explains this recording.",
+    "wrong_parameters": "Known effects explain this recording, with other parameters than the camera file's.",
+    "missing_physics": "The camera file leaves out physics that this recording shows.",
+    "unknown_physics": "The recording shows something that no effect of the vocabulary explains.",
+    "inconsistent_setup": "Recording, scene and camera file do not belong together; no physics is named.",
+}
+
+
+def summary(result: Diagnosis, folder: Path) -> str:
+    """Return the verdict, what was left out, and the proof, as text."""
+    lines = [f"{result.verdict}: {WORDS[result.verdict]}"]
+    if result.reason is not None:
+        lines.append(f"  {result.reason}")
+    for one in result.missing:
+        lines.append(f"  {one.sentence} (probability {one.probability:.2g})")
+    for names in result.indistinguishable:
+        lines.append(f"  cannot be told apart by this recording: {', '.join(names)}")
+    if result.next_recording:
+        lines.append(f"  record next: {result.next_recording}")
+    if result.adjusted:
+        moved = ", ".join(one.effect for one in result.adjusted)
+        lines.append(f"  known terms that moved: {moved}")
+    fit = result.accuracy
+    lines.append(
+        f"  held-out poses: RMS {fit.rms_before * 1e3:.2f} -> {fit.rms_after * 1e3:.2f} mm "
+        f"(noise {fit.noise_floor * 1e3:.2f} mm), chi-square per value {fit.chi2_before:.3f} -> "
+        f"{fit.chi2_after:.3f}"
+    )
+    lines.append(f"  {folder / 'report.html'}, report.json, where.npy, camera.yaml")
+    return "\n".join(lines)

@@ -1,0 +1,232 @@
+"""Physics outside the vocabulary: which covariates it follows, its curve, a closed form, a table that serves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.adjustment import Fit, after_nuisances
+from rim_camera_ros.calibrate.search import Exploration
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.smooth import values_of
+from rim_camera_ros.effects.covariates import SCALAR
+from rim_camera_ros.effects.empirical import Empirical
+from rim_camera_ros.parameters import NestedList
+
+Array = NDArray[Any]
+
+#: Features whose slopes per column, per row and per pixel are looked at.
+_FEATURES = ("amplitude", "distance", "ambient_temperature", "time")
+_GROUPS = ("column", "row", "pixel")
+
+
+@dataclass(frozen=True)
+class FineStructure:
+    """Slopes on a feature that differ from column to column, row to row or pixel to pixel.
+
+    ``gain`` in nats on held-out poses; ``slopes`` (groups,) in m per standard deviation of the feature, whose
+    transformed ``centre`` and ``spread`` make it dimensionless.
+    """
+
+    group: str
+    feature: str
+    gain: float
+    slopes: Array
+    centre: float
+    spread: float
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        """Names of the report."""
+        return ("row", "column", self.feature) if self.group == "pixel" else (self.group, self.feature)
+
+
+def _transformed(name: str, value: Array) -> Array:
+    return np.log(np.maximum(value, 1.0)) if name == "amplitude" else value
+
+
+def fine_structures(fitted: Fit, folds: Mapping[tuple[int, int], int]) -> list[FineStructure]:
+    """Score slopes per column, row and pixel on every feature, best first.
+
+    Smooth terms miss what changes from one column to the next. Each group's slope is shrunk by the variance
+    of the slopes and judged on the poses that it was not fitted to. Slopes are taken of the residuals after
+    the fit, the feature's mean over each pixel removed as the fixed pattern removes it.
+    """
+    height, width = fitted.camera.shape
+    index = np.arange(height * width)
+    groups = {"column": index % width, "row": index // width, "pixel": index}
+    sizes = {"column": width, "row": height, "pixel": height * width}
+    count = max(folds.values()) + 1
+    scale = _scales(fitted)
+    means = {name: np.zeros((2, height * width)) for name in scale}
+    for one in fitted.forward.predictions(slopes=False):
+        pixels = np.flatnonzero(one.used.ravel())
+        weight = 1.0 / one.sigma.ravel()[pixels] ** 2
+        for name, (centre, spread) in scale.items():
+            x = _feature(name, one, pixels, centre, spread)
+            means[name][0, pixels] += weight * x
+            means[name][1, pixels] += weight
+    sums = {(g, name): np.zeros((count, 2, sizes[g])) for g in _GROUPS for name in scale}
+    for one in fitted.forward.predictions():
+        rest, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
+        pixels = np.flatnonzero(one.used.ravel())
+        if not pixels.size:
+            continue
+        weight = 1.0 / one.sigma.ravel()[pixels] ** 2
+        residual = rest.ravel()[pixels]
+        fold = folds[(one.station.recording, one.station.pose)]
+        for name, (centre, spread) in scale.items():
+            total, norm = means[name][:, pixels]
+            x = _feature(name, one, pixels, centre, spread) - total / np.maximum(norm, 1e-300)
+            for g in _GROUPS:
+                own = groups[g][pixels]
+                target = sums[(g, name)][fold]
+                target[0] += np.bincount(own, weight * x * residual, sizes[g])
+                target[1] += np.bincount(own, weight * x * x, sizes[g])
+    result = []
+    for (g, name), parts in sums.items():
+        gain, slopes = _held_out(parts)
+        result.append(FineStructure(g, name, gain, slopes, *scale[name]))
+    return sorted(result, key=lambda one: -one.gain)
+
+
+def _scales(fitted: Fit) -> dict[str, tuple[float, float]]:
+    samples: dict[str, list[Array]] = {name: [] for name in _FEATURES}
+    missing = set()
+    for one in fitted.forward.predictions(slopes=False):
+        pixels = np.flatnonzero(one.used.ravel())[::37]
+        for name in _FEATURES:
+            value = values_of(name, one)
+            if value is None:
+                missing.add(name)
+            elif name in SCALAR:
+                samples[name].append(np.full(1, float(value)))
+            else:
+                samples[name].append(_transformed(name, np.asarray(value).ravel()[pixels]))
+    result = {}
+    for name, parts in samples.items():
+        if name in missing or not parts:
+            continue
+        values = np.concatenate(parts)
+        if values.size and np.std(values) > 1e-9:
+            result[name] = (float(np.mean(values)), float(np.std(values)))
+    return result
+
+
+def _feature(name: str, one: Any, pixels: Array, centre: float, spread: float) -> Array:
+    value = values_of(name, one)
+    assert value is not None
+    if np.ndim(value) == 0:
+        return np.full(len(pixels), (float(value) - centre) / spread)
+    return (_transformed(name, np.asarray(value).ravel()[pixels]) - centre) / spread
+
+
+def _held_out(parts: Array) -> tuple[float, Array]:
+    """Return the gain in nats of held-out folds by shrunk slopes, and the slopes of all data."""
+
+    def slopes(right: Array, square: Array) -> Array:
+        known = square > 0
+        if known.sum() < 4:
+            return np.zeros_like(right)
+        raw = right[known] / square[known]
+        variance = max(float(np.average(raw**2 - 1 / square[known], weights=square[known])), 0.0)
+        if variance == 0.0:
+            return np.zeros_like(right)
+        return np.where(known, right / np.where(known, square + 1 / variance, 1.0), 0.0)
+
+    total = parts.sum(axis=0)
+    gain = 0.0
+    for own in parts:
+        train = total - own
+        b = slopes(train[0], train[1])
+        gain += float(np.sum(b * own[0] - 0.5 * b**2 * own[1]))
+    return gain, slopes(total[0], total[1])
+
+
+def fine_table(structure: FineStructure, fitted: Fit) -> Empirical | None:
+    """Return the structure as a table over its two covariates; None for slopes per pixel."""
+    if structure.group == "pixel":
+        return None
+    low, high = structure.centre - 2.5 * structure.spread, structure.centre + 2.5 * structure.spread
+    feature = np.linspace(low, high, 9)
+    knots = np.exp(feature) if structure.feature == "amplitude" else feature
+    values = structure.slopes[:, None] * ((feature - structure.centre) / structure.spread)[None, :]
+    return Empirical(
+        covariates=(structure.group, structure.feature),
+        knots=(tuple(float(i) for i in range(len(structure.slopes))), tuple(knots.tolist())),
+        values=NestedList(values),
+    )
+
+
+def smooth_pairs(step: Exploration, most: int = 5) -> list[tuple[str, str]]:
+    """Return the pairs of covariates worth looking at: those of the best smooth terms of one covariate."""
+    singles = [
+        (float(step.gains[k]), step.candidates[k].variant)
+        for k in range(step.named, len(step.candidates))
+        if "," not in step.candidates[k].variant
+    ]
+    names = [name for _, name in sorted(singles, reverse=True)[:most]]
+    best = names[:1]
+    pairs = [(a, b) for a in best for b in names if a != b]
+    pairs += [(a, b) for a in best for b in ("row", "column") if b not in names]
+    return pairs
+
+
+_FORMS = {
+    "x": lambda x: x,
+    "x^2": lambda x: x**2,
+    "x^3": lambda x: x**3,
+    "1/x": lambda x: 1 / x,
+    "1/x^2": lambda x: 1 / x**2,
+    "sqrt(x)": np.sqrt,
+    "log(x)": np.log,
+}
+
+
+def closed_form(name: str, x: Array, y: Array, sigma: Array) -> str:
+    """Return the sparse formula in metres that describes a curve best, by orthogonal matching pursuit.
+
+    Terms are added while they lower the Bayesian information criterion.
+    """
+    from sklearn.linear_model import OrthogonalMatchingPursuit
+
+    weight = 1.0 / np.maximum(sigma, 1e-6)
+    usable = {}
+    for form, function in _FORMS.items():
+        if np.min(x) <= 1e-9 and form in ("1/x", "1/x^2", "sqrt(x)", "log(x)"):
+            continue
+        values = function(x)
+        if np.all(np.isfinite(values)) and np.ptp(values) > 0:
+            usable[form] = values
+    names = list(usable)
+    columns = np.stack([usable[form] for form in names], axis=1)
+    mean = np.average(columns, axis=0, weights=weight**2)
+    centre = float(np.average(y, weights=weight**2))
+    design = (columns - mean) * weight[:, None]
+    target = (y - centre) * weight
+    best: tuple[float, str] | None = None
+    scale = np.linalg.norm(design, axis=0)
+    for terms in range(1, min(3, len(names), len(x) - 2) + 1):
+        model = OrthogonalMatchingPursuit(n_nonzero_coefs=terms, fit_intercept=False)
+        model.fit(design / scale, target)
+        coefficients = np.ravel(model.coef_) / scale
+        rest = target - design @ coefficients
+        criterion = float(rest @ rest) + 2 * terms * np.log(len(x))
+        parts = [f"{c:+.3g} {form}" for c, form in zip(coefficients, names, strict=True) if c != 0.0]
+        constant = centre - float(mean @ coefficients)
+        text = f"{constant:.3g} " + " ".join(parts)
+        if best is None or criterion < best[0]:
+            best = (criterion, text)
+    formula = best[1] if best is not None else f"{centre:.3g}"
+    return f"{formula} [m], x = {name}"
+
+
+def with_table(camera: Camera, table: Empirical) -> Camera:
+    """Return the camera with an `empirical` effect; one that it has already is kept and this one left out."""
+    from rim_camera_ros.calibrate.library import added
+
+    return camera if table.name in camera.effects else added(camera, table)

@@ -1,0 +1,131 @@
+"""Variance: do repeated frames scatter as the noise model says, and independently from pixel to pixel?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from rim_camera_ros.calibrate.adjustment import Fit
+from rim_camera_ros.noise import Noise
+
+#: Relative deviation of a variance that matters, and its significance in sigmas.
+LEAST_RATIO = 0.05
+LEAST_SIGMA = 6.0
+_BINS = 10
+
+
+@dataclass(frozen=True)
+class VarianceBin:
+    """Pixels of similar amplitude [counts]: measured over modelled variance, with its standard error."""
+
+    amplitude: float
+    ratio: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Variance:
+    """What repeated frames say.
+
+    ``ratio`` measured over modelled variance of all pixels with standard error ``sigma``; ``noise`` the model
+    fitted to them; ``common`` the mean of `stations.Station.common` over stations, with standard error
+    ``common_sigma`` (1: pixels scatter independently). ``floor`` [m] is the RMS of the noise of station means.
+    """
+
+    ratio: float
+    sigma: float
+    bins: tuple[VarianceBin, ...]
+    noise: Noise
+    common: float | None
+    common_sigma: float
+    floor: float
+    repeated: bool
+
+    @property
+    def noise_is_wrong(self) -> bool:
+        """Whether the noise section is contradicted."""
+        if not self.repeated:
+            return False
+        worst = max(
+            (abs(one.ratio - 1) for one in self.bins if abs(one.ratio - 1) > LEAST_SIGMA * one.sigma),
+            default=0.0,
+        )
+        return worst > 2 * LEAST_RATIO or (
+            abs(self.ratio - 1) > LEAST_RATIO and abs(self.ratio - 1) > LEAST_SIGMA * self.sigma
+        )
+
+    @property
+    def pixels_vary_together(self) -> bool:
+        """Whether all pixels share a variation from frame to frame (a second camera)."""
+        return self.common is not None and self.common > 1 + max(6 * self.common_sigma, 1.0)
+
+
+def examine_variance(fitted: Fit) -> Variance:
+    """Compare the variances of repeated frames with the noise model at the latent amplitudes."""
+    camera = fitted.camera
+    amplitude, measured, model, freedom = [], [], [], []
+    common, floors = [], []
+    for one in fitted.forward.predictions(slopes=False):
+        station = one.station
+        pixels = one.amplitude_used & (station.count == station.frames)
+        floors.append(one.sigma[one.used] ** 2)
+        if station.common is not None:
+            common.append(station.common)
+        if station.frames < 2 or not pixels.any():
+            continue
+        amplitude.append(one.amplitude[pixels])
+        measured.append(station.distance_variance[pixels])
+        model.append(one.sigma[pixels] ** 2 * station.frames)
+        freedom.append(np.full(int(pixels.sum()), station.frames - 1.0))
+    floor = float(np.sqrt(np.mean(np.concatenate(floors)))) if floors else 0.0
+    if not amplitude:
+        return Variance(1.0, np.inf, (), camera.noise, None, np.inf, floor, False)
+    a, s, m, f = (np.concatenate(parts).astype(float) for parts in (amplitude, measured, model, freedom))
+    ratio = s / m
+    edges = np.unique(np.quantile(a, np.linspace(0, 1, _BINS + 1)))
+    bins = []
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        own = (a >= low) & (a <= high)
+        if f[own].sum() < 200:
+            continue
+        total = f[own].sum()
+        bins.append(
+            VarianceBin(
+                float(np.median(a[own])),
+                float((ratio[own] * f[own]).sum() / total),
+                float(np.sqrt(2 / total)),
+            )
+        )
+    number = max(len(common), 1)
+    frames = float(np.mean(f)) + 1
+    return Variance(
+        ratio=float((ratio * f).sum() / f.sum()),
+        sigma=float(np.sqrt(2 / f.sum())),
+        bins=tuple(bins),
+        noise=_fitted_noise(a, s, m, f, camera.noise),
+        common=float(np.mean(common)) if common else None,
+        common_sigma=float(1.0 / np.sqrt(number * max(frames - 1, 1))),
+        floor=floor,
+        repeated=True,
+    )
+
+
+def _fitted_noise(
+    amplitude: np.ndarray, measured: np.ndarray, model: np.ndarray, freedom: np.ndarray, noise: Noise
+) -> Noise:
+    """Fit floor^2 + shot^2 / A + amplitude^2 / A^2 to the variances, weighted by the model's."""
+    with_shot = noise.shot > 0
+    columns = [np.ones_like(amplitude), 1 / amplitude**2] + ([1 / amplitude] if with_shot else [])
+    weight = np.sqrt(freedom) / model
+    design = np.stack([c * weight for c in columns], axis=1)
+    scale = np.linalg.norm(design, axis=0)
+    gram = (design / scale).T @ (design / scale)
+    right = (design / scale).T @ (measured * weight)
+    solution = nnls(gram, right)[0] / scale
+    return Noise(
+        floor=float(np.sqrt(solution[0])),
+        shot=float(np.sqrt(solution[2])) if with_shot else noise.shot,
+        amplitude=float(np.sqrt(solution[1])),
+    )

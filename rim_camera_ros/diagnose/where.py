@@ -1,0 +1,177 @@
+"""Where the mismatch is: pixels, times and covariates of what was left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.adjustment import Fit, after_nuisances
+from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.search import contribution
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.smooth import values_of
+from rim_camera_ros.effects.covariates import COVARIATES
+
+Array = NDArray[Any]
+
+#: Effects that change the amplitude and the distance only by way of it.
+_OF_AMPLITUDE = frozenset({"emission_pattern", "amplitude_nonlinearity", "radiometry"})
+_LEAST_SHARE = 0.03
+_MOST_COVARIATES = 4
+
+
+@dataclass(frozen=True)
+class Where:
+    """``pixels`` (H, W): mean square over poses in units of the single-frame sigma; ``covariates`` with the
+    share of the variance that each explains; ``times`` [s] from the first frame; ``curves`` by covariate:
+    centres, means [m] and standard errors.
+    """
+
+    pixels: Array
+    covariates: tuple[tuple[str, float], ...]
+    times: tuple[tuple[float, float], ...]
+    curves: dict[str, tuple[Array, Array, Array]]
+
+
+def of_terms(fitted: Fit, names: Sequence[str], origin: Camera) -> Where:
+    """Locate the contribution of effects of the fitted camera; ``origin`` has the geometry before."""
+
+    def value(one: Prediction) -> Array:
+        total: Any = np.zeros(one.used.shape)
+        for name in names:
+            total = total + contribution(one, name, origin)
+        if names and set(names) <= _OF_AMPLITUDE:
+            scale = one.amplitude_sigma * np.sqrt(np.maximum(one.station.count, 1))
+            relative = total / 0.1
+            return np.asarray(relative * one.amplitude / scale * _sigma(one))
+        return np.asarray(total)
+
+    return _locate(fitted, value)
+
+
+def of_residuals(fitted: Fit) -> Where:
+    """Locate what a fit leaves: its residuals after the nuisances."""
+
+    def value(one: Prediction) -> Array:
+        rest, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
+        return rest
+
+    return _locate(fitted, value)
+
+
+def nowhere(fitted: Fit) -> Where:
+    """Return the location of nothing."""
+    return Where(np.zeros(fitted.camera.shape, np.float32), (), (), {})
+
+
+def _sigma(one: Prediction) -> Array:
+    return one.sigma * np.sqrt(np.maximum(one.station.count, 1))
+
+
+def _locate(fitted: Fit, value: Any) -> Where:
+    shape = fitted.camera.shape
+    total, count = np.zeros(shape), np.zeros(shape)
+    rng = np.random.default_rng(7)
+    energy: list[tuple[float, float]] = []
+    samples: list[Array] = []
+    weights: list[Array] = []
+    covariates: dict[str, list[Array]] = {name: [] for name in COVARIATES}
+    missing: set[str] = set()
+    for one in fitted.forward.predictions():
+        if not one.used.any():
+            continue
+        image = np.broadcast_to(value(one), shape)
+        sigma = _sigma(one)
+        # also beside edges, which the fit leaves out
+        valid = one.view.geometry.hit & (one.station.count > 0) & np.isfinite(image) & (sigma > 0)
+        valid &= np.isfinite(sigma)
+        total[valid] += (image[valid] / sigma[valid]) ** 2
+        count[valid] += 1
+        energy.append((one.station.time, float(np.mean((image[valid] / sigma[valid]) ** 2))))
+        pixels = np.flatnonzero(valid.ravel())
+        chosen = rng.choice(pixels, min(500, pixels.size), replace=False)
+        samples.append(image.ravel()[chosen])
+        weights.append(1.0 / sigma.ravel()[chosen] ** 2)
+        for name in COVARIATES:
+            found = values_of(name, one)
+            if found is None:
+                missing.add(name)
+                continue
+            covariates[name].append(np.broadcast_to(found, shape).ravel()[chosen].astype(float))
+    pixels_map = np.divide(total, count, out=np.zeros(shape), where=count > 0).astype(np.float32)
+    if not samples:
+        return nowhere(fitted)
+    known = {
+        name: np.concatenate(parts)
+        for name, parts in covariates.items()
+        if name not in missing and parts and np.ptp(np.concatenate(parts)) > 0
+    }
+    shares, curves = _shares(np.concatenate(samples), np.concatenate(weights), known)
+    return Where(pixels_map, tuple(shares), tuple(_times(energy)), curves)
+
+
+def _shares(
+    values: Array, weights: Array, covariates: dict[str, Array]
+) -> tuple[list[tuple[str, float]], dict[str, tuple[Array, Array, Array]]]:
+    """Explain values by one covariate after the other; the shares of the variance add up to at most 1."""
+    mean = np.average(values, weights=weights)
+    rest = values - mean
+    variance = float(np.average(rest**2, weights=weights))
+    shares: list[tuple[str, float]] = []
+    curves: dict[str, tuple[Array, Array, Array]] = {}
+    left = dict(covariates)
+    while left and variance > 0 and len(shares) < _MOST_COVARIATES:
+        tries = {}
+        for name, x in left.items():
+            bins = _bins(x)
+            sums = np.bincount(bins, weights)
+            means = np.bincount(bins, weights * rest) / np.maximum(sums, 1e-300)
+            explained = float(np.sum(sums * means**2) / weights.sum()) / variance
+            tries[name] = (explained, bins, means, sums)
+        name = max(tries, key=lambda one: tries[one][0])
+        explained, bins, means, sums = tries[name]
+        if explained < _LEAST_SHARE:
+            break
+        centres = np.bincount(bins, weights * left[name]) / np.maximum(sums, 1e-300)
+        if not shares:
+            spread = np.bincount(bins, weights * (rest - means[bins]) ** 2) / np.maximum(sums, 1e-300)
+            numbers = np.maximum(np.bincount(bins), 1)
+            curves[name] = (centres, means + mean, np.sqrt(spread / numbers))
+        rest = rest - means[bins]
+        shares.append((name, explained))
+        left.pop(name)
+    return shares, curves
+
+
+def _bins(x: Array, count: int = 16) -> Array:
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, count + 1)[1:-1]))
+    return np.searchsorted(edges, x, side="right")
+
+
+def _times(energy: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return the shortest set of stretches of time that holds 90 % of the energy."""
+    if not energy:
+        return []
+    energy = sorted(energy)
+    times = np.array([t for t, _ in energy])
+    values = np.array([e for _, e in energy])
+    if values.sum() <= 0:
+        return []
+    order = np.argsort(-values)
+    needed = int(np.searchsorted(np.cumsum(values[order]), 0.9 * values.sum())) + 1
+    chosen = np.zeros(len(values), bool)
+    chosen[order[:needed]] = True
+    stretches: list[tuple[float, float]] = []
+    start = None
+    for i, one in enumerate(chosen):
+        if one and start is None:
+            start = i
+        if start is not None and (not one or i == len(chosen) - 1):
+            end = i if one else i - 1
+            stretches.append((float(times[start]), float(times[end])))
+            start = None
+    return stretches if len(stretches) <= 8 else [(float(times[0]), float(times[-1]))]
