@@ -1,4 +1,4 @@
-"""Files that ship with the package: camera files, scene files, found by name."""
+"""Files that ship with the package: camera files, scene files, experiments, found by name."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from rim_camera_ros.errors import InputError, nearest_name
 
 _CAMERAS = "calibration"
 _SCENES = "config"
+#: Scene files of the set-ups of a calibration, and cameras to simulate them with.
+_EXPERIMENTS = "calibration/experiments"
 
 
 def share_folder() -> Path:
@@ -37,9 +39,14 @@ def find_scene(name: str) -> Path:
 
 
 def shipped(kind: str) -> list[str]:
-    """Return the names of the shipped files of kind ``calibration`` or ``config``."""
+    """Return the names of shipped cameras (``calibration``) or scenes (``config``), with the experiments."""
+    return sorted(_paths(kind))
+
+
+def _paths(kind: str) -> dict[str, Path]:
     wanted = b"format: rim_camera/" if kind == _CAMERAS else b"format: rim_scene/"
-    return sorted(p.stem for p in (share_folder() / kind).glob("*.yaml") if wanted in p.read_bytes())
+    folders = [share_folder() / one for one in (_EXPERIMENTS, kind)]
+    return {p.stem: p for folder in folders for p in folder.glob("*.yaml") if wanted in p.read_bytes()}
 
 
 def _find(name: str, kind: str, words: str) -> Path:
@@ -50,13 +57,13 @@ def _find(name: str, kind: str, words: str) -> Path:
     if by_path or (path.exists() and name not in shipped(kind)):
         problem = "is a folder" if path.is_dir() else "no such file"
         raise InputError(problem, file=name, remedy=f"give a {words} or one of: {_listed(shipped(kind))}")
-    known = shipped(kind)
+    known = _paths(kind)
     if name in known:
-        return share_folder() / kind / f"{name}.yaml"
+        return known[name]
     raise InputError(
         f"no {words} of this name",
         file=name,
-        remedy=f"{nearest_name(name, known)}; shipped: {_listed(known)}",
+        remedy=f"{nearest_name(name, known)}; shipped: {_listed(sorted(known))}",
     )
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import Context, Effect, Signal, Undo
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.parameters import quantity
 
 
@@ -77,3 +80,124 @@ def mean_reading(values: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> 
     """Return the mean of the reference pixels' valid distances in metres, None where none is valid."""
     valid = values[np.isfinite(values)]
     return float(valid.mean()) if valid.size else None
+
+
+# --- scale --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Line:
+    """y = intercept + slope x; ``centre`` is the x at which slope and level are uncorrelated.
+
+    Sigmas are those of the stated errors; ``chi2`` is per degree of freedom.
+    """
+
+    intercept: float
+    slope: float
+    intercept_sigma: float
+    slope_sigma: float
+    centre: float
+    level_sigma: float
+    chi2: float
+
+
+def fit_line(x: ArrayLike, y: ArrayLike, *, x_sigma: ArrayLike, y_sigma: ArrayLike) -> Line:
+    """Return the least-squares line through points with errors in both coordinates.
+
+    York et al. 2004, Am. J. Phys. 72, 367, without correlations. ``x``, ``y`` (N,); the sigmas (N,) or
+    numbers. An ordinary fit of y on x would find the slope too small by the share of noise in x.
+
+    Raises ValueError for less than three points, or where one has no error in either coordinate.
+    """
+    x, y = np.asarray(x, float), np.asarray(y, float)
+    vx = np.broadcast_to(np.square(np.asarray(x_sigma, float)), x.shape)
+    vy = np.broadcast_to(np.square(np.asarray(y_sigma, float)), x.shape)
+    if x.ndim != 1 or x.shape != y.shape:
+        raise ValueError(f"a line needs as many x as y, not {x.shape} and {y.shape}")
+    if x.size < 3:
+        raise ValueError("a line needs three points or more")
+    if not (np.isfinite(x).all() and np.isfinite(y).all() and (vx + vy > 0).all()):
+        raise ValueError("a line needs finite points, each with a sigma in one coordinate")
+    if np.ptp(x) == 0:
+        raise ValueError("a line needs points at different x")
+    slope = float(np.polyfit(x - x.mean(), y - y.mean(), 1)[0])
+    if slope == 0 and not (vy > 0).all():
+        raise ValueError("a line without slope needs errors in y")
+    for _ in range(200):
+        weight = 1.0 / (vy + slope**2 * vx)
+        xm, ym = np.average(x, weights=weight), np.average(y, weights=weight)
+        u, v = x - xm, y - ym
+        beta = weight * (u * vy + slope * v * vx)
+        previous, slope = slope, float(np.sum(weight * beta * v) / np.sum(weight * beta * u))
+        if abs(slope - previous) <= 1e-13 * abs(slope):
+            break
+    total = float(np.sum(weight))
+    intercept = float(ym - slope * xm)
+    centre = float(np.average(xm + beta, weights=weight))
+    slope_sigma = 1.0 / math.sqrt(float(np.sum(weight * (xm + beta - centre) ** 2)))
+    return Line(
+        intercept=intercept,
+        slope=slope,
+        intercept_sigma=math.sqrt(1 / total + centre**2 * slope_sigma**2),
+        slope_sigma=slope_sigma,
+        centre=centre,
+        level_sigma=1 / math.sqrt(total),
+        chi2=float(np.sum(weight * (y - intercept - slope * x) ** 2)) / (x.size - 2),
+    )
+
+
+@dataclass(frozen=True)
+class ReferenceScale:
+    """Scale and nominal length [m] of a reference path with 1-sigma, and the RMS [m] of what is left."""
+
+    scale: float
+    scale_sigma: float
+    nominal: float
+    nominal_sigma: float
+    rms: float
+
+
+#: Relative sigma of the scale above which it is not determined.
+_UNDETERMINED = 0.5
+
+
+def estimate_reference_scale(
+    *, drift: ArrayLike, reading: ArrayLike, drift_sigma: ArrayLike, reading_sigma: ArrayLike
+) -> ReferenceScale:
+    """Return the scale of eq. 4.5: least squares of the drift of a fixed scene on the reference's reading.
+
+    ``drift`` (N,) [m]: measured minus expected distance of a fixed scene, for example the mean over its
+    pixels, with every other effect undone; ``reading`` (N,) [m]: the reference at the same frames; their
+    1-sigma [m], numbers or (N,). drift = scale (reading - nominal), so that ``nominal`` is the reading
+    without drift; where ``drift`` is known up to a constant only, nominal absorbs that constant. No lag is
+    assumed. Sigmas are those of the stated errors, raised where the residuals are larger than they; a lag
+    or other error that lasts over many frames makes the true ones larger still.
+
+    Raises `InputError` where the drift does not suffice to tell the scale, or is opposite to the reading.
+    """
+    x, y = np.asarray(reading, float), np.asarray(drift, float)
+    remedy = "record a fixed scene from power-on, or through a change of temperature"
+    try:
+        line = fit_line(x, y, x_sigma=reading_sigma, y_sigma=drift_sigma)
+    except ValueError as error:
+        raise InputError(f"the scale of the reference path: {error}", remedy=remedy) from None
+    grown = math.sqrt(max(line.chi2, 1.0))
+    scale, scale_sigma = line.slope, line.slope_sigma * grown
+    if not scale_sigma < _UNDETERMINED * abs(scale):
+        raise InputError(
+            f"the reference moves too little to tell its scale ({scale:.2g} with sigma {scale_sigma:.2g})",
+            remedy=remedy,
+        )
+    if scale < 0:
+        raise InputError(
+            f"the scene drifts against the reference (scale {scale:.2g})",
+            remedy="the scene must be fixed and each reading that of its frame",
+        )
+    nominal = -line.intercept / scale
+    return ReferenceScale(
+        scale=scale,
+        scale_sigma=scale_sigma,
+        nominal=nominal,
+        nominal_sigma=math.hypot(line.level_sigma * grown, (line.centre - nominal) * scale_sigma) / scale,
+        rms=float(np.sqrt(np.mean((y - scale * (x - nominal)) ** 2))),
+    )

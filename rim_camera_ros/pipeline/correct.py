@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import Context
 from rim_camera_ros.effects.emitter_offset import EmitterOffset
+from rim_camera_ros.effects.reference_path import ReferencePath
 from rim_camera_ros.effects.scattering import Scattering
 from rim_camera_ros.errors import InputError, nearest_name
 from rim_camera_ros.frame import (
@@ -29,6 +30,7 @@ from rim_camera_ros.pipeline.folded import Folded
 from rim_camera_ros.pipeline.mixed import mixed_pixels
 from rim_camera_ros.pipeline.normals import IncidenceEstimator
 from rim_camera_ros.pipeline.optics import Light, OpticsUndo
+from rim_camera_ros.pipeline.reference import Linearity, ReferenceReader
 from rim_camera_ros.pipeline.tables import AmplitudeReading
 
 Image = NDArray[Any]
@@ -43,7 +45,9 @@ class Correction:
     ``without``: names of effects that are left uncorrected. ``minimum_amplitude``: None takes the camera
     file's, or where that states none, the amplitude at which the noise of the amplitude term exceeds the
     range noise. ``exact``: float64 and iterated to 1e-9 m, for work at the desk; else float32 and tables,
-    within 0.01 mm of it, for work in real time. Not for use from several threads at once: buffers are
+    within 0.01 mm of it, for work in real time. ``reference_linearity``: the cyclic error of the internal
+    reference path itself (Kahlmann 2007, eq. 4.6), where its scale was not estimated from readings that hold
+    it. Not for use from several threads at once: buffers are
     reused from frame to frame; what is returned is new.
 
     ``notes`` collects what the user should be told (a term that is off for lack of data).
@@ -58,6 +62,7 @@ class Correction:
         without: Iterable[str] = (),
         minimum_amplitude: float | None = None,
         exact: bool = False,
+        reference_linearity: Linearity | None = None,
     ) -> None:
         self.camera = camera
         self.without = frozenset(without)
@@ -83,6 +88,12 @@ class Correction:
             scattering if isinstance(scattering, Scattering) else None,
             emitter if isinstance(emitter, EmitterOffset) else None,
             self._dtype,
+        )
+        reference = self._active.get("reference_path")
+        self._reference = (
+            ReferenceReader(camera, reference, linearity=reference_linearity)
+            if isinstance(reference, ReferencePath)
+            else None
         )
         self._rays = np.ascontiguousarray(camera.rays.transpose(2, 0, 1), np.float32)
         self._points = np.empty_like(self._rays)
@@ -144,7 +155,7 @@ class Correction:
         return self._fold(settings).amplitude.minimum
 
     def carry_on(self, before: Correction) -> None:
-        """Take over what another correction knows of the past (the lagging temperature)."""
+        """Take over what another correction knows of the past: lagging temperature, filtered reference."""
         self._memory = dict(before._memory)
         self._start, self._last = before._start, before._last
 
@@ -196,6 +207,10 @@ class Correction:
         """Undo all effects; the distance is NaN where the raw values do not give one."""
         folded = self._begin(frame)
         metres, missing = self._metres(frame.distance)
+        if self._reference is not None:
+            folded.context.settings = self._reference.take(
+                metres, frame.settings, stamp=frame.stamp, memory=self._memory
+            )
         reading = folded.amplitude.reading(frame.amplitude, self._dtype)
         y = metres
         offset = folded.offset(metres)

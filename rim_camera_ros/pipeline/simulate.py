@@ -25,6 +25,7 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import NANOSECONDS, Pose, RawFrame, Settings
 from rim_camera_ros.noise import sigma_amplitude
 from rim_camera_ros.phasor import Waveform, to_phasor, wrap, wrap_residual
+from rim_camera_ros.pipeline.reference import SimulatedReference
 from rim_camera_ros.scene import Geometry, Scene, see
 
 _MOTION_STEPS = 1e-9
@@ -57,7 +58,8 @@ class Simulation:
     ``waveform``: None evaluates the effects' closed forms on the demodulated signal; a `Waveform` works
     at the level of the four samples, of which the cyclic error then emerges. ``seed`` makes noise,
     interference and the emitted power reproducible. ``noise`` and ``quantised`` off give what the
-    effects alone do.
+    effects alone do. ``reference``: how an internal reference path departs from the drift that it should
+    show, for the laboratory.
 
     Raises `InputError` where no ray of the camera meets any surface.
     """
@@ -68,6 +70,7 @@ class Simulation:
     waveform: Waveform | None = None
     noise: bool = True
     quantised: bool = True
+    reference: SimulatedReference = field(default_factory=SimulatedReference)
     notes: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
@@ -253,8 +256,10 @@ class Simulation:
         settings = context.settings
         if not isinstance(effect, ReferencePath):
             return settings, distance
-        reading = effect.reading(drift_of(self.camera, context))
-        sigma = self.camera.noise.floor if self.noise else 0.0
+        drift = drift_of(self.camera, context)
+        reading = self.reference.reading(effect, drift, stamp=context.stamp, memory=self._memory)
+        given = self.reference.noise
+        sigma = 0.0 if not self.noise else self.camera.noise.floor if given is None else given
         region = effect.region()
         if region is None:
             reading += sigma * float(self._rng.standard_normal())

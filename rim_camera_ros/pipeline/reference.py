@@ -1,0 +1,293 @@
+"""The internal reference path over time: its faults in a simulation, its filter and linearity.
+
+Kahlmann 2007, chapter 4. D_corr = D_ext + D_int_corr - D_int (eq. 4.4); with a scale (eq. 4.5); with the
+linearity of both paths (eq. 4.6, whose correction of the reference is printed as a factor; it is added, as
+that of the external path).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import MutableMapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
+from rim_camera_ros.effects.reference_path import ReferencePath, mean_reading
+from rim_camera_ros.frame import NANOSECONDS, Settings
+
+# --- linearity ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Linearity:
+    """The cyclic error of the reference path: sinusoids over the ambiguity range [m] of what it measures.
+
+    Without harmonics it measures what is there.
+    """
+
+    harmonics: tuple[Harmonic, ...] = ()
+    ambiguity: float = math.inf
+
+    @classmethod
+    def of_camera(cls, camera: Camera) -> Linearity:
+        """Return the camera's own cyclic error at its reference pixels: both paths share the modulation.
+
+        For a reference on the topic, whose pixels are not known, the phase is that of the principal point.
+        """
+        cyclic, reference = camera.effects.get("cyclic_error"), camera.effects.get("reference_path")
+        if not isinstance(cyclic, CyclicError):
+            return cls()
+        shift = 0.0
+        if isinstance(reference, ReferencePath) and reference.pixels is not None:
+            u0, v0, u1, v1 = reference.pixels
+            shift = cyclic.gradient[0] * ((u0 + u1) / 2 - camera.optics.cx)
+            shift += cyclic.gradient[1] * ((v0 + v1) / 2 - camera.optics.cy)
+        harmonics = tuple(replace(one, phase=one.phase + shift) for one in cyclic.harmonics)
+        return cls(harmonics, camera.sensor.ambiguity)
+
+    def measured(self, distance: float) -> float:
+        """Return what is measured in metres at a distance in metres."""
+        wave = 2 * math.pi / self.ambiguity
+        return distance + sum(
+            h.amplitude * math.sin(h.order * wave * distance + h.phase) for h in self.harmonics
+        )
+
+    def distance(self, measured: float) -> float:
+        """Return the distance in metres at which so much is measured, by Newton's method to 1e-12 m."""
+        if not self.harmonics:
+            return measured
+        wave = 2 * math.pi / self.ambiguity
+        found = measured
+        for _ in range(20):
+            slope = 1.0 + sum(
+                h.amplitude * h.order * wave * math.cos(h.order * wave * found + h.phase)
+                for h in self.harmonics
+            )
+            step = (self.measured(found) - measured) / slope
+            found -= step
+            if abs(step) < 1e-12:
+                break
+        return found
+
+
+# --- simulation ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SimulatedReference:
+    """How a simulated reference path departs from nominal + drift / scale; by default not at all.
+
+    ``lag``: the reference follows the drift with this time constant [s] (sec. 4.3.1: inertia of the fibre).
+    ``linearity``: its own cyclic error, evaluated at the drifted distance (sec. 4.4); the reading without
+    drift stays ``nominal``. ``noise``: 1-sigma in metres of one reference pixel, or of one message on the
+    topic; None: the floor of the camera's noise model. The scale is that of the simulated camera's file.
+    Raises ValueError for a negative lag or noise.
+    """
+
+    lag: float = 0.0
+    linearity: Linearity = Linearity()
+    noise: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.lag < 0 or (self.noise is not None and self.noise < 0):
+            raise ValueError("lag and noise of the reference path must not be negative")
+
+    def reading(
+        self, effect: ReferencePath, drift: float, *, stamp: int, memory: MutableMapping[str, Any]
+    ) -> float:
+        """Return the reading in metres, without noise, for the drift in metres at a stamp in ns.
+
+        ``memory`` keeps the state of the lag from frame to frame.
+        """
+        drift = self._lagged(drift, stamp, memory)
+        start = self.linearity.distance(effect.nominal)
+        return self.linearity.measured(start + effect.reading(drift) - effect.nominal)
+
+    def _lagged(self, drift: float, stamp: int, memory: MutableMapping[str, Any]) -> float:
+        """First-order lag, starting at the first drift; between frames the drift is linear in time."""
+        if self.lag == 0:
+            return drift
+        state: tuple[int, float, float] | None = memory.get("reference_path:lag")
+        lagged = drift
+        if state is not None and stamp > state[0]:
+            seconds = (stamp - state[0]) / NANOSECONDS
+            behind = (drift - state[1]) / seconds * self.lag
+            lagged = drift - behind + (state[2] - state[1] + behind) * math.exp(-seconds / self.lag)
+        elif state is not None and stamp == state[0]:
+            lagged = state[2]
+        memory["reference_path:lag"] = (stamp, drift, lagged)
+        return lagged
+
+
+# --- filter -------------------------------------------------------------------------------------
+
+#: Drift rates in m/s from a camera that is warm in a room at rest (4 mm/h) to the first seconds after
+#: power-on (secs. 4.3.1: 7 cm of the reference in 30 s, most of it in the first 10 s).
+RATES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
+#: Logarithm of how plausible each rate is where readings do not tell: fast drift is rare.
+_PRIOR = (0.0, -2.0, -4.0, -6.0, -8.0)
+#: How long what the readings tell of the rate is remembered: in readings, and in seconds.
+_READINGS = 200.0
+_SECONDS = 200.0
+#: The observed noise is the stated one's until about so many readings differ from it, and their running mean
+#: over the second number of readings later. Readings farther apart in seconds tell of drift as well.
+_STATED, _OBSERVED, _NEAR = 20.0, 500.0, 1.0
+#: An observation of the variance counts at most so many times the present one: jumps are no noise.
+_OUTLIER = 9.0
+_LEAST_NOISE = 1e-4
+#: After so many seconds without a reading, or so many of uptime, the filter starts anew.
+GAP = 300.0
+
+
+@dataclass(frozen=True, slots=True)
+class FilterState:
+    """What the readings up to ``stamp`` [ns] say; ``level`` [m] and ``sigma`` [m] are the result.
+
+    For each of `RATES`: its level, the sigma of that, and the logarithm of its plausibility. ``slope`` [m/s]
+    and ``interval`` [s] of the last two readings, and from ``count`` such the variance of a reading over the
+    stated one.
+    """
+
+    stamp: int
+    uptime: float | None
+    reading: float
+    level: float
+    sigma: float
+    levels: tuple[float, ...]
+    sigmas: tuple[float, ...]
+    plausibility: tuple[float, ...]
+    interval: float = math.inf
+    slope: float = 0.0
+    noise: float = 1.0
+    count: float = _STATED
+
+
+def start_filter(reading: float, *, stamp: int, uptime: float | None, sigma: float) -> FilterState:
+    """Return the state after a first reading in metres of 1-sigma ``sigma`` [m]."""
+    # all rates alike: a camera that was just switched on drifts fast
+    n = len(RATES)
+    return FilterState(
+        stamp, uptime, reading, reading, sigma, (reading,) * n, (sigma,) * n, (-math.log(n),) * n
+    )
+
+
+def advance_filter(
+    state: FilterState, reading: float, *, stamp: int, uptime: float | None, sigma: float
+) -> FilterState:
+    """Return the state after a further reading in metres of 1-sigma ``sigma`` [m] at a stamp in ns.
+
+    Exponential filters, one for each drift rate r of `RATES`, weighted by how well each has predicted the
+    readings of late. The uncertainty of a level grows by r dt between readings; the gain that follows has,
+    in the steady state, the time constant (sigma^2 dt / (4 r^2))^(1/3), which minimises the sum of squared
+    noise and lag, sigma^2 dt / (2 tau) + (r tau)^2. As dt is the time that really passed, frame rates may
+    vary and frames be missing. sigma^2 is the stated one times what successive readings show.
+
+    A repeated reading is the same message of a slower topic and tells nothing new. The filter starts anew
+    after `GAP`, when time or uptime goes back (the camera was switched off), never across.
+    """
+    elapsed = (stamp - state.stamp) / NANOSECONDS
+    later = 0.0
+    if uptime is not None and state.uptime is not None:
+        # stations of a schedule may follow each other sooner than their uptimes say
+        later = uptime - state.uptime
+    if elapsed < 0 or later < 0 or max(elapsed, later) > GAP:
+        return start_filter(reading, stamp=stamp, uptime=uptime, sigma=sigma)
+    if reading == state.reading:
+        return state
+    elapsed = max(elapsed, later)
+    slope, noise, count = 0.0, state.noise, state.count
+    if 0 < elapsed <= _NEAR:
+        slope = (reading - state.reading) / elapsed
+        if state.interval <= _NEAR:
+            now, then = 1 / elapsed, 1 / state.interval
+            unit = sigma * sigma * (now * now + then * then + (now + then) ** 2)
+            observed = min((slope - state.slope) ** 2 / unit, _OUTLIER * noise)
+            count = min(count + 1, _OBSERVED)
+            noise = max(noise + (observed - noise) / count, _LEAST_NOISE)
+    variance = sigma * sigma * noise
+    keep = math.exp(-1.0 / _READINGS - elapsed / _SECONDS)
+    levels, sigmas, logs = [], [], []
+    for rate, prior, level, before, log in zip(
+        RATES, _PRIOR, state.levels, state.sigmas, state.plausibility, strict=True
+    ):
+        grown = (before + rate * elapsed) ** 2
+        total = grown + variance
+        innovation = reading - level
+        gain = grown / total
+        levels.append(level + gain * innovation)
+        sigmas.append(math.sqrt(grown * variance / total))
+        logs.append(prior + keep * (log - prior) - 0.5 * (math.log(total) + innovation * innovation / total))
+    most = max(logs)
+    weights = [math.exp(one - most) for one in logs]
+    whole = sum(weights)
+    level = sum(w * x for w, x in zip(weights, levels, strict=True)) / whole
+    spread = sum(w * (s * s + (x - level) ** 2) for w, s, x in zip(weights, sigmas, levels, strict=True))
+    offset = most + math.log(whole)
+    return FilterState(
+        stamp,
+        uptime,
+        reading,
+        level,
+        math.sqrt(spread / whole),
+        tuple(levels),
+        tuple(sigmas),
+        tuple(one - offset for one in logs),
+        elapsed if elapsed > 0 else math.inf,
+        slope,
+        noise,
+        count,
+    )
+
+
+class ReferenceReader:
+    """Takes the reading of each frame, filters it, and corrects its linearity.
+
+    ``linearity``: the reference's own cyclic error (eq. 4.6); without one the reading is taken as it is,
+    and a scale that was estimated from such readings holds the slope of that error (eq. 4.5). The noise of
+    a reading is stated by the floor of the camera's noise model, over the root of the number of pixels.
+    """
+
+    def __init__(self, camera: Camera, effect: ReferencePath, *, linearity: Linearity | None = None) -> None:
+        self._effect = effect
+        self._linearity = linearity if linearity is not None and linearity.harmonics else None
+        self._region = effect.region()
+        # not below the rounding to counts, so that a noise-free camera has a gain as well
+        self._noise = max(camera.noise.floor, camera.sensor.lsb / math.sqrt(12))
+        if self._linearity is not None:
+            self._start = self._linearity.distance(effect.nominal)
+        self._key = f"reference_path:{effect.pixels}"
+
+    def take(
+        self, metres: NDArray[Any], settings: Settings, *, stamp: int, memory: MutableMapping[str, Any]
+    ) -> Settings:
+        """Put the filtered reading into the place of the frame's own and return the settings with it.
+
+        ``metres`` (H, W): measured distances, whose reference pixels are overwritten. Without a reading
+        nothing changes. ``memory`` keeps the filter from frame to frame.
+        """
+        reading, pixels = settings.reference_distance, 1
+        if self._region is not None:
+            values = metres[self._region]
+            reading, pixels = mean_reading(values), int(np.count_nonzero(np.isfinite(values)))
+        if reading is None or not math.isfinite(reading):
+            return settings
+        before: FilterState | None = memory.get(self._key)
+        given: dict[str, Any] = {
+            "stamp": stamp,
+            "uptime": settings.uptime,
+            "sigma": self._noise / math.sqrt(pixels),
+        }
+        state = start_filter(reading, **given) if before is None else advance_filter(before, reading, **given)
+        memory[self._key] = state
+        level = state.level
+        if self._linearity is not None:
+            level = self._effect.nominal + self._linearity.distance(level) - self._start
+        if self._region is not None:
+            metres[self._region] = level
+            return settings
+        return replace(settings, reference_distance=level)
