@@ -1,4 +1,4 @@
-"""``rim info``: what is in a recording, a camera file or a scene file."""
+"""``rim info``: what is in a recording, a camera file or a scene file; what is on USB."""
 
 from __future__ import annotations
 
@@ -15,17 +15,21 @@ from rim_camera_ros.files import find_camera, find_scene, shipped
 from rim_camera_ros.info.camera import camera_facts, camera_text
 from rim_camera_ros.info.recording import recording_facts, recording_text
 from rim_camera_ros.info.scene import scene_facts, scene_text
+from rim_camera_ros.info.usb import usb_facts, usb_text
 from rim_camera_ros.parameters import read_yaml
 from rim_camera_ros.scene import SCENE_FORMAT, load_scene
 
 #: Bytes at the beginning of a file that tell what it is.
 _BEGIN = 1 << 16
+#: The word that asks for the cameras on USB; a file of that name is ./usb.
+_USB = "usb"
 
 _EXAMPLES = """
 rim info bag
 rim info bag --camera camera.yaml          # distances in metres, noise against the camera file's model
 rim info sr3000
 rim info room --camera sr3000 --json
+rim info usb                               # which SwissRangers are connected, and what is missing to use them
 """
 
 
@@ -35,11 +39,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         commands,
         "info",
         "Tell what is in a recording, a camera file or a scene file. The kind is found by the content. Of a "
-        "recording that is damaged or lacks images, what can be read is told, and the error after it.",
+        "recording that is damaged or lacks images, what can be read is told, and the error after it. The "
+        "word usb: the cameras that are connected.",
         _EXAMPLES,
     )
     parser.add_argument(
-        "what", metavar="BAG|CAMERA|SCENE", help="a file or folder, or the name of a shipped one"
+        "what", metavar="BAG|CAMERA|SCENE|usb", help="a file or folder, or the name of a shipped one; or usb"
     )
     parser.add_argument(
         "--camera", help="camera file for a recording or a scene, or the name of a shipped one"
@@ -52,6 +57,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(given: argparse.Namespace) -> int:
     """Find the kind, gather, print; what a recording's fault leaves readable is told before the error."""
+    if given.what == _USB:
+        return _run_usb(given)
     kind, path = find_kind(given.what)
     camera = camera_of(given.camera) if given.camera else None
     fault: RimError | None = None
@@ -74,6 +81,14 @@ def run(given: argparse.Namespace) -> int:
         print(text(facts))
     if fault is not None:
         raise fault
+    return 0
+
+
+def _run_usb(given: argparse.Namespace) -> int:
+    if given.camera:
+        raise InputError("usb takes no camera file", place="--camera", remedy="leave --camera out")
+    facts = usb_facts()
+    print(json.dumps({"kind": _USB, **facts}, indent=1) if given.json else usb_text(facts))
     return 0
 
 

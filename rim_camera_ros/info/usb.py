@@ -1,0 +1,60 @@
+"""Facts on the cameras on USB: what is connected, and what is missing to take frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rim_camera_ros.devices.supervision import probe_library
+from rim_camera_ros.devices.usb import UsbCamera, UsbCameras, UsbUnavailable
+from rim_camera_ros.errors import RimError
+
+
+def usb_facts(cameras: UsbCameras | None = None, *, library: str | None = None) -> dict[str, Any]:
+    """Return plain facts.
+
+    ``cameras``: a list with ``model``, ``ids``, ``file``, ``state`` and ``problem`` of each, None where pyusb
+    or libusb is missing. ``library``: ``file`` and ``version`` of libmesasr, None where it cannot be used.
+    ``missing``: sentences, empty where frames can be taken. ``library`` as argument: its path, None: as the
+    environment says, or the system's.
+    """
+    facts: dict[str, Any] = {"cameras": None, "library": None, "missing": []}
+    missing: list[str] = facts["missing"]
+    try:
+        found = (cameras or UsbCameras()).find()
+    except UsbUnavailable as error:
+        missing.append(f"{error}; without it nobody can say what is connected")
+    else:
+        facts["cameras"] = [_camera(one) for one in found]
+        if not found:
+            missing.append("no SwissRanger is connected (plug it in and switch it on)")
+        elif all(one["problem"] for one in facts["cameras"]):
+            missing.extend(one["problem"] for one in facts["cameras"])
+    try:
+        facts["library"] = probe_library(library)
+    except RimError as error:
+        missing.append(str(error))
+    return facts
+
+
+def usb_text(facts: dict[str, Any]) -> str:
+    """Return the facts as text, one line for each thing that is there or missing."""
+    lines = []
+    for one in facts["cameras"] or ():
+        lines.append(f"{one['model']} ({one['ids']}) at {one['file']}: {one['state']}")
+    if facts["library"]:
+        lines.append(f"libmesasr {facts['library']['version']}: {facts['library']['file']}")
+    lines += [f"missing: {one}" for one in facts["missing"]]
+    if not facts["missing"]:
+        lines.append("frames can be taken")
+    return "\n".join(lines)
+
+
+def _camera(one: UsbCamera) -> dict[str, Any]:
+    error = one.error()
+    return {
+        "model": one.model.name,
+        "ids": f"{one.vendor:04x}:{one.product:04x}",
+        "file": one.file,
+        "state": one.state,
+        "problem": None if error is None else str(error),
+    }
