@@ -46,7 +46,8 @@ class Problem:
 
     ``effects`` None frees all that the camera has; ``geometry`` names of `library.optics_block` to estimate;
     ``robust`` bounds the weight of outliers; ``pattern`` estimates an offset per pixel;
-    ``masks`` restrict the pixels, ``shifts`` stand for another simulation (both as in `Forward`).
+    ``masks`` restrict the pixels, ``shifts`` stand for another simulation (both as in `Forward`);
+    ``stray_light`` [counts] as in `accumulate`.
     """
 
     dataset: Dataset
@@ -59,6 +60,7 @@ class Problem:
     single: bool = False
     masks: Sequence[tuple[Array, Array]] | None = None
     shifts: Sequence[tuple[Array, Array]] | None = None
+    stray_light: float = 0.0
 
 
 @dataclass
@@ -153,6 +155,7 @@ def fit(
             pattern=problem.pattern,
             weigh=weigh,
             single=problem.single,
+            stray_light=problem.stray_light,
         )
         if not equations.folds or equations.folds[0].rows == 0:
             raise InputError(
@@ -204,9 +207,7 @@ def fit(
         nuisances = {name: e for name, e in nuisances.items() if not name.endswith(".gain")}
         converged = bool(np.all(np.abs(step) <= tolerance * sigma)) if owned else True
         changes = dict(zip((one.label for one in regressors), step.tolist(), strict=True))
-        for path, change in changes.items():
-            offsets[path] = offsets.get(path, 0.0) + change
-        camera = _moved(start, offsets, lows, highs, numbers)
+        camera, offsets = _stepped(start, offsets, changes, lows, highs, numbers)
         for path in changes:
             if path in numbers and path != _GAIN:
                 offsets[path] = camera_numbers(camera)[path] - numbers[path]
@@ -234,6 +235,31 @@ def _blocks(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
     if free:
         blocks.append(pose_block(free))
     return blocks
+
+
+def _stepped(
+    start: Camera,
+    offsets: Mapping[str, float],
+    changes: Mapping[str, float],
+    lows: Mapping[str, float],
+    highs: Mapping[str, float],
+    numbers: Mapping[str, float],
+) -> tuple[Camera, dict[str, float]]:
+    """Take a step, or so much of it as leads to a possible camera.
+
+    Raises `InputError` where not even a thousandth does.
+    """
+    share = 1.0
+    while True:
+        moved = dict(offsets)
+        for path, change in changes.items():
+            moved[path] = moved.get(path, 0.0) + share * change
+        try:
+            return _moved(start, moved, lows, highs, numbers), moved
+        except (InputError, ValueError):
+            share /= 2
+            if share < 1e-3:
+                raise
 
 
 def _factor(change: float) -> float:
@@ -355,6 +381,12 @@ def after_nuisances(
         by_distance, by_amplitude = prediction.gain_column()
         distance = distance - gain * by_distance
         amplitude = amplitude - gain * by_amplitude
+    for part, number in (("real", 0), ("imaginary", 1)):
+        light = nuisances.get(f"{key}.light.{part}.{station.stamp}")
+        if light:
+            by_distance, by_amplitude = prediction.light_columns()[number]
+            distance = distance - light * by_distance
+            amplitude = amplitude - light * by_amplitude
     for column in prediction.pose_columns:
         error = nuisances.get(f"{key}.{column.path}")
         if error:

@@ -448,6 +448,25 @@ def _geometry(name: str) -> Callable[[Camera, Facts], list[Candidate]]:
     return make
 
 
+def _radiometry(camera: Camera, facts: Facts) -> list[Candidate]:
+    """A surface that does not reflect as Lambert says: a curve of the light over the angle of incidence."""
+    knots = np.radians([0.0, 15.0, 30.0, 45.0, 60.0, 75.0])
+    regressors = tuple(
+        Regressor(f"radiometry.incidence.{np.degrees(k):.0f}", "radiometry", 0.1) for k in knots[1:]
+    )
+
+    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
+        distance, amplitude = prediction.gain_column()
+        angle = np.nan_to_num(prediction.view.geometry.incidence)
+        weights = [np.interp(angle, knots, row) for row in np.eye(len(knots))[1:]]
+        return [(distance * w, amplitude * w) for w in weights]
+
+    return [Candidate("radiometry", "incidence", Block(regressors, columns), lambda one, values: one)]
+
+
+#: Names of the vocabulary that no parameter of a camera file describes: found, they stay linear curves.
+LINEAR = frozenset({"radiometry"})
+
 _MAKERS: dict[str, Callable[[Camera, Facts], list[Candidate]]] = {
     "cyclic_error": _cyclic,
     "amplitude_offset": _amplitude,
@@ -464,6 +483,7 @@ _MAKERS: dict[str, Callable[[Camera, Facts], list[Candidate]]] = {
     "multipath": _multipath,
     "motion": _motion,
     "amplitude_nonlinearity": _compression,
+    "radiometry": _radiometry,
 }
 GEOMETRY: dict[str, Callable[[Camera, Facts], list[Candidate]]] = {
     name: _geometry(name) for name in ("camera_constant", "lens_distortion")

@@ -230,12 +230,14 @@ def accumulate(
     pattern: bool = True,
     weigh: Callable[[Prediction], tuple[Array, Array]] | None = None,
     single: bool = False,
+    stray_light: float = 0.0,
 ) -> NormalEquations:
     """Stream all stations into normal equations.
 
     ``fold_of`` maps (recording, pose) to a fold number (default: all in fold 0); ``pattern`` estimates an
     offset per pixel; ``weigh`` returns factors on the weights of both channels (robust fitting); ``single``
-    keeps the sums per pixel in float32.
+    keeps the sums per pixel in float32; ``stray_light`` [counts] is the 1-sigma of light that all pixels of a
+    station share (that of a second camera), a random effect of every station.
     """
     regressors = [one for block in blocks for one in block.regressors]
     count = len(regressors)
@@ -249,7 +251,7 @@ def accumulate(
         if number not in sums:
             sums[number] = _FoldSums(count, camera.sensor.width * camera.sensor.height, single=single)
         factors = None if weigh is None else weigh(prediction)
-        sums[number].add(prediction, blocks, gain_sigma, pattern, factors)
+        sums[number].add(prediction, blocks, (gain_sigma, stray_light), pattern, factors)
     folds = [sums[number].fold(pattern) for number in sorted(sums)]
     return NormalEquations(regressors, folds, camera.shape)
 
@@ -277,13 +279,13 @@ class _FoldSums:
         self,
         prediction: Prediction,
         blocks: Sequence[Block],
-        gain_sigma: float,
+        random: tuple[float, float],
         pattern: bool,
         factors: tuple[Array, Array] | None,
     ) -> None:
         used, amplitude_used = prediction.used, prediction.amplitude_used
         columns = [pair for block in blocks for pair in block.columns(prediction)]
-        nuisances = _nuisances(prediction, gain_sigma)
+        nuisances = _nuisances(prediction, *random)
         weight = 1.0 / prediction.sigma[used] ** 2
         weight_a = 1.0 / prediction.amplitude_sigma[amplitude_used] ** 2
         if factors is not None:
@@ -366,7 +368,7 @@ class _FoldSums:
 _Nuisance = tuple[str, float, float, Array, Array]
 
 
-def _nuisances(prediction: Prediction, gain_sigma: float) -> list[_Nuisance]:
+def _nuisances(prediction: Prediction, gain_sigma: float, stray_light: float) -> list[_Nuisance]:
     """Return name, prior, value and both columns of a station's random effects: errors of poses, emitted power."""
     station = prediction.station
     key = f"{station.recording}.{station.pose}"
@@ -380,6 +382,11 @@ def _nuisances(prediction: Prediction, gain_sigma: float) -> list[_Nuisance]:
         distance, amplitude = prediction.gain_column()
         at = float(np.log(prediction.gain))
         result.append((f"{key}.gain", gain_sigma, at, distance, amplitude))
+    if stray_light > 0:
+        for part, (distance, amplitude) in zip(
+            ("real", "imaginary"), prediction.light_columns(), strict=True
+        ):
+            result.append((f"{key}.light.{part}.{station.stamp}", stray_light, 0.0, distance, amplitude))
     return result
 
 

@@ -6,7 +6,7 @@ a replicate of noise, pose errors and powers costs a few products instead of a s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,13 +35,17 @@ def null_scores(
     replicates: int = 200,
     seed: int = 0,
     temper: float = 1.0,
+    errors: Mapping[str, float] | None = None,
 ) -> Scores:
     """Return scores whose right-hand sides are those of replicates, (K, R).
 
+    ``errors`` found of poses and powers give the replicates' errors their shape: instruments err with
+    heavier tails than a Gaussian, and a few large errors imitate a drift. They are dealt to the poses at random.
     ``temper`` is the variance of the residuals in units of the noise model.
     """
     rng = np.random.default_rng([seed, 41])
-    draws = [_draw(fold, replicates, rng, equations.pattern_prior) for fold in equations.folds]
+    shapes = _error_shapes(equations, errors or {})
+    draws = [_draw(fold, replicates, rng, shapes) for fold in equations.folds]
     factor = np.sqrt(temper)
     scores = Scores.__new__(Scores)
     scores.regressors = equations.regressors
@@ -64,7 +68,29 @@ def null_scores(
     return scores
 
 
-def _draw(fold: Fold, replicates: int, rng: np.random.Generator, pattern_prior: float) -> _Draw:
+def _error_shapes(equations: NormalEquations, errors: Mapping[str, float]) -> dict[str, Array]:
+    """Return standardised errors by kind (surface and direction), of unit variance at least."""
+    found: dict[str, list[float]] = {}
+    for fold in equations.folds:
+        for name, prior, at in fold.nuisances:
+            if name in errors:
+                found.setdefault(kind_of_error(name), []).append((at + errors[name]) / prior)
+    result = {}
+    for kind, values in found.items():
+        z = np.array(values)
+        size = float(np.sqrt(np.mean(z**2)))
+        if len(z) >= 8 and size > 0:
+            result[kind] = z * max(1.0, 1.0 / size)
+    return result
+
+
+def kind_of_error(name: str) -> str:
+    """Return surface and direction of a nuisance ``recording.pose.pose.SURFACE.DIRECTION``."""
+    kind = name.split(".", 2)[2]
+    return kind.rpartition(".")[0] if kind.startswith("light.") else kind
+
+
+def _draw(fold: Fold, replicates: int, rng: np.random.Generator, shapes: Mapping[str, Array]) -> _Draw:
     size = fold.gram.shape[0] - 1
     count = size - len(fold.nuisances)
     design = fold.pixel[:, :size]
@@ -84,8 +110,13 @@ def _draw(fold: Fold, replicates: int, rng: np.random.Generator, pattern_prior: 
     right = mean.astype(float) + spread @ rng.standard_normal((size, replicates))
     pixel = noise
     if fold.nuisances:
-        sigma = np.array([prior for _, prior, _ in fold.nuisances])
-        errors = sigma[:, None] * rng.standard_normal((len(sigma), replicates))
+        errors = np.empty((len(fold.nuisances), replicates))
+        for i, (name, prior, _) in enumerate(fold.nuisances):
+            shape = shapes.get(kind_of_error(name))
+            if shape is None:
+                errors[i] = prior * rng.standard_normal(replicates)
+            else:
+                errors[i] = prior * rng.choice(shape, replicates) * rng.choice((-1.0, 1.0), replicates)
         right = right + fold.gram[:size, count:size] @ errors
         pixel = pixel + (design[:, count:] @ errors.astype(design.dtype)).astype(np.float32)
     return _Draw(right, pixel)

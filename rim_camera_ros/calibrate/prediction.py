@@ -32,6 +32,8 @@ Array = NDArray[Any]
 _SILENT = ("interference", "reference_path")
 #: Effects that pass on a change of the light relative to it, pixel by pixel.
 _LOCAL = ("emission_pattern", "emitter_offset")
+#: Effects whose costly work holds for a geometry.
+_KEPT = ("multipath",)
 _SPREADING = ("mixed_pixels", "scattering")
 
 
@@ -102,6 +104,8 @@ class Prediction:
         name = effect.name
         signal = self.before_effect(name)
         columns = effect.columns(signal, self.context)
+        if name in _KEPT and name in self.context.memory:
+            self.view.memory[name] = self.context.memory[name]
         if isinstance(effect, DistanceTerm) or name == "amplitude_nonlinearity":
             zero = np.zeros(self.distance.shape)
             return {path: (zero + d, zero + a) for path, (d, a) in columns.items()}
@@ -128,13 +132,18 @@ class Prediction:
         """Return the derivatives by the relative power of the emitter."""
         return self.reading_change(0.0, np.ones(self.distance.shape))
 
+    def light_columns(self) -> list[tuple[Array, Array]]:
+        """Return the derivatives by light that all pixels share [counts], its real and imaginary part."""
+        level = to_phasor(self.delivered.distance, self.amplitude, self.context.ambiguity)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            relative = np.where(level == 0, 0, 1.0 / np.where(level == 0, 1.0, level))
+        scale = self.context.ambiguity / (2 * np.pi)
+        return [self.reading_change(scale * change.imag, change.real) for change in (relative, 1j * relative)]
+
     def pose_change(self, column: PoseColumn) -> tuple[Array, Array]:
         """Return the derivatives of the readings by an error of a pose."""
-        geometry = self.view.geometry
         wave = 2 * np.pi / self.context.ambiguity
-        with np.errstate(divide="ignore", invalid="ignore"):
-            change = -2 * column.distance / geometry.distance + 1j * wave * column.distance
-        change = np.where(geometry.hit, change, 0)
+        change = column.amplitude + 1j * wave * column.distance
         if not self.spread:
             return self.reading_change(change.imag / wave, change.real)
         return self.light_change(None, change, change)
@@ -214,8 +223,10 @@ class Forward:
                 one.used &= np.isfinite(one.residual)
                 one.amplitude_used &= one.used
             if self.masks is not None:
-                one.used &= self.masks[number][0]
-                one.amplitude_used &= self.masks[number][1]
+                # the same pixels whatever the camera predicts, or likelihoods could not be compared
+                possible = np.isfinite(one.residual) & np.isfinite(one.sigma) & (one.station.count > 0)
+                one.used = self.masks[number][0] & possible
+                one.amplitude_used = self.masks[number][1] & possible
             yield one
 
     def shifts_to(self, other: Dataset) -> list[tuple[Array, Array]]:
@@ -284,6 +295,10 @@ class Forward:
                 )
             return there, np.where(there.hit, light, 0.0)
 
+        for name in _KEPT:
+            memory.pop(name, None)
+            if name in view.memory:
+                memory[name] = view.memory[name]
         context = Context(
             camera=camera,
             settings=settings,
@@ -316,6 +331,8 @@ class Forward:
                     signal = from_phasor(effect.apply(phasor, context), signal, context)
                 else:
                     signal = effect.simulate(signal, context)
+                    if name in _KEPT and name in memory:
+                        view.memory[name] = memory[name]
                 if name in _SPREADING:
                     spread.append(effect)
         return self._compare(
@@ -363,19 +380,18 @@ class Forward:
         residual = station.distance - distance
         if camera.sensor.wraps:
             residual = wrap_residual(residual, context.ambiguity)
-        reading = latent if published is None else published.compressed(latent)
         slope_published: Any = 1.0
         if published is not None:
             slope_published = 1.0 / (1 + published.compression * latent) ** 2
         model_reading = safe if published is None else published.compressed(safe)
         variance, amplitude_variance = self._variances(latent, context)
         variance = (variance + camera.sensor.lsb**2 / 12) / n
-        amplitude_variance = (amplitude_variance * slope_published**2 + 1.0 / 12) / n
-        amplitude_variance = amplitude_variance + (model.tau * model_reading) ** 2
+        single_variance = amplitude_variance * slope_published**2 + 1.0 / 12
+        amplitude_variance = single_variance / n + (model.tau * model_reading) ** 2
         used = view.clean & lit & (station.count > 0) & (station.saturated == 0)
         used &= np.isfinite(residual) & np.isfinite(variance) & (station.count * 2 > station.frames)
         threshold = max(camera.sensor.amplitude_threshold, camera.minimum_amplitude or 0.0)
-        single = np.sqrt(amplitude_variance * n)
+        single = np.sqrt(single_variance)
         amplitude_used = used & (np.minimum(safe, latent) > threshold + 3 * single)
         used &= latent > threshold
         amplitude_used &= station.count == station.frames

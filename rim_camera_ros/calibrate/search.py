@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
-from rim_camera_ros.calibrate.library import GEOMETRY, Candidate, Facts, candidates, optics_block
+from rim_camera_ros.calibrate.library import GEOMETRY, LINEAR, Candidate, Facts, candidates, optics_block
 from rim_camera_ros.calibrate.normal_equations import Block
 from rim_camera_ros.calibrate.nulls import null_scores
 from rim_camera_ros.calibrate.prediction import Prediction
@@ -29,6 +29,8 @@ Array = NDArray[Any]
 #: Share of nulls that may raise an alarm, and the least threshold in nats.
 ALARM_RATE = 0.02
 LEAST_THRESHOLD = 8.0
+#: Candidates that differ as much as independent tries would.
+_INDEPENDENT = 8
 #: A further effect must gain this share of what the effects before it gained.
 LEAST_SHARE = 0.01
 #: A further effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
@@ -40,8 +42,9 @@ MOST_EFFECTS = 4
 class Exploration:
     """Scores of all candidates at one fit.
 
-    ``gains`` in nats of held-out log likelihood, one per candidate; ``threshold`` from ``null_maxima``, the
-    greatest gain of any candidate in each replicate in which nothing is left out. The first ``named``
+    ``gains`` in nats of held-out log likelihood and ``thresholds``, one per candidate, the latter from its gains
+    in replicates in which nothing is left out; ``null_maxima`` is the greatest excess over the threshold's
+    least value in each of them. The first ``named``
     candidates are of the vocabulary, the others stand for what is not.
     """
 
@@ -51,8 +54,14 @@ class Exploration:
     spans: list[list[int]]
     gains: Array
     null_maxima: Array
-    threshold: float
+    thresholds: Array
     named: int
+
+    @property
+    def threshold(self) -> float:
+        """Threshold in nats of the best named candidate."""
+        leader = int(np.argmax(self.gains[: self.named])) if self.named else 0
+        return float(self.thresholds[leader]) if self.thresholds.size else LEAST_THRESHOLD
 
     def best(self) -> dict[str, int]:
         """Return the best variant of each effect, the best effect first; further candidates left out."""
@@ -102,6 +111,7 @@ def explore(
     folds: Mapping[tuple[int, int], int],
     *,
     further: Sequence[Candidate] = (),
+    kept: Sequence[Candidate] = (),
     views: Any = None,
     seed: int = 0,
     replicates: int = 200,
@@ -109,11 +119,11 @@ def explore(
     progress: Callable[[str], None] | None = None,
 ) -> Exploration:
     """Fit the camera and score all candidates at the solution."""
-    blocks: list[Block] = [one.block for one in (*found, *further)]
+    blocks: list[Block] = [one.block for one in (*kept, *found, *further)]
     fitted = fit(
         problem, camera, fold_of=folds, further=blocks, views=views, iterations=iterations, progress=progress
     )
-    return explored(fitted, found, further=further, seed=seed, replicates=replicates)
+    return explored(fitted, found, further=further, kept=kept, seed=seed, replicates=replicates)
 
 
 def explored(
@@ -121,11 +131,15 @@ def explored(
     named: Sequence[Candidate],
     *,
     further: Sequence[Candidate] = (),
+    kept: Sequence[Candidate] = (),
     seed: int = 0,
     replicates: int = 200,
 ) -> Exploration:
-    """Score the candidates whose columns stand in a fit's equations after its parameters."""
-    count = len(fitted.parameters)
+    """Score the candidates whose columns stand in a fit's equations after its parameters.
+
+    ``kept`` candidates are part of the base: curves that no parameter of a camera file describes.
+    """
+    count = len(fitted.parameters) + sum(len(one.block.regressors) for one in kept)
     found = [*named, *further]
     spans: list[list[int]] = []
     start = count
@@ -139,13 +153,22 @@ def explored(
     temper = max(1.0, chi_square / max(rows, 1)) if rows else 1.0
     gains = np.array([float(scores.gain(span)) for span in spans])
     maxima = np.zeros(0)
-    threshold = LEAST_THRESHOLD
+    thresholds = np.full(len(found), LEAST_THRESHOLD)
     if replicates and scores.trained and found:
-        nulls = null_scores(fitted.equations, range(count), replicates=replicates, seed=seed, temper=temper)
+        nulls = null_scores(
+            fitted.equations,
+            range(count),
+            replicates=replicates,
+            seed=seed,
+            temper=temper,
+            errors=fitted.nuisances,
+        )
         base = nulls.held_out()
-        maxima = np.max([nulls.held_out(span) - base for span in spans], axis=0)
-        threshold = max(LEAST_THRESHOLD, gumbel_quantile(maxima, 1 - ALARM_RATE))
-    return Exploration(fitted, found, scores, spans, gains, maxima, threshold, len(named))
+        drawn = np.array([nulls.held_out(span) - base for span in spans])
+        rate = ALARM_RATE / _INDEPENDENT
+        thresholds = np.array([max(LEAST_THRESHOLD, gumbel_quantile(one, 1 - rate)) for one in drawn])
+        maxima = drawn[: len(named)].max(axis=0) if named else drawn.max(axis=0)
+    return Exploration(fitted, found, scores, spans, gains, maxima, thresholds, len(named))
 
 
 def gumbel_quantile(maxima: Array, probability: float) -> float:
@@ -208,6 +231,7 @@ def search(
     explorations = [first]
     start = first.scores.log_likelihood()
     found: list[Found] = []
+    kept: list[Candidate] = []
     total = 0.0
     step = first
     while len(found) < most:
@@ -215,7 +239,7 @@ def search(
         if not named:
             break
         leader, gain = named[0]
-        need = max(step.threshold, LEAST_SHARE * total)
+        need = max(float(step.thresholds[leader]), LEAST_SHARE * total)
         pair = step.best_pair() if gain > 0.5 * step.threshold else None
         numbers: tuple[int, ...] = (leader,)
         if pair is not None and leader not in pair[1] and pair[0] > gain + max(need, 0.25 * gain):
@@ -225,7 +249,7 @@ def search(
                 break
             numbers = pair[1]
         chosen, likelihood, next_step, next_problem = _refined(
-            problem, step, numbers, folds, further, seed, say
+            problem, step, numbers, folds, further, kept, seed, say
         )
         before = step.scores.log_likelihood()
         gain = likelihood - before
@@ -253,8 +277,9 @@ def _silent(text: str) -> None:
 
 
 def _named(step: Exploration) -> list[tuple[int, float]]:
+    """Return candidates and gains, those above their thresholds first, by gain."""
     order = [(k, float(step.gains[k])) for k in range(step.named)]
-    return sorted(order, key=lambda one: -one[1])
+    return sorted(order, key=lambda one: (step.gains[one[0]] < step.thresholds[one[0]], -one[1]))
 
 
 def _refined(
@@ -263,6 +288,7 @@ def _refined(
     numbers: tuple[int, ...],
     folds: Mapping[tuple[int, int], int],
     further: Sequence[Candidate],
+    kept: Sequence[Candidate],
     seed: int,
     say: Callable[[str], None],
 ) -> tuple[list[str], float, Exploration, Problem]:
@@ -272,7 +298,7 @@ def _refined(
     if len(numbers) == 1:
         for effect, k in step.best().items():
             close = step.gains[k] > 0.6 * lead or lead - step.gains[k] < 2 * step.threshold
-            if effect != step.candidates[numbers[0]].effect and close:
+            if effect != step.candidates[numbers[0]].effect and close and effect not in LINEAR:
                 trials.append((k,))
     best: tuple[float, list[str], Exploration, Problem] | None = None
     for trial in trials[:3]:
@@ -287,6 +313,7 @@ def _refined(
             left,
             folds,
             further=further,
+            kept=kept,
             views=step.fit.forward.views,
             seed=seed,
         )
@@ -341,6 +368,8 @@ def contribution(prediction: Prediction, name: str, start: Camera) -> Array:
     times 0.1 m; for the camera geometry, by the optics of ``start``.
     """
     camera = prediction.context.camera
+    if name in LINEAR:
+        return np.zeros(prediction.used.shape)
     if name in GEOMETRY:
         return _geometry_contribution(prediction, name, start)
     effect = camera.effects[name]

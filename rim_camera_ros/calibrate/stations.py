@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.bags import Recording, Topics
-from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera import FULL_SCALE, Camera
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import NANOSECONDS, Pose, RawFrame, Settings
 from rim_camera_ros.scene import Scene
@@ -60,12 +60,16 @@ class Station:
 
 @dataclass
 class Dataset:
-    """Stations of one or more recordings, in order; ``notes`` say what was assumed or left out."""
+    """Stations of one or more recordings, in order; ``notes`` say what was assumed or left out.
+
+    ``codes`` (65536,) counts how often each raw distance count occurred; None for distances in metres.
+    """
 
     stations: list[Station]
     files: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     frames: int = 0
+    codes: Array | None = None
 
     @property
     def poses(self) -> int:
@@ -224,9 +228,14 @@ def _mean_settings(settings: list[Settings]) -> Settings:
 
 
 def reduce_frames(
-    frames: Iterable[RawFrame], camera: Camera, *, recording: int = 0, block_seconds: float = BLOCK_SECONDS
+    frames: Iterable[RawFrame],
+    camera: Camera,
+    *,
+    recording: int = 0,
+    block_seconds: float = BLOCK_SECONDS,
+    codes: Array | None = None,
 ) -> Iterator[Station]:
-    """Yield the stations of a recording's frames.
+    """Yield the stations of a recording's frames; ``codes`` (65536,) is counted up.
 
     Raises `InputError` for images of another size than the camera's, or another modulation frequency.
     """
@@ -246,6 +255,8 @@ def reduce_frames(
                 yield block.station(recording, start)
             block, key = _Block(frame, camera, poses.setdefault(messages, len(poses))), own
         block.add(frame)
+        if codes is not None and frame.distance.dtype == np.uint16:
+            codes += np.bincount(frame.distance.ravel(), minlength=FULL_SCALE)
     if block is not None and start is not None:
         yield block.station(recording, start)
 
@@ -287,14 +298,23 @@ def reduce_recording(
         if progress is not None:
             frames = progress(frames)
         try:
-            stations = list(reduce_frames(frames, camera, recording=recording, block_seconds=seconds))
+            codes = np.zeros(FULL_SCALE, np.int64)
+            stations = list(
+                reduce_frames(frames, camera, recording=recording, block_seconds=seconds, codes=codes)
+            )
         except InputError as error:
             raise error.located(path) from None
         notes = list(bag.assumptions)
         if summary.damage:
             notes.append(f"{path}: {summary.damage}: only what could be read is used")
         notes += [f"{path}: left out: {number} {why}" for why, number in bag.skipped.items() if number]
-    return Dataset(stations, [str(path)], notes, sum(one.frames for one in stations))
+    return Dataset(
+        stations,
+        [str(path)],
+        notes,
+        sum(one.frames for one in stations),
+        codes if codes.any() else None,
+    )
 
 
 def merged(parts: Iterable[Dataset]) -> Dataset:
@@ -308,4 +328,6 @@ def merged(parts: Iterable[Dataset]) -> Dataset:
         result.files += part.files
         result.notes += part.notes
         result.frames += part.frames
+        if part.codes is not None:
+            result.codes = part.codes if result.codes is None else result.codes + part.codes
     return result

@@ -28,12 +28,16 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 @dataclass(frozen=True)
 class View:
-    """Geometry of a station and the pixels (H, W) whose ray stays away from outlines and tile edges."""
+    """Geometry of a station and the pixels (H, W) whose ray stays away from outlines and tile edges.
+
+    ``memory`` keeps what effects computed of this geometry.
+    """
 
     geometry: Geometry
     clean: NDArray[np.bool_]
     poses: Mapping[str, Pose]
     pose_columns: list[PoseColumn] = field(default_factory=list)
+    memory: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -41,12 +45,14 @@ class PoseColumn:
     """Derivative of the distance by one error of one pose.
 
     ``path`` names it: ``pose.SURFACE.offset|tilt_x|tilt_y`` with the 1-sigma ``prior`` of the reference
-    instrument, or ``scene.SURFACE.AXIS`` of a free pose. ``distance`` (H, W) in m per m or per rad.
+    instrument, or ``scene.SURFACE.AXIS`` of a free pose. ``distance`` (H, W) in m per m or per rad; ``amplitude``
+    (H, W) the relative change of the light, by the distance and by the angle of incidence.
     """
 
     path: str
     prior: float
     distance: Array
+    amplitude: Array
 
 
 class Views:
@@ -125,11 +131,11 @@ def _truth_columns(surface: Surface, view: View, mine: Array, rays: Array) -> li
     result = []
     if offset > 0:
         shift = _by_shift(rotation[:, 2], view, mine, rays)
-        result.append(PoseColumn(f"pose.{surface.name}.offset", offset, shift))
+        result.append(PoseColumn(f"pose.{surface.name}.offset", offset, *shift))
     if tilt > 0 and surface.type != "sphere":
         for name, axis in (("tilt_x", rotation[:, 0]), ("tilt_y", rotation[:, 1])):
             turn = _by_rotation(axis, view.poses[surface.name], view, mine, rays)
-            result.append(PoseColumn(f"pose.{surface.name}.{name}", tilt, turn))
+            result.append(PoseColumn(f"pose.{surface.name}.{name}", tilt, *turn))
     return result
 
 
@@ -141,10 +147,10 @@ def _free_columns(
         path = f"scene.{surface.name}.{name}"
         if name in _AXES:
             column = _by_shift(np.array(_AXES[name]), view, mine, rays)
-            result.append(PoseColumn(path, 1.0, column))
+            result.append(PoseColumn(path, 1.0, *column))
         else:
             column = _by_rotation(np.array(_OPTICAL[name]), view.poses[surface.name], view, mine, rays)
-            result.append(PoseColumn(path, 0.3, column))
+            result.append(PoseColumn(path, 0.3, *column))
     return result
 
 
@@ -152,18 +158,24 @@ def _along_rays(view: View, mine: Array, rays: Array) -> Array:
     return np.einsum("nk,nk->n", view.geometry.normals[mine], rays[mine])
 
 
-def _by_shift(direction: Array, view: View, mine: Array, rays: Array) -> Array:
-    column = np.zeros(mine.shape)
+def _by_shift(direction: Array, view: View, mine: Array, rays: Array) -> tuple[Array, Array]:
+    """Return the changes of distance and (relative) light by a shift; the incidence of a plane stays."""
+    column, light = np.zeros(mine.shape), np.zeros(mine.shape)
     column[mine] = view.geometry.normals[mine] @ direction / _along_rays(view, mine, rays)
-    return column
+    light[mine] = -2 * column[mine] / view.geometry.distance[mine]
+    return column, light
 
 
-def _by_rotation(axis: Array, pose: Pose, view: View, mine: Array, rays: Array) -> Array:
-    column = np.zeros(mine.shape)
+def _by_rotation(axis: Array, pose: Pose, view: View, mine: Array, rays: Array) -> tuple[Array, Array]:
+    """Return the changes of distance and (relative) light by a small rotation about the pose's position."""
+    column, light = np.zeros(mine.shape), np.zeros(mine.shape)
     arm = np.array(pose.position) - view.geometry.points[mine]
     turned = np.cross(axis, view.geometry.normals[mine])
-    column[mine] = np.einsum("nk,nk->n", turned, arm) / _along_rays(view, mine, rays)
-    return column
+    along = _along_rays(view, mine, rays)
+    column[mine] = np.einsum("nk,nk->n", turned, arm) / along
+    by_angle = np.einsum("nk,nk->n", turned, rays[mine]) / along
+    light[mine] = by_angle - 2 * column[mine] / view.geometry.distance[mine]
+    return column, light
 
 
 def _rays_around(rays: Array, margin: float) -> list[Array]:

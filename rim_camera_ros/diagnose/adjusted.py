@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.library import UNFITTED
+from rim_camera_ros.calibrate.prediction import Forward, Prediction
 from rim_camera_ros.calibrate.search import contribution
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers
@@ -17,6 +20,11 @@ from rim_camera_ros.camera_file import camera_numbers
 #: A term has moved where chance would do so once in this many times, and distances by this much [m].
 _CHANCE = 1e-4
 LEAST_CHANGE = 0.0004
+#: The verdict speaks of wrong parameters where all terms together move distances by this many single-frame
+#: sigmas (RMS).
+LEAST_TOTAL = 0.1
+#: A relative change of the radiometric gain that matters.
+LEAST_GAIN = 0.03
 
 
 @dataclass(frozen=True)
@@ -59,31 +67,53 @@ def adjusted_terms(camera: Camera, fitted: Fit) -> list[Adjusted]:
     if gain is not None:
         ratio = gain / camera.radiometry.gain - 1
         poses = max(len({(s.recording, s.pose) for s in fitted.forward.dataset.stations}), 1)
-        limit = max(0.03, 4 * camera.radiometry.gain_sigma / np.sqrt(poses))
+        limit = max(LEAST_GAIN, 4 * camera.radiometry.gain_sigma / np.sqrt(poses))
         if abs(ratio) > limit:
             result.append(Adjusted("radiometry", {"gain": camera.radiometry.gain}, {"gain": gain}))
     return result
 
 
 def _moved(camera: Camera, fitted: Fit, name: str) -> float:
-    """RMS [m] of the change of a term over the pixels, its mean per pixel aside where that is all."""
-    from rim_camera_ros.calibrate.prediction import Forward
+    """RMS [m] over the pixels of the change of one term, without its mean per pixel."""
+    return _varying(
+        camera,
+        fitted,
+        lambda old, new: contribution(new, name, fitted.start) - contribution(old, name, fitted.start),
+    )
 
+
+def total_change(camera: Camera, fitted: Fit) -> float:
+    """RMS, in single-frame sigmas, of how a fit changes the predicted distances.
+
+    Without the mean of each pixel and station, which pattern and poses take up.
+    """
+
+    def change(old: Prediction, new: Prediction) -> NDArray[Any]:
+        single = new.sigma * np.sqrt(np.maximum(new.station.count, 1))
+        return np.asarray((new.distance - old.distance) / single)
+
+    return _varying(camera, fitted, change)
+
+
+def _varying(
+    camera: Camera, fitted: Fit, change_of: Callable[[Prediction, Prediction], NDArray[Any]]
+) -> float:
+    """RMS of a change over pixels and stations, its mean over each pixel and each station removed."""
     before = Forward(fitted.forward.dataset, fitted.scene, camera, views=fitted.forward.views)
     before.amplitude_model = fitted.forward.amplitude_model
     before.masks = fitted.forward.masks
-    before.shifts = fitted.forward.shifts
     shape = camera.shape
     total, square, count = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     for old, new in zip(
         before.predictions(slopes=False), fitted.forward.predictions(slopes=False), strict=True
     ):
-        change = np.broadcast_to(
-            contribution(new, name, fitted.start) - contribution(old, name, fitted.start), shape
-        )
+        change = np.broadcast_to(change_of(old, new), shape)
         used = new.used & old.used & np.isfinite(change)
-        total[used] += change[used]
-        square[used] += change[used] ** 2
+        if not used.any():
+            continue
+        values = change[used] - np.mean(change[used])
+        total[used] += values
+        square[used] += values**2
         count[used] += 1
     known = count > 1
     if not known.any():

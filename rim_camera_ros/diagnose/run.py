@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import Fit, Problem
-from rim_camera_ros.calibrate.library import Facts, added
+from rim_camera_ros.calibrate.library import LINEAR, Facts, added
 from rim_camera_ros.calibrate.nulls import null_scores
 from rim_camera_ros.calibrate.prediction import Forward
 from rim_camera_ros.calibrate.search import Exploration, Found, Result, explore, search
@@ -19,7 +19,8 @@ from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.diagnose.accuracy import Accuracy, accuracy
-from rim_camera_ros.diagnose.adjusted import Adjusted, adjusted_terms
+from rim_camera_ros.diagnose.adjusted import LEAST_GAIN, LEAST_TOTAL, Adjusted, adjusted_terms, total_change
+from rim_camera_ros.diagnose.codes import MissingCodes, missing_codes
 from rim_camera_ros.diagnose.setup import check_setup
 from rim_camera_ros.diagnose.smooth import UNKNOWN, axes_of, pair_terms, single_terms
 from rim_camera_ros.diagnose.unknown import (
@@ -32,6 +33,7 @@ from rim_camera_ros.diagnose.unknown import (
 from rim_camera_ros.diagnose.variance import Variance, examine_variance
 from rim_camera_ros.diagnose.where import Where, nowhere, of_residuals, of_terms
 from rim_camera_ros.effects import registry
+from rim_camera_ros.effects.background_light import BackgroundLight
 from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]
@@ -41,6 +43,8 @@ DOUBT = 0.15
 #: A term outside the vocabulary must gain this share more than the named ones to take their place.
 BEYOND = 1.2
 _LEAST_UNKNOWN = 20.0
+#: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
+_COMMON_LIGHT = 0.1
 
 
 @dataclass(frozen=True)
@@ -91,6 +95,7 @@ class _Unknown:
     covariates: tuple[str, ...]
     camera: Camera
     on_top: float
+    threshold: float
 
 
 def diagnose(
@@ -114,23 +119,29 @@ def diagnose(
     shifts = None
     if against is not None:
         shifts = Forward(dataset, scene, camera).shifts_to(against)
-    problem = Problem(dataset, scene, shifts=shifts)
     say("looking at the covariates")
     forward = Forward(dataset, scene, camera)
     forward.estimate_amplitudes()
+    variance = examine_variance(forward)
+    light = _COMMON_LIGHT * facts.amplitude if variance.pixels_vary_together else 0.0
+    problem = Problem(dataset, scene, shifts=shifts, stray_light=light)
     samples = axes_of(forward, seed=seed)
     smooth = single_terms(samples)
     result = search(problem, camera, facts, further=smooth, seed=seed, progress=say)
     baseline, final = result.explorations[0], result.explorations[-1]
     say("looking for what no named effect explains")
     unknown = _unknown(result, samples, problem, seed)
-    variance = examine_variance(final.fit)
+    variance = examine_variance(final.fit.forward)
+    codes = missing_codes(dataset.codes, noise=camera.noise.floor / camera.sensor.lsb)
     named = result.log_likelihood - result.start_log_likelihood
     explained = _explained(baseline, result, unknown)
     described = None
-    if unknown is not None and _is_unknown(unknown, named, baseline, final):
+    # a curve of the light that is not refitted leaves a smooth rest by itself
+    linear = any(one.effect in LINEAR for one in result.found)
+    if unknown is not None and not linear and _is_unknown(unknown, named, baseline, final):
         described = _described(unknown, baseline, result, seed)
     setup = check_setup(final.fit if described is None else described.fit, explained=explained)
+    reason = None if variance.pixels_vary_together or codes is not None else setup.reason
     say("held-out poses before and after")
     return _verdict(
         camera=camera,
@@ -139,7 +150,8 @@ def diagnose(
         unknown=described,
         rest=unknown,
         variance=variance,
-        reason=setup.reason,
+        codes=codes,
+        reason=reason,
         seed=seed,
     )
 
@@ -162,8 +174,7 @@ def _explained(baseline: Exploration, result: Result, unknown: _Unknown | None) 
 def _is_unknown(unknown: _Unknown | None, named: float, baseline: Exploration, final: Exploration) -> bool:
     if unknown is None:
         return False
-    least = max(_LEAST_UNKNOWN, 1.5 * final.threshold)
-    if unknown.on_top < least:
+    if unknown.on_top < max(_LEAST_UNKNOWN, 1.5 * unknown.threshold):
         return False
     return unknown.on_top > DOUBT * named
 
@@ -174,9 +185,10 @@ def _unknown(result: Result, samples: Mapping[str, Array], problem: Problem, see
     options: list[_Unknown] = []
     best = final.best_further()
     structures = fine_structures(final.fit, result.folds)
-    least = max(_LEAST_UNKNOWN, final.threshold)
-    if best is not None and best[0] > least:
+    least = _LEAST_UNKNOWN
+    if best is not None and best[0] > max(least, 1.5 * float(final.thresholds[best[1]])):
         gain, k = best
+        threshold = float(final.thresholds[k])
         covariates: tuple[str, ...] = (final.candidates[k].variant,)
         camera = final.candidates[k].build(final.fit.camera, final.scores.values(final.spans[k]))
         pairs = pair_terms(dict(samples), smooth_pairs(final))
@@ -193,7 +205,7 @@ def _unknown(result: Result, samples: Mapping[str, Array], problem: Problem, see
                 iterations=1,
             )
             two = step.best_further()
-            if two is not None and two[0] > 1.1 * gain + final.threshold:
+            if two is not None and two[0] > 1.1 * gain + threshold:
                 gain, k = two
                 covariates = tuple(step.candidates[k].variant.split(","))
                 camera = step.candidates[k].build(step.fit.camera, step.scores.values(step.spans[k]))
@@ -201,12 +213,12 @@ def _unknown(result: Result, samples: Mapping[str, Array], problem: Problem, see
         for j in range(baseline.named, len(baseline.candidates)):
             if baseline.candidates[j].variant == covariates[0]:
                 over = max(over, float(baseline.gains[j]))
-        options.append(_Unknown(over, covariates, camera, gain))
+        options.append(_Unknown(over, covariates, camera, gain, threshold))
     if structures and structures[0].gain > least:
         fine = structures[0]
         table = fine_table(fine, final.fit)
         camera = final.fit.camera if table is None else with_table(final.fit.camera, table)
-        options.append(_Unknown(fine.gain, fine.covariates, camera, fine.gain))
+        options.append(_Unknown(fine.gain, fine.covariates, camera, fine.gain, least))
     return max(options, key=lambda one: one.on_top, default=None)
 
 
@@ -218,6 +230,7 @@ def _verdict(
     unknown: _Described | None,
     rest: _Unknown | None,
     variance: Variance,
+    codes: MissingCodes | None,
     reason: str | None,
     seed: int,
 ) -> Diagnosis:
@@ -262,6 +275,9 @@ def _verdict(
     if verdict == "inconsistent_setup":
         adjusted = []
     verdict, missing, model = _with_variance(verdict, missing, adjusted, model, variance, ties)
+    if codes is not None and verdict != "inconsistent_setup":
+        verdict, missing = "unknown_physics", [_codes(codes, camera)]
+        where = of_residuals(fitted)
     measure = accuracy(camera, model, result, unknown if verdict == "unknown_physics" else None)
     return Diagnosis(
         verdict=verdict,
@@ -328,7 +344,9 @@ def intervals_of(step: Exploration, *, seed: int = 0) -> dict[str, tuple[float, 
     fitted, scores = step.fit, step.scores
     count = len(fitted.parameters)
     own = np.arange(count)
-    nulls = null_scores(fitted.equations, own, replicates=200, seed=seed + 1, temper=scores.temper)
+    nulls = null_scores(
+        fitted.equations, own, replicates=200, seed=seed + 1, temper=scores.temper, errors=fitted.nuisances
+    )
     matrix = scores.full.gram[:count, :count] + np.diag(scores.prior[:count] ** -2)
     scale = scores.prior[:count]
     inner = matrix * scale[:, None] * scale[None, :]
@@ -357,6 +375,8 @@ def _missing(
     camera = fitted.camera
     effect = camera.effects.get(name)
     if effect is None:
+        if name in LINEAR:
+            return Missing(name, probability, {}, {}, _GEOMETRY_SENTENCE[name])
         prefix = "optics."
         own = {path.removeprefix(prefix): v for path, v in intervals.items() if path.startswith(prefix)}
         sentence = _GEOMETRY_SENTENCE[name]
@@ -388,6 +408,8 @@ def _missing(
 
 
 _GEOMETRY_SENTENCE = {
+    "radiometry": "radiometry: surfaces do not reflect as Lambert says; amplitudes depend otherwise on the angle "
+    "of incidence than the scene's simulation",
     "camera_constant": "camera constant: focal length or principal point differ from the camera file's",
     "lens_distortion": "lens distortion: the rays bend other than the camera file's distortion says",
 }
@@ -485,6 +507,10 @@ def _refit_table(unknown: _Unknown, baseline: Exploration, result: Result, seed:
 
 def _parameters_matter(camera: Camera, result: Result) -> bool:
     """Say whether freeing the known terms gains on held-out poses beyond the threshold."""
+    fitted = result.explorations[-1].fit
+    changed_gain = abs(fitted.camera.radiometry.gain / camera.radiometry.gain - 1) > LEAST_GAIN
+    if total_change(camera, fitted) < LEAST_TOTAL and not changed_gain:
+        return False
     frozen = replace(result.problem, effects=(), gain=False, geometry=())
     folds = folds_of(result.problem.dataset)
     step = explore(frozen, camera, [], folds, replicates=0, views=result.fit.forward.views, iterations=2)
@@ -511,24 +537,51 @@ def _with_variance(
         missing = [*missing, Missing("interference", 1.0, {}, {}, sentence)]
         return ("missing_physics" if verdict != "unknown_physics" else verdict), missing, model
     if variance.noise_is_wrong:
-        before = model.noise
-        adjusted.append(
-            Adjusted(
-                "noise",
-                {"floor": before.floor, "shot": before.shot, "amplitude": before.amplitude},
-                {
-                    "floor": variance.noise.floor,
-                    "shot": variance.noise.shot,
-                    "amplitude": variance.noise.amplitude,
-                },
+        before, after = model.noise, variance.noise
+        if variance.background > 0 and "background_light" not in model.effects:
+            level = variance.background
+            sentence = (
+                f"background light: {level:.3g} counts of unmodulated light add photon noise; the variance of "
+                f"repeated frames is {variance.ratio:.2f} times the model's, most where it is dark"
             )
-        )
-        model = replace(model, noise=variance.noise)
-        if verdict == "consistent":
-            verdict = "wrong_parameters"
-        if before.shot > 0 and variance.ratio > 1 and "background_light" not in model.effects:
+            named = Missing("background_light", 0.7, {"level": level}, {}, sentence)
             ties.append(["background_light", "noise"])
+            model = added(model, BackgroundLight(level=level))
+            if {one.effect for one in missing} <= {UNKNOWN} and all(
+                set(one.covariates) <= {"amplitude", "distance", "contrast"} for one in missing
+            ):
+                # what it adds to the distance goes with the light that a surface reflects of it
+                missing, verdict = [], "missing_physics"
+        else:
+            sentence = (
+                f"noise: the variance of repeated frames is {variance.ratio:.2f} times the model's; they fit "
+                f"floor {after.floor * 1e3:.2g} mm and {after.amplitude:.3g} m*counts over the amplitude"
+            )
+            numbers = {"floor": after.floor, "shot": after.shot, "amplitude": after.amplitude}
+            named = Missing("noise", 1.0, numbers, {}, sentence)
+            adjusted.append(
+                Adjusted(
+                    "noise",
+                    {"floor": before.floor, "shot": before.shot, "amplitude": before.amplitude},
+                    numbers,
+                )
+            )
+            model = replace(model, noise=after)
+        missing = [*missing, named]
+        if verdict != "unknown_physics":
+            verdict = "missing_physics"
     return verdict, missing, model
+
+
+def _codes(codes: MissingCodes, camera: Camera) -> Missing:
+    step = codes.step * camera.sensor.lsb
+    sentence = (
+        f"unknown physics: beside {codes.share:.0%} of the frequent distance counts lie counts that never occur "
+        f"(steps of {codes.step:.0f} counts, {step * 1e3:.2g} mm): the read-out leaves out codes"
+    )
+    return Missing(
+        UNKNOWN, 1.0, {}, {}, sentence, ("distance",), step / np.sqrt(12), "staircase of the distance"
+    )
 
 
 def _next_recording(ties: Sequence[Sequence[str]], unseen: Sequence[str], verdict: str) -> str | None:

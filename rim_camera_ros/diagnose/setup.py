@@ -49,7 +49,7 @@ def check_poses(fitted: Fit) -> list[PoseCheck]:
         recording, pose, rest = name.split(".", 2)
         key = (int(recording), int(pose))
         error = abs(value) / sigma[name]
-        if rest != "gain" and error > worst.get(key, (0.0, ""))[0]:
+        if rest.startswith(("pose.", "scene.")) and error > worst.get(key, (0.0, ""))[0]:
             worst[key] = (error, rest)
     result: dict[tuple[int, int], PoseCheck] = {}
     for one in fitted.forward.predictions():

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from itertools import pairwise
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from rim_camera_ros.calibrate.adjustment import Fit
+from rim_camera_ros.calibrate.prediction import Forward
+from rim_camera_ros.camera import Camera
 from rim_camera_ros.noise import Noise
+
+Array = NDArray[Any]
 
 #: Relative deviation of a variance that matters, and its significance in sigmas.
 LEAST_RATIO = 0.05
@@ -32,6 +39,8 @@ class Variance:
     ``ratio`` measured over modelled variance of all pixels with standard error ``sigma``; ``noise`` the model
     fitted to them; ``common`` the mean of `stations.Station.common` over stations, with standard error
     ``common_sigma`` (1: pixels scatter independently). ``floor`` [m] is the RMS of the noise of station means.
+    ``background`` [counts] is the unmodulated light that explains the excess as well as another noise does (0:
+    it does not).
     """
 
     ratio: float
@@ -42,6 +51,7 @@ class Variance:
     common_sigma: float
     floor: float
     repeated: bool
+    background: float = 0.0
 
     @property
     def noise_is_wrong(self) -> bool:
@@ -62,12 +72,12 @@ class Variance:
         return self.common is not None and self.common > 1 + max(6 * self.common_sigma, 1.0)
 
 
-def examine_variance(fitted: Fit) -> Variance:
+def examine_variance(forward: Forward) -> Variance:
     """Compare the variances of repeated frames with the noise model at the latent amplitudes."""
-    camera = fitted.camera
+    camera = forward.camera
     amplitude, measured, model, freedom = [], [], [], []
     common, floors = [], []
-    for one in fitted.forward.predictions(slopes=False):
+    for one in forward.predictions(slopes=False):
         station = one.station
         pixels = one.amplitude_used & (station.count == station.frames)
         floors.append(one.sigma[one.used] ** 2)
@@ -86,7 +96,7 @@ def examine_variance(fitted: Fit) -> Variance:
     ratio = s / m
     edges = np.unique(np.quantile(a, np.linspace(0, 1, _BINS + 1)))
     bins = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         own = (a >= low) & (a <= high)
         if f[own].sum() < 200:
             continue
@@ -109,12 +119,31 @@ def examine_variance(fitted: Fit) -> Variance:
         common_sigma=float(1.0 / np.sqrt(number * max(frames - 1, 1))),
         floor=floor,
         repeated=True,
+        background=_background(a, s, m, f, camera),
     )
 
 
-def _fitted_noise(
-    amplitude: np.ndarray, measured: np.ndarray, model: np.ndarray, freedom: np.ndarray, noise: Noise
-) -> Noise:
+def _background(a: Array, s: Array, m: Array, f: Array, camera: Camera) -> float:
+    """Return the level whose photon noise explains the excess variance better than any scale of the noise.
+
+    The variance gains shot^2 * level / A^2, so that its form over the amplitude tells.
+    """
+    shot = camera.noise.shot
+    if shot == 0:
+        return 0.0
+    excess = s / m - 1
+    shape = shot**2 / a**2 / m
+
+    def misfit(x: Array) -> tuple[float, float]:
+        value = float((f * x * excess).sum() / (f * x * x).sum())
+        return value, float((f * (excess - value * x) ** 2).sum()) / 2
+
+    level, own = misfit(shape)
+    _, scaled = misfit(np.ones_like(excess))
+    return level if level > 0 and own < scaled - 5 else 0.0
+
+
+def _fitted_noise(amplitude: Array, measured: Array, model: Array, freedom: Array, noise: Noise) -> Noise:
     """Fit floor^2 + shot^2 / A + amplitude^2 / A^2 to the variances, weighted by the model's."""
     with_shot = noise.shot > 0
     columns = [np.ones_like(amplitude), 1 / amplitude**2] + ([1 / amplitude] if with_shot else [])
