@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from rim_camera_ros.calibrate.normal_equations import Block, Regressor, effect_block
 from rim_camera_ros.calibrate.prediction import Prediction
@@ -354,10 +355,21 @@ def _blurred(blur: float) -> Candidate:
     block = Block((Regressor(label, effect.name, 1.0),), columns)
 
     def build(camera: Camera, values: Coefficients) -> Camera:
-        share = max(values[label], 0.01)
-        return added(camera, MixedPixels(blur=blur * float(np.sqrt(share))))
+        share = float(np.clip(values[label], 0.01, 4.0))
+        return added(camera, MixedPixels(blur=_blur_of_variance(share * _variance_of_blur(blur))))
 
     return Candidate("mixed_pixels", f"{blur:g} px", block, build)
+
+
+def _variance_of_blur(blur: float) -> float:
+    """Return the variance [px^2] of the sampled Gaussian, which for narrow ones is below blur^2."""
+    k = np.arange(-40, 41)
+    kernel = np.exp(-0.5 * (k / blur) ** 2)
+    return float(np.sum(kernel * k**2) / np.sum(kernel))
+
+
+def _blur_of_variance(variance: float) -> float:
+    return float(brentq(lambda blur: _variance_of_blur(blur) - variance, 0.12, 10.0, xtol=1e-4))
 
 
 def _bleed(camera: Camera, facts: Facts) -> list[Candidate]:

@@ -31,8 +31,19 @@ ALARM_RATE = 0.02
 LEAST_THRESHOLD = 8.0
 #: Candidates that differ as much as independent tries would.
 _INDEPENDENT = 8
-#: A further effect must gain this share of what the effects before it gained.
-LEAST_SHARE = 0.01
+#: A further effect must gain this share of what the effects before it gained: more where it is of the kind
+#: of one of them, whose form is never quite the true one and leaves such a rest.
+LEAST_SHARE = 0.0015
+LEAST_SHARE_OF_KIND = 0.02
+_KINDS = (
+    frozenset({"scattering", "mixed_pixels", "multipath", "saturation_bleed"}),
+    frozenset({"emission_pattern", "amplitude_nonlinearity", "emitter_offset", "radiometry", "scattering"}),
+    frozenset({"cyclic_error", "distance_scale", "camera_constant", "lens_distortion", "emitter_offset"}),
+    frozenset({"warm_up_drift", "ambient_temperature", "distance_scale"}),
+)
+#: ... unless it changes whole poses, whose errors limit what it can gain.
+LEAST_SHARE_OF_POSES = 0.0005
+OF_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_offset"})
 #: A further effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
 LEAST_SIZE = 0.0005
 MOST_EFFECTS = 4
@@ -232,14 +243,13 @@ def search(
     start = first.scores.log_likelihood()
     found: list[Found] = []
     kept: list[Candidate] = []
-    total = 0.0
     step = first
     while len(found) < most:
-        named = _named(step)
+        named = _named(step, found)
         if not named:
             break
         leader, gain = named[0]
-        need = max(float(step.thresholds[leader]), LEAST_SHARE * total)
+        need = _needed(step, leader, found)
         pair = step.best_pair() if gain > 0.5 * step.threshold else None
         numbers: tuple[int, ...] = (leader,)
         if pair is not None and leader not in pair[1] and pair[0] > gain + max(need, 0.25 * gain):
@@ -255,7 +265,6 @@ def search(
         gain = likelihood - before
         if gain <= need or effect_size(next_step.fit, chosen, camera) < LEAST_SIZE:
             break
-        total += gain
         for name in chosen:
             rivals, ties = _rivals(step, name, need)
             found.append(Found(name, gain, rivals, ties))
@@ -276,10 +285,21 @@ def _silent(text: str) -> None:
     return None
 
 
-def _named(step: Exploration) -> list[tuple[int, float]]:
-    """Return candidates and gains, those above their thresholds first, by gain."""
+def _needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
+    """Return what a candidate must gain [nats] after others were found."""
+    effect = step.candidates[number].effect
+    share = LEAST_SHARE_OF_POSES if effect in OF_POSES else LEAST_SHARE
+    need = share * sum(one.gain for one in found)
+    for one in found:
+        if any(effect in kind and one.effect in kind for kind in _KINDS):
+            need = max(need, LEAST_SHARE_OF_KIND * one.gain)
+    return max(float(step.thresholds[number]), need)
+
+
+def _named(step: Exploration, found: Sequence[Found]) -> list[tuple[int, float]]:
+    """Return candidates and gains, those first that gain what they must, by gain."""
     order = [(k, float(step.gains[k])) for k in range(step.named)]
-    return sorted(order, key=lambda one: (step.gains[one[0]] < step.thresholds[one[0]], -one[1]))
+    return sorted(order, key=lambda one: (one[1] < _needed(step, one[0], found), -one[1]))
 
 
 def _refined(

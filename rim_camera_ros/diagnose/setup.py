@@ -10,10 +10,13 @@ import numpy as np
 from rim_camera_ros.calibrate.adjustment import Fit, after_nuisances
 
 #: A pose error beyond this many sigma of its instrument is no error of the instrument.
-FAR = 8.0
-#: Chi-square per value of a pose that stands out: by itself, and against the median pose.
-LARGE = 4.0
-AGAINST_MEDIAN = 5.0
+FAR = 15.0
+#: Chi-square per value of a pose that stands out.
+LARGE = 10.0
+#: A pose is wrong by itself only where it stands out by this factor from four fifths of the others, ...
+AGAINST_OTHERS = 4.0
+#: ... and where such poses are few: what many poses show is physics.
+FEW = 0.15
 #: Median distance residual [m] and relative amplitude error beyond which nothing fits.
 GROSS_DISTANCE = 0.10
 GROSS_AMPLITUDE = 0.6
@@ -122,13 +125,15 @@ def _gross(fitted: Fit, poses: list[PoseCheck]) -> str | None:
 
 
 def _few(poses: list[PoseCheck]) -> str | None:
-    typical = float(np.median([one.chi_square for one in poses]))
+    errors = float(np.quantile([one.error for one in poses], 0.8))
+    typical = float(np.quantile([one.chi_square for one in poses], 0.8))
     bad = [
         one
         for one in poses
-        if one.error > FAR or (one.chi_square > LARGE and one.chi_square > AGAINST_MEDIAN * typical)
+        if (one.error > FAR and one.error > AGAINST_OTHERS * errors)
+        or (one.chi_square > LARGE and one.chi_square > AGAINST_OTHERS * typical)
     ]
-    if not bad or len(bad) > 0.5 * len(poses):
+    if not bad or len(bad) > max(1.0, FEW * len(poses)):
         return None
     worst = sorted(bad, key=lambda one: -max(one.error, one.chi_square))[:5]
     names = ", ".join(str(one.key[1]) for one in worst)
