@@ -36,6 +36,8 @@ _GAIN = "radiometry.gain"
 
 #: How well amplitudes are predicted is estimated anew in this many iterations, then kept.
 _SETTLED = 3
+#: Change of chi-square between two iterations below which the adjustment has converged.
+_LEVEL = 0.5
 
 Progress = Callable[[str], None]
 
@@ -122,6 +124,7 @@ def fit(
     best: Fit | None = None
     gains: Mapping[tuple[int, int], float] | None = None
     tau = 0.0
+    previous = np.inf
     last_step: dict[str, float] = {}
     numbers = camera_numbers(camera)
     lows, highs = _bounds(camera)
@@ -206,6 +209,9 @@ def fit(
         gains = {key: g * _factor(nuisances.get(f"{key[0]}.{key[1]}.gain", 0.0)) for key, g in gains.items()}
         nuisances = {name: e for name, e in nuisances.items() if not name.endswith(".gain")}
         converged = bool(np.all(np.abs(step) <= tolerance * sigma)) if owned else True
+        # parameters that the data hardly tell apart wander along a valley whose floor is level
+        converged |= count >= _SETTLED and abs(previous - here) < _LEVEL
+        previous = here
         changes = dict(zip((one.label for one in regressors), step.tolist(), strict=True))
         camera, offsets = _stepped(start, offsets, changes, lows, highs, numbers)
         for path in changes:

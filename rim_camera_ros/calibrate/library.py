@@ -350,7 +350,7 @@ def _blurred(blur: float) -> Candidate:
             relative = np.where(phasor == 0, 0, blurred / phasor)
             # large changes turn the phase by angles, not by ratios
             change = np.where(relative == 0, 0, np.log(np.where(relative == 0, 1, relative)))
-        return [prediction.light_change(effect.name, change, phasor)]
+        return [prediction.light_change(effect.name, change)]
 
     block = Block((Regressor(label, effect.name, 1.0),), columns)
 

@@ -68,14 +68,14 @@ class Prediction:
     gain: float
     spread: list[Effect] = field(default_factory=list)
 
-    def light_change(self, after: str | None, change: Array, level: Array) -> tuple[Array, Array]:
+    def light_change(self, after: str | None, change: Array) -> tuple[Array, Array]:
         """Carry a relative change of the complex image through the optics that follow an effect.
 
-        ``change`` (H, W) complex: dS / S just after effect ``after`` (None: at the scene), where the
-        complex image is ``level``. Returns the derivatives of measured distance and published amplitude.
+        ``change`` (H, W) complex: dS / S just after effect ``after`` (None: at the scene). Returns the derivatives
+        of measured distance and published amplitude.
         """
         start = -1 if after is None else self.order[after]
-        relative, image = change, level
+        relative = change
         for effect in self.spread:
             if self.order[effect.name] <= start:
                 continue
@@ -109,13 +109,13 @@ class Prediction:
         if isinstance(effect, DistanceTerm) or name == "amplitude_nonlinearity":
             zero = np.zeros(self.distance.shape)
             return {path: (zero + d, zero + a) for path, (d, a) in columns.items()}
+        after = effect.simulate(signal, self.context).amplitude
         result = {}
-        level = to_phasor(signal.distance, signal.amplitude, self.context.ambiguity)
         for path, (d, a) in columns.items():
             with np.errstate(divide="ignore", invalid="ignore"):
-                relative = np.where(signal.amplitude > 0, a / signal.amplitude, 0.0)
+                relative = np.where(after > 0, a / after, 0.0)
             change = relative + 1j * (2 * np.pi / self.context.ambiguity) * np.nan_to_num(d)
-            result[path] = self.light_change(name, change, level)
+            result[path] = self.light_change(name, change)
         return result
 
     def before_effect(self, name: str) -> Signal:
@@ -146,7 +146,7 @@ class Prediction:
         change = column.amplitude + 1j * wave * column.distance
         if not self.spread:
             return self.reading_change(change.imag / wave, change.real)
-        return self.light_change(None, change, change)
+        return self.light_change(None, change)
 
 
 @dataclass

@@ -47,6 +47,8 @@ OF_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_
 #: A further effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
 LEAST_SIZE = 0.0005
 MOST_EFFECTS = 4
+#: Number of pixels from which fewer replicates are drawn, for the memory that they take.
+_MANY_PIXELS = 60_000
 
 
 @dataclass
@@ -165,6 +167,8 @@ def explored(
     gains = np.array([float(scores.gain(span)) for span in spans])
     maxima = np.zeros(0)
     thresholds = np.full(len(found), LEAST_THRESHOLD)
+    if fitted.camera.sensor.width * fitted.camera.sensor.height > _MANY_PIXELS:
+        replicates = min(replicates, 60)
     if replicates and scores.trained and found:
         nulls = null_scores(
             fitted.equations,

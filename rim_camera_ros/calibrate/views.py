@@ -103,6 +103,7 @@ class Views:
                 local = (
                     np.where(met, length, 0.0)[:, None] * rays[mine] - np.array(pose.position)
                 ) @ rotation
+                local = np.nan_to_num(local)  # beside pixels that have no ray
                 same = texture.reflectivity(local[:, 0], local[:, 1]) == geometry.reflectivity[mine]
                 clean[mine] &= same | ~met
         return clean

@@ -43,6 +43,8 @@ DOUBT = 0.15
 #: A term outside the vocabulary must gain this share more than the named ones to take their place.
 BEYOND = 1.2
 _LEAST_UNKNOWN = 20.0
+#: Number of pixels from which sums per pixel are kept in single precision.
+_LARGE = 60_000
 #: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
 _COMMON_LIGHT = 0.1
 
@@ -124,7 +126,8 @@ def diagnose(
     forward.estimate_amplitudes()
     variance = examine_variance(forward)
     light = _COMMON_LIGHT * facts.amplitude if variance.pixels_vary_together else 0.0
-    problem = Problem(dataset, scene, shifts=shifts, stray_light=light)
+    large = camera.sensor.width * camera.sensor.height > _LARGE
+    problem = Problem(dataset, scene, shifts=shifts, stray_light=light, single=large)
     samples = axes_of(forward, seed=seed)
     smooth = single_terms(samples)
     result = search(problem, camera, facts, further=smooth, seed=seed, progress=say)
