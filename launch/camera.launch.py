@@ -5,6 +5,9 @@ An argument left empty leaves the matter to the parameter file and to the node's
     ros2 launch rim_camera_ros camera.launch.py source:=playback recording:=/path/to/bag
 """
 
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
@@ -12,6 +15,8 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 PACKAGE = "rim_camera_ros"
+#: Topics of camera.rviz, which are those of the namespace /camera there.
+SHOWN = ("points", "amplitude/image_raw", "sigma/image")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -21,7 +26,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "source",
                 default_value="",
-                choices=["", "simulator", "playback"],
+                choices=["", "simulator", "playback", "sr3000"],
                 description="where the images come from",
             ),
             DeclareLaunchArgument("scene", default_value="", description="scene file of the simulator"),
@@ -34,6 +39,12 @@ def generate_launch_description() -> LaunchDescription:
                 "correction_camera", default_value="", description="camera file the correction uses"
             ),
             DeclareLaunchArgument("frame_id", default_value="", description="optical frame of the images"),
+            DeclareLaunchArgument(
+                "base_frame", default_value="", description="frame the camera is mounted at"
+            ),
+            DeclareLaunchArgument(
+                "rviz", default_value="false", description="true: show points and amplitude"
+            ),
             OpaqueFunction(function=start_nodes),
         ]
     )
@@ -53,10 +64,15 @@ def start_nodes(context: LaunchContext) -> list[Node]:
 
     file = value("driver_parameters")
     driver = given(
-        source="source", scene="scene", recording="recording", camera="camera", frame_id="frame_id"
+        source="source",
+        scene="scene",
+        recording="recording",
+        camera="camera",
+        frame_id="frame_id",
+        base_frame="base_frame",
     )
     correction = given(camera="correction_camera")
-    return [
+    nodes = [
         Node(
             package=PACKAGE,
             executable="driver_node",
@@ -72,3 +88,16 @@ def start_nodes(context: LaunchContext) -> list[Node]:
             output="screen",
         ),
     ]
+    if value("rviz").lower() == "true":
+        view = Path(get_package_share_directory(PACKAGE)) / "config" / "camera.rviz"
+        names = [("/camera/" + topic, f"/{value('namespace')}/" + topic) for topic in SHOWN]
+        nodes.append(
+            Node(
+                package="rviz2",
+                executable="rviz2",
+                arguments=["-d", str(view)],
+                remappings=names,
+                output="screen",
+            )
+        )
+    return nodes

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.devices.base import Device
 from rim_camera_ros.devices.playback import Playback
-from rim_camera_ros.devices.simulator import Simulator
+from rim_camera_ros.devices.simulator import Simulator, checked_rate
+from rim_camera_ros.devices.sr3000 import SwissRanger
+from rim_camera_ros.devices.swissranger_settings import AutoExposure, CameraSettings
 from rim_camera_ros.errors import InputError, nearest_name
 from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.phasor import Waveform, parse_waveform
 from rim_camera_ros.scene import load_scene
 
-SOURCES = ("simulator", "playback")
+SOURCES = ("simulator", "playback", "sr3000")
 STAMPS = ("auto", "now", "recorded")
 
 
@@ -36,10 +38,24 @@ class Source:
     waveform: str = ""
     playback_rate: float = 1.0
     stamps: str = "auto"
+    library: str = ""
+    serial_number: int = 0
+    modulation_frequency: float = 0.0
+    amplitude_threshold: int = 0
+    auto_exposure: bool = False
+    mode: str = "raw"
+    pause: bool = False
 
-    def open(self) -> Simulator | Playback:
+    def open(self) -> Simulator | Playback | SwissRanger:
         """Return the open device. Raises `InputError` for whatever is wrong with it."""
-        device = self._playback() if self.source == "playback" else self._simulator()
+        self.check_settings()
+        device: Simulator | Playback | SwissRanger
+        if self.source == "playback":
+            device = self._playback()
+        elif self.source == "sr3000":
+            device = self._swissranger()
+        else:
+            device = self._simulator()
         device.open()
         return device
 
@@ -52,17 +68,49 @@ class Source:
         """Return the source in words."""
         if self.source == "playback":
             return f"recording {self.recording}"
+        if self.source == "sr3000":
+            return "SwissRanger on USB"
         return f"simulation of {self.camera} in {self.scene}"
 
-    def check_settings(self, device: Device) -> None:
-        """Raise `InputError` for a setting that the device cannot take."""
+    def check_settings(self, device: Device | None = None) -> None:
+        """Raise `InputError` for a setting that the device, or every device of this source, cannot take."""
+        if self.pause and self.source != "playback":
+            raise InputError(
+                "only playback can stand still", place="pause", remedy="deactivate the node to end the frames"
+            )
         if isinstance(device, Playback):
             device.set_integration_time(self.integration_time or None)
+        if isinstance(device, SwissRanger):
+            self._camera_settings()
 
     def set_settings(self, device: Device) -> None:
         """Change the settings of a device that runs."""
+        if isinstance(device, SwissRanger):
+            device.apply(self._camera_settings())
+            return
+        if isinstance(device, Playback):
+            device.rate = checked_rate(self.playback_rate)
         device.set_integration_time(self.integration_time or None)
         device.set_frame_rate(self.frame_rate or None)
+
+    def _camera_settings(self) -> CameraSettings:
+        return CameraSettings(
+            integration_time=self.integration_time or None,
+            modulation_frequency=self.modulation_frequency or None,
+            amplitude_threshold=self.amplitude_threshold,
+            auto_exposure=AutoExposure() if self.auto_exposure else None,
+            frame_rate=self.frame_rate or None,
+            mode=self.mode,
+        )
+
+    def _swissranger(self) -> SwissRanger:
+        return SwissRanger(
+            settings=self._camera_settings(),
+            library=self.library or None,
+            serial=self.serial_number,
+            intrinsics=load_camera(find_camera(self.camera)).intrinsics,
+            wait_for_camera=True,
+        )
 
     def _simulator(self) -> Simulator:
         if self.source not in SOURCES:

@@ -34,17 +34,22 @@ class Acquisition:
     """A thread that takes frames from an open device.
 
     ``retry``: a device that fails is closed and opened again, else it is at its end. ``exchange`` puts
-    another open device in its place between two frames.
+    another open device in its place between two frames. ``paused``: none is asked for.
     """
 
-    def __init__(self, device: Device, listener: Listener, *, retry: bool = True) -> None:
+    def __init__(
+        self, device: Device, listener: Listener, *, retry: bool = True, paused: bool = False
+    ) -> None:
         self._device = device
         self._next: tuple[Device, bool] | None = None
         self._listener = listener
         self._retry = retry
         self._lock = threading.Lock()
         self._wake = threading.Event()
+        self._paused = paused
         self._stopping = False
+        self._stalled: RimError | None = None
+        self._asked: float | None = None
         self._thread = threading.Thread(target=self._run, name="acquisition", daemon=True)
 
     def start(self) -> None:
@@ -67,9 +72,28 @@ class Acquisition:
         with self._lock:
             return self._next[0] if self._next is not None else self._device
 
+    def pause(self, paused: bool) -> None:
+        """Ask for no more frames after the one that is waited for, or again."""
+        with self._lock:
+            self._paused = paused
+        self._wake.set()
+
+    def waits(self) -> float:
+        """Return for how many seconds the device has been asked for the next frame, 0 where it is not."""
+        asked = self._asked
+        return 0.0 if asked is None else time.monotonic() - asked
+
+    def give_up(self, error: RimError) -> None:
+        """Treat the frame that is waited for as a fault of the device: it is closed and opened again."""
+        with self._lock:
+            self._stalled = error
+            current = self._device
+        current.close()
+
     def stop(self, timeout: float = 2.0) -> None:
         """End the thread and close the device."""
-        self._stopping = True
+        with self._lock:
+            self._stopping = True
         self.device.close()
         with self._lock:
             current = self._device
@@ -83,13 +107,17 @@ class Acquisition:
         while not self._stopping:
             if self._take_next():
                 pause, failed = _RETRY, False
+            self._stand_still()
             try:
                 if failed:
                     self._device.open()
-                frame = self._device.next_frame()
+                frame = self._next_frame(watched=not failed)
             except Exception as error:
                 if not self._pending:
                     failed = True
+                    if getattr(self._device, "reconnects", False) and isinstance(error, RimError):
+                        self._fault(error, 0.1)  # it looks for its camera by itself, at growing intervals
+                        continue
                     self._fault(error, pause if self._retry else None)
                     self._device.close()
                     self._rest(pause if self._retry else None)
@@ -105,6 +133,27 @@ class Acquisition:
                 self._listener.on_recovery()
             if not self._listener.on_frame(frame):
                 return
+
+    def _next_frame(self, *, watched: bool) -> RawFrame | None:
+        """Return the device's next frame; raise what `give_up` was given where that ended the wait."""
+        self._asked = time.monotonic() if watched else None
+        try:
+            frame = self._device.next_frame()
+        finally:
+            self._asked = None
+            with self._lock:
+                stalled, self._stalled = self._stalled, None
+        if stalled is not None and not self._pending:
+            raise stalled
+        return frame
+
+    def _stand_still(self) -> None:
+        while not self._pending:
+            with self._lock:
+                if not self._paused or self._stopping or self._next is not None:
+                    return
+                self._wake.clear()
+            self._wake.wait()
 
     @property
     def _pending(self) -> bool:
@@ -127,6 +176,9 @@ class Acquisition:
             if left is not None and left <= 0:
                 return
             self._wake.wait(left)
+            with self._lock:
+                if self._next is None and not self._stopping:
+                    self._wake.clear()
 
     def _fault(self, error: Exception, retry_in: float | None) -> None:
         if not isinstance(error, RimError):

@@ -9,49 +9,29 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Set
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
-from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+from std_srvs.srv import Trigger
 
 from rim_camera_ros.bags.topics import CAMERA_INFO, ROLES
-from rim_camera_ros.camera import Camera
-from rim_camera_ros.camera_file import load_camera
-from rim_camera_ros.devices.timeline import DEFAULT_INTEGRATION_TIME
+from rim_camera_ros.camera_file import load_camera, save_camera
 from rim_camera_ros.effects import registry
-from rim_camera_ros.errors import InputError, RimError, nearest_name
+from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.files import find_camera
-from rim_camera_ros.frame import CorrectedDistance, RawFrame, Settings
+from rim_camera_ros.frame import CorrectedDistance, CorrectedFrame, RawFrame
 from rim_camera_ros.nodes import messages, qos
+from rim_camera_ros.nodes.correction_parameters import EFFECT, SPECS, correction_of, effect_spec, warm_up
+from rim_camera_ros.nodes.correction_status import CorrectionStatus
+from rim_camera_ros.nodes.diagnostics import Diagnostics
+from rim_camera_ros.nodes.folders import Folders
+from rim_camera_ros.nodes.lifecycle import ManagedNode
 from rim_camera_ros.nodes.pairing import StampPairing
-from rim_camera_ros.nodes.parameters import Apply, Parameters, Spec, Values
-from rim_camera_ros.nodes.run import NAMESPACE, Throttle, run
-from rim_camera_ros.pipeline.correct import Correction
-
-_EFFECT = "effects."
-
-SPECS = (
-    Spec(
-        "camera", "sr3000", "camera file, or the name of a shipped one; setting it again reads the file anew"
-    ),
-    Spec(
-        "minimum_amplitude",
-        -1.0,
-        "amplitude in counts below which a pixel has no point; -1: the camera file's, or where that has none "
-        "the amplitude at which the noise of the amplitude term exceeds the range noise",
-        limits=(-1.0, 65535.0),
-    ),
-    Spec("qos.input", qos.SENSOR_DATA, "delivery asked of the driver", choices=qos.CHOICES, read_only=True),
-    Spec("qos.points", qos.SENSOR_DATA, "delivery of points", choices=qos.CHOICES, read_only=True),
-    Spec(
-        "qos.images",
-        qos.SENSOR_DATA,
-        "delivery of sigma, flags, distance and depth images with their camera_info",
-        choices=qos.CHOICES,
-        read_only=True,
-    ),
-)
+from rim_camera_ros.nodes.parameters import Apply, Parameters, Values
+from rim_camera_ros.nodes.run import Throttle, run
 
 #: Outputs that are images of the corrected frame, beside the cloud.
 _IMAGES = ("sigma", "flags", "corrected_distance", "depth")
@@ -59,6 +39,10 @@ _IMAGES = ("sigma", "flags", "corrected_distance", "depth")
 _TICK = 0.1
 #: Pixels by which camera_info may differ from the camera file before it is said.
 _SAME_OPTICS = 2.0
+#: Messages of a topic that may wait while tables are made: half a second at 100 Hz.
+_QUEUE = 50
+#: Sentences that are said once; more of them are not said at all.
+_NOTES_AT_MOST = 200
 
 
 class CorrectionNode:
@@ -67,84 +51,123 @@ class CorrectionNode:
     status: int | None = None
 
     def __init__(self) -> None:
-        self.node = Node("correction", namespace=NAMESPACE)
-        self._log = self.node.get_logger()
+        self.node = ManagedNode("correction")
+        self._log = self.node.log
         self._throttle = Throttle(self.node)
         self._parameters = Parameters(self.node, SPECS)
         values = self._parameters.values
+        self._folders = Folders(values["folders"], given=[values["camera"]])
         self._camera = load_camera(find_camera(values["camera"]))
-        self._parameters.extend([_effect_spec(name, name in self._camera.effects) for name in registry()])
-        self._correction = _correction(self._camera, values)
-        _warm_up(self._correction)
+        self._parameters.extend([effect_spec(name, name in self._camera.effects) for name in registry()])
+        self._correction = correction_of(self._camera, values)
+        self._status = CorrectionStatus()
+        self._use(values)
         self._frame_id = ""
         self._last: RawFrame | None = None
         self._noted: set[str] = set()
         self._left_out: dict[str, int] = {}
-        self.refused = 0
-        self._make_publishers()
-        self._make_subscriptions()
+        self._to: dict[str, Publisher] = {}
+        self._from: dict[str, Subscription] = {}
+        self._pairing = self._new_pairing()
         self._parameters.watch(self._prepare, also=self._effects_of_file)
         self._parameters.warn_unknown()
-        self._log.info(f"correcting {self.node.get_namespace()} with camera file {values['camera']}")
+        self.node.start(self, autostart=values["autostart"])
+        self._timer = self.node.steady_timer(_TICK, self._look_for_overdue)
+        self._services = [
+            self.node.create_service(Trigger, f"~/{name}", serve)
+            for name, serve in (("load_camera", self._load_camera), ("save_camera", self._save_camera))
+        ]
+        self._diagnostics = Diagnostics(
+            self.node,
+            {
+                "frames": self._look_at_frames,
+                "pixels": self._status.pixels,
+                "calibration": self._status.calibration,
+                "warm-up": self._status.warm_up,
+                "consistency": self._status.consistency,
+            },
+            hardware=self._status.hardware,
+        )
 
     def close(self) -> None:
-        """Nothing is held that the node does not hold."""
+        """Let go of all topics."""
+        self.node.end()
 
-    def _make_publishers(self) -> None:
+    # --- lifecycle ------------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Make the tables and offer the topics."""
+        warm_up(self._correction)
         values = self._parameters.values
-        self._to: dict[str, Publisher] = {}
         for role in ("points", *_IMAGES):
             parameter = "qos.points" if role == "points" else "qos.images"
             topic, kind = ROLES[role]
-            profile = qos.profile(values[parameter])
-            self._to[role] = qos.publisher(
-                self.node, messages.ros_class(kind), topic, profile, parameter=parameter
-            )
+            self._to[role] = self._publisher(kind, topic, parameter)
         beside = ROLES["depth"][0].rpartition("/")[0] + "/camera_info"
-        self._to["depth_camera_info"] = qos.publisher(
-            self.node,
-            messages.ros_class(CAMERA_INFO),
-            beside,
-            qos.profile(values["qos.images"]),
-            parameter="qos.images",
-        )
+        self._to["depth_camera_info"] = self._publisher(CAMERA_INFO, beside, "qos.images")
+        self._log.info(f"correcting {self.node.get_namespace()} with camera file {values['camera']}")
 
-    def _make_subscriptions(self) -> None:
+    def activate(self) -> None:
+        """Take raw frames from now on."""
         # in the order in which a driver publishes: what waits together is taken in this order
-        profile = qos.profile(self._parameters.values["qos.input"])
-        self._from = {
-            role: qos.subscription(
-                self.node,
-                messages.ros_class(ROLES[role][1]),
-                ROLES[role][0],
-                take,
-                profile,
-                parameter="qos.input",
+        profile = qos.profile(self._parameters.values["qos.input"], depth=_QUEUE)
+        self._pairing = self._new_pairing()
+        self._left_out.clear()
+        for role in (
+            "temperature",
+            "ambient",
+            "reference",
+            "frame_info",
+            "camera_info",
+            "amplitude",
+            "distance",
+        ):
+            topic, kind = ROLES[role]
+            take = self._compare if role == "camera_info" else self._taker(role)
+            self._from[role] = qos.subscription(
+                self.node, messages.ros_class(kind), topic, take, profile, parameter="qos.input"
             )
-            for role, take in (
-                ("temperature", lambda message: self._take("temperature", message)),
-                ("ambient", lambda message: self._take("ambient", message)),
-                ("reference", lambda message: self._take("reference", message)),
-                ("frame_info", lambda message: self._take("frame_info", message)),
-                ("camera_info", self._compare),
-                ("amplitude", lambda message: self._take("amplitude", message)),
-                ("distance", lambda message: self._take("distance", message)),
-            )
-        }
-        self._pairing = StampPairing(lambda role: self.node.count_publishers(self._from[role].topic_name) > 0)
-        self._timer = self.node.create_timer(
-            _TICK, lambda: self._correct(self._pairing.overdue(time.monotonic()))
-        )
+        self._status.begin()
+
+    def deactivate(self) -> None:
+        """Take no more frames; what was not whole is forgotten."""
+        for one in self._from.values():
+            self.node.destroy_subscription(one)
+        self._from.clear()
+
+    def cleanup(self) -> None:
+        """Take the topics back."""
+        for one in self._to.values():
+            self.node.destroy_publisher(one)
+        self._to.clear()
+
+    def _publisher(self, kind: str, topic: str, parameter: str) -> Publisher:
+        profile = qos.profile(self._parameters.values[parameter])
+        return qos.publisher(self.node, messages.ros_class(kind), topic, profile, parameter=parameter)
+
+    def _new_pairing(self) -> StampPairing:
+        def published(role: str) -> bool:
+            known = self._from.get(role)
+            return known is not None and self.node.count_publishers(known.topic_name) > 0
+
+        return StampPairing(published)
 
     # --- messages in ----------------------------------------------------------------------------
 
+    def _taker(self, role: str) -> Any:
+        return lambda message: self._take(role, message)
+
     def _take(self, role: str, message: Any) -> None:
         """Take a message of a role; what is wrong with it is counted and said, and its frame is left out."""
+        if role not in self._from:
+            return  # it came while the node was being deactivated
         stamp = messages.stamp_of(message)
         try:
+            if stamp < 0:
+                raise InputError("the stamp is negative")
             value = self._value(role, message)
         except Exception as error:  # whatever hostile messages provoke: the node goes on
-            self.refused += 1
+            self._status.refused[role] += 1
             self._pairing.refuse(stamp, f"{role} refused")
             problem = str(error) if isinstance(error, RimError) else f"{type(error).__name__} {error}"
             self._throttle.warn(
@@ -170,55 +193,67 @@ class CorrectionNode:
         return messages.range_from(message) if role == "reference" else messages.temperature_from(message)
 
     def _compare(self, message: Any) -> None:
-        """Say once where camera_info has other optics than the camera file, by which is corrected."""
+        """Say where camera_info has other optics than the camera file, by which is corrected."""
         try:
             stated, _ = messages.intrinsics_from(message)
-        except InputError:
+        except Exception:
+            self._status.refused["camera_info"] += 1
             return
         if stated is None or (stated.height, stated.width) != self._camera.shape:
             return
         ours = self._camera.intrinsics
         apart = max(abs(getattr(stated, name) - getattr(ours, name)) for name in ("fx", "fy", "cx", "cy"))
         if apart > _SAME_OPTICS:
-            self._note(
+            self._throttle.warn(
+                "optics",
                 f"camera_info differs from the camera file's optics by up to {apart:.1f} px; points are "
-                "computed with the camera file"
+                "computed with the camera file",
             )
 
     # --- frames out -----------------------------------------------------------------------------
+
+    def _look_for_overdue(self) -> None:
+        self._correct(self._pairing.overdue(time.monotonic()))
 
     def _correct(self, frames: list[RawFrame]) -> None:
         for frame in frames:
             self._last = frame
             wanted = {role for role, one in self._to.items() if one.get_subscription_count() > 0}
-            if not wanted:
-                continue
+            begun = time.monotonic()
             try:
-                self._correct_one(frame, wanted)
+                looked_at = self._status.take(frame)
+                sample = self._correct_one(frame, wanted, whole=looked_at)
             except Exception as error:  # a frame that cannot be corrected must not end the node
+                self._status.uncorrected += 1
                 known = isinstance(error, RimError)
                 problem = str(error) if known else f"{type(error).__name__} {error} (please report this)"
                 self._throttle.warn(f"uncorrected {type(error).__name__}", f"frame not corrected: {problem}")
+            else:
+                self._status.corrected(frame, processing=time.monotonic() - begun, sample=sample)
         for note in self._correction.notes - self._noted:
-            self._note(note)
+            if len(self._noted) < _NOTES_AT_MOST:
+                self._noted.add(note)
+                self._log.warning(note)
         for reason, count in self._pairing.left_out.items():
             if count > self._left_out.get(reason, 0):
                 self._left_out[reason] = count
                 self._throttle.warn(reason, f"{reason}: {count} left out so far")
 
-    def _correct_one(self, frame: RawFrame, wanted: set[str]) -> None:
+    def _correct_one(self, frame: RawFrame, wanted: set[str], *, whole: bool) -> CorrectedFrame | None:
+        """Correct and publish what is wanted; ``whole``: return the frame with sigma and flags."""
+        if not wanted and not whole:
+            return None
         head = messages.header(frame.stamp, self._frame_id)
         corrected: CorrectedDistance
-        if wanted & {"sigma", "flags"}:
-            whole = corrected = self._correction.correct(frame)
-            for role, pixels in (("sigma", whole.sigma), ("flags", whole.flags)):
-                if role in wanted:
-                    self._to[role].publish(messages.image(pixels, head))
+        full: CorrectedFrame | None = None
+        if whole or wanted & {"sigma", "flags"}:
+            corrected = full = self._correction.correct(frame)
         else:
             corrected = self._correction.correct_distance(frame)
-        self._publish(corrected, wanted, head)
-
-    def _publish(self, corrected: CorrectedDistance, wanted: set[str], head: Any) -> None:
+        if full is not None and "sigma" in wanted:
+            self._to["sigma"].publish(messages.image(full.sigma, head))
+        if full is not None and "flags" in wanted:
+            self._to["flags"].publish(messages.image(full.flags, head))
         if "points" in wanted:
             self._to["points"].publish(messages.cloud(self._correction.cloud(corrected), head))
         if "corrected_distance" in wanted:
@@ -227,31 +262,35 @@ class CorrectionNode:
             self._to["depth_camera_info"].publish(messages.camera_info(self._camera.intrinsics, head))
         if "depth" in wanted:
             self._to["depth"].publish(messages.image(self._correction.depth(corrected), head))
+        return full
 
-    def _note(self, text: str) -> None:
-        """Say something once."""
-        if text not in self._noted:
-            self._noted.add(text)
-            self._log.warning(text)
+    def _look_at_frames(self) -> Any:
+        self._status.phase = self.node.phase
+        return self._status.frames(self._pairing.left_out)
 
-    # --- parameters -----------------------------------------------------------------------------
+    # --- parameters and services ----------------------------------------------------------------
 
     def _effects_of_file(self, values: Values, changed: Values) -> Values:
         """Return which effects are on with another camera file: all of its own that were not switched off."""
         if "camera" not in changed:
             return {}
         try:
+            self._folders.check(values["camera"], kind="calibration", place="camera")
             camera = load_camera(find_camera(values["camera"]))
         except RimError:
             return {}  # the check says it
-        off = {name for name in self._camera.effects if not self._parameters.values[_EFFECT + name]}
-        return {_EFFECT + name: name in camera.effects and name not in off for name in registry()}
+        off = {name for name in self._camera.effects if not self._parameters.values[EFFECT + name]}
+        return {EFFECT + name: name in camera.effects and name not in off for name in registry()}
 
     def _prepare(self, values: Values, changed: Set[str]) -> Apply:
         """Check new values and build the correction that they ask for; return what puts it into effect."""
+        if not changed - {"save_as"}:
+            return lambda: None
         anew = "camera" in changed
+        if anew:
+            self._folders.check(values["camera"], kind="calibration", place="camera")
         camera = load_camera(find_camera(values["camera"])) if anew else self._camera
-        correction = _correction(camera, values)
+        correction = correction_of(camera, values)
         correction.carry_on(self._correction)
         last = self._last
         if last is not None and last.shape != camera.shape:
@@ -268,49 +307,48 @@ class CorrectionNode:
 
         def apply() -> None:
             self._camera, self._correction = camera, correction
+            self._use(values)
             if anew:
                 self._log.info(f"now correcting with camera file {values['camera']}")
 
         return apply
 
+    def _use(self, values: Values) -> None:
+        """Judge by the camera file and the effects that are in force."""
+        off = {name for name in self._camera.effects if not values[EFFECT + name]}
+        self._status.use(self._camera, values["camera"], off=off)
 
-def _effect_spec(name: str, on: bool) -> Spec:
-    return Spec(
-        _EFFECT + name, on, f"undo {registry()[name].title}; only effects of the camera file can be on"
-    )
+    def _load_camera(self, request: Any, response: Any) -> Any:
+        """Read the camera file of the parameter anew."""
+        name = self._parameters.values["camera"]
+        result = self.node.set_parameters_atomically([Parameter("camera", value=name)])
+        response.success = bool(result.successful)
+        response.message = f"now correcting with {name}" if result.successful else result.reason
+        return response
 
-
-def _correction(camera: Camera, values: Values) -> Correction:
-    """Return the correction that parameters describe; `InputError` for what does not fit the camera."""
-    on = {name for name in registry() if values[_EFFECT + name]}
-    foreign = sorted(on - set(camera.effects))
-    if foreign:
-        raise InputError(
-            f"the camera file {values['camera']} has no effect '{foreign[0]}'",
-            place=_EFFECT + foreign[0],
-            remedy=nearest_name(foreign[0], camera.effects) if camera.effects else "it has none",
-        )
-    minimum = values["minimum_amplitude"]
-    if -1.0 < minimum < 0.0:
-        raise InputError(
-            f"{minimum:g} counts", place="minimum_amplitude", remedy="0 or more, or -1 for the camera file's"
-        )
-    return Correction(
-        camera, without=set(camera.effects) - on, minimum_amplitude=None if minimum < 0 else minimum
-    )
-
-
-def _warm_up(correction: Correction) -> None:
-    """Make the tables of the most likely setting, which take longer than a frame may, before frames come."""
-    camera = correction.camera
-    counts = np.full(camera.shape, 1000, np.uint16)
-    integration_time = camera.sensor.integration_time or DEFAULT_INTEGRATION_TIME
-    settings = Settings(
-        integration_time=integration_time, uptime=0.0, ambient_temperature=0.0, reference_distance=0.0
-    )
-    # from the far future: every real frame lies before it and begins anew
-    correction.correct(RawFrame(stamp=2**62, distance=counts, amplitude=counts, settings=settings))
-    correction.notes.clear()
+    def _save_camera(self, request: Any, response: Any) -> Any:
+        """Write the camera as it corrects, without the effects that are switched off."""
+        values = self._parameters.values
+        try:
+            source = find_camera(values["camera"])
+            path = self._folders.target(values["save_as"] or source.name, place="save_as")
+            effects = {name: one for name, one in self._camera.effects.items() if values[EFFECT + name]}
+            minimum = values["minimum_amplitude"]
+            kept = None if len(effects) < len(self._camera.effects) else self._camera.covariance
+            camera = replace(
+                self._camera,
+                effects=effects,
+                covariance=kept,
+                minimum_amplitude=self._camera.minimum_amplitude if minimum < 0 else minimum,
+            )
+            save_camera(camera, path, header="# What a correction node corrected with.\n")
+        except Exception as error:
+            known = isinstance(error, RimError)
+            response.success = False
+            response.message = str(error) if known else f"unexpected {type(error).__name__}: {error}"
+            return response
+        response.success, response.message = True, f"written to {path}"
+        return response
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""The driver: publishes the raw frames of a simulated camera or of a recording.
+"""The driver: publishes the raw frames of a camera, simulated, played back or on USB.
 
 Topics are relative to the node's namespace, which is ``/camera`` unless one is given
 (``--ros-args -r __ns:=/front``); poses of the scene's surfaces go to ``/ground_truth/<surface>/pose``.
@@ -8,25 +8,36 @@ from __future__ import annotations
 
 import sys
 import threading
+import time
 from collections.abc import Set
 from typing import Any
 
-from rclpy.node import Node
-from rclpy.publisher import Publisher
+from rclpy.parameter import Parameter
+from sensor_msgs.srv import SetCameraInfo
 
-from rim_camera_ros.bags.topics import CAMERA_INFO, POSE, ROLES, SURFACE
+from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.devices.base import Device
-from rim_camera_ros.errors import InputError, RimError
-from rim_camera_ros.frame import Pose, RawFrame
-from rim_camera_ros.nodes import driver_parameters, messages, qos
+from rim_camera_ros.errors import DeviceError, InputError, RimError
+from rim_camera_ros.files import find_camera
+from rim_camera_ros.frame import Intrinsics, RawFrame
+from rim_camera_ros.nodes import driver_parameters, qos
 from rim_camera_ros.nodes.acquisition import Acquisition
+from rim_camera_ros.nodes.camera_info_service import store_geometry
+from rim_camera_ros.nodes.diagnostics import Diagnostics
+from rim_camera_ros.nodes.driver_publishing import FramePublishers
+from rim_camera_ros.nodes.driver_status import DriverStatus
+from rim_camera_ros.nodes.folders import Folders
+from rim_camera_ros.nodes.lifecycle import ACTIVE, UNCONFIGURED, ManagedNode
 from rim_camera_ros.nodes.parameters import Apply, Parameters, Values
-from rim_camera_ros.nodes.run import NAMESPACE, run
+from rim_camera_ros.nodes.run import run
+from rim_camera_ros.nodes.transforms import Mount
 
-#: Topics whose subscribers count for wait_for_subscribers.
-_GATE = ("frame_info", "amplitude", "distance")
 #: Seconds to wait at the end until reliable subscribers have received the last frames.
 _LINGER = 2.0
+#: Seconds between two looks of the watchdog.
+_LOOK = 0.25
+#: Parameters that name files, with the folder of the shipped ones that they may name.
+_FILES = {"camera": "calibration", "camera_info": "calibration", "scene": "config", "recording": None}
 
 
 class DriverNode:
@@ -34,55 +45,113 @@ class DriverNode:
 
     def __init__(self) -> None:
         self.status: int | None = None
-        self.node = Node("driver", namespace=NAMESPACE)
-        self._log = self.node.get_logger()
-        parameters = Parameters(self.node, driver_parameters.SPECS)
-        self._parameters = parameters
-        self._frame_id: str = parameters.values["frame_id"]
-        self._truth: bool = parameters.values["publish_truth"]
-        self._frames: int = parameters.values["frames"]
+        self.node = ManagedNode("driver")
+        self._log = self.node.log
+        self._parameters = Parameters(self.node, driver_parameters.SPECS)
+        values = self._parameters.values
+        self._folders = Folders(values["folders"], given=[values[name] for name in _FILES])
         self._published = 0
-        self._source = driver_parameters.source_of(parameters.values)
-        device = self._source.open()
-        self._make_publishers()
-        self._poses: dict[str, tuple[Publisher, tuple[Pose, int] | None]] = {}
+        self._source = driver_parameters.source_of(values)
+        self._device: Device | None = None
+        self._topics: FramePublishers | None = None
+        self._acquisition: Acquisition | None = None
+        self._status = DriverStatus(source=self._source.describe())
         self._said: set[str] = set()
-        self._wait_for = int(parameters.values["wait_for_subscribers"])
+        self._wait_for = int(values["wait_for_subscribers"])
         self._stopped = threading.Event()
         self._finished = self.node.create_guard_condition(_nothing)
-        parameters.watch(self._prepare)
-        parameters.warn_unknown()
-        self._acquisition = Acquisition(device, self, retry=self._source.retries)
-        self._log.info(f"publishing {self._source.describe()} under {self.node.get_namespace()}")
-        self._acquisition.start()
+        self._mount = Mount(self.node)
+        self._parameters.watch(self._prepare)
+        self._parameters.warn_unknown()
+        self.node.start(self, autostart=values["autostart"])
+        self._service = self.node.create_service(SetCameraInfo, "set_camera_info", self._set_camera_info)
+        self._diagnostics = Diagnostics(
+            self.node,
+            {"frames": self._look_at_frames, "device": self._look_at_device},
+            hardware=self._status.hardware,
+        )
+        self._watchdog = self.node.steady_timer(_LOOK, self._watch)
 
     def close(self) -> None:
         """Stop the acquisition."""
         self._stopped.set()
-        self._acquisition.stop()
+        self.node.end()
+
+    # --- lifecycle ------------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Open the device and offer the topics."""
+        values = self._parameters.values
+        self._source = driver_parameters.source_of(values)
+        geometry = _geometry(values)
+        self._device = self._source.open()
+        self._topics = FramePublishers(self.node, values)
+        self._topics.geometry = geometry
+        self._status.source = self._source.describe()
+
+    def activate(self) -> None:
+        """Publish frames."""
+        assert self._device is not None
+        self._device.open()  # no-op unless it was closed by `deactivate`
+        self._stopped.clear()
+        self._mount.publish(self._parameters.values)
+        self._status.begin()
+        self._status.paused = self._source.pause
+        self._acquisition = Acquisition(
+            self._device, self, retry=self._source.retries, paused=self._source.pause
+        )
+        self._log.info(f"publishing {self._source.describe()} under {self.node.get_namespace()}")
+        self._acquisition.start()
+
+    def deactivate(self) -> None:
+        """Publish nothing more and release the device, for others to use."""
+        self._stopped.set()
+        acquisition, self._acquisition = self._acquisition, None
+        if acquisition is not None:
+            self._device = acquisition.device
+            acquisition.stop()
+
+    def cleanup(self) -> None:
+        """Let go of device and topics."""
+        device, self._device = self._device, None
+        if device is not None:
+            device.close()
+        topics, self._topics = self._topics, None
+        if topics is not None:
+            topics.destroy()
 
     # --- called by the acquisition, in its thread -----------------------------------------------
 
     def on_frame(self, frame: RawFrame) -> bool:
         """Publish a frame; False once enough have been."""
-        while (
-            self._wait_for and min(self._of[role].get_subscription_count() for role in _GATE) < self._wait_for
-        ):
+        topics = self._topics
+        if topics is None:
+            return False
+        begun = time.monotonic()
+        while self._wait_for and topics.listeners() < self._wait_for:
+            self._status.waiting = True
             if self._stopped.wait(0.01):
                 return False
-        self._wait_for = 0
+        self._wait_for, self._status.waiting = 0, False
+        if self._stopped.is_set():
+            return False
         try:
-            self._publish(frame)
+            topics.publish(frame)
         except RimError as error:
+            self._status.not_published += 1
             self._log.error(str(error), throttle_duration_sec=5.0)
             return True
         except Exception as error:  # the context may be gone: the node is being ended
             if self._stopped.is_set() or not self.node.context.ok():
                 return False
+            self._status.not_published += 1
             self._log.error(f"cannot publish: {type(error).__name__} {error}", throttle_duration_sec=5.0)
             return True
+        self._status.published(frame, processing=time.monotonic() - begun)
+        self._say_notes()
         self._published += 1
-        if self._frames and self._published >= self._frames:
+        frames = self._parameters.values["frames"]
+        if frames and self._published >= frames:
             self._log.info(f"{self._published} frames published")
             self._end(0)
             return False
@@ -95,120 +164,141 @@ class DriverNode:
 
     def on_fault(self, error: RimError, retry_in: float | None) -> None:
         """Say what failed."""
-        again = "" if retry_in is None else f"; next attempt in {retry_in:.0f} s"
+        self._status.fault(error)
+        again = "" if retry_in is None else f"; next attempt in {retry_in:.1g} s"
         self._log.error(f"{error}{again}")
         if retry_in is None:
             self._end(1)
 
     def on_recovery(self) -> None:
         """Say that frames come again."""
+        self._status.recovered()
         self._log.info(f"{self._source.describe()} delivers again")
 
     def _end(self, status: int) -> None:
+        self._status.ended = status == 0
         if not self._parameters.values["exit_at_end"]:
             return
-        if self._parameters.values["qos.images"] == qos.RELIABLE:
-            for one in self._of.values():
-                one.wait_for_all_acked(_duration(_LINGER))
+        if self._parameters.values["qos.images"] == qos.RELIABLE and self._topics is not None:
+            self._topics.wait_until_received(_LINGER)
         self.status = status
         self._finished.trigger()
 
-    # --- publishing -----------------------------------------------------------------------------
-
-    def _make_publishers(self) -> None:
-        self._of: dict[str, Publisher] = {}
-        # what is waited for comes last, so that whoever has found it has found the rest
-        beside = ROLES["distance"][0].rpartition("/")[0] + "/camera_info"
-        self._of["distance_camera_info"] = self._publisher(CAMERA_INFO, beside, "qos.info")
-        for role in ("temperature", "ambient", "reference", "camera_info", *_GATE):
-            parameter = "qos.images" if role in ("distance", "amplitude") else "qos.info"
-            topic, kind = ROLES[role]
-            self._of[role] = self._publisher(kind, topic, parameter)
-
-    def _publisher(self, kind: str, topic: str, parameter: str) -> Publisher:
-        profile = qos.profile(self._parameters.values[parameter])
-        return qos.publisher(self.node, messages.ros_class(kind), topic, profile, parameter=parameter)
-
-    def _publish(self, frame: RawFrame) -> None:
-        """Publish what somebody listens to; the images come last and complete the frame."""
-        frame_id, stamp, settings = self._frame_id, frame.stamp, frame.settings
-        head = messages.header(stamp, frame_id)
-        if self._truth:
-            self._publish_poses(frame)
-        for role, value, make in (
-            ("temperature", settings.body_temperature, messages.temperature),
-            ("ambient", settings.ambient_temperature, messages.temperature),
-            ("reference", settings.reference_distance, messages.reference),
-        ):
-            if value is not None and self._wanted(role):
-                self._of[role].publish(make(value, stamp, frame_id))
-        if self._wanted("frame_info"):
-            self._of["frame_info"].publish(messages.frame_info(settings, stamp, frame.device, frame_id))
-        if frame.intrinsics is not None:
-            for role in ("camera_info", "distance_camera_info"):
-                if self._wanted(role):
-                    self._of[role].publish(messages.camera_info(frame.intrinsics, head))
-        if self._wanted("amplitude"):
-            self._of["amplitude"].publish(messages.image(frame.amplitude, head))
-        if self._wanted("distance"):
-            self._of["distance"].publish(messages.image(frame.distance, head))
-        self._say_notes()
-
-    def _wanted(self, role: str) -> bool:
-        return bool(self._of[role].get_subscription_count() > 0)
-
-    def _publish_poses(self, frame: RawFrame) -> None:
-        """Publish the poses that are new; they are kept for those who join later."""
-        for surface, pose in frame.truth.items():
-            stamp = frame.pose_stamps.get(surface, frame.stamp)
-            if surface not in self._poses:
-                topic = ROLES["truth"][0].replace(SURFACE, messages.topic_part(surface))
-                made = qos.publisher(self.node, messages.ros_class(POSE), topic, qos.latched())
-                self._poses[surface] = (made, None)
-            made, last = self._poses[surface]
-            if last != (pose, stamp):
-                made.publish(messages.pose(pose, stamp, self._frame_id))
-                self._poses[surface] = (made, (pose, stamp))
-
     def _say_notes(self) -> None:
+        acquisition = self._acquisition
+        device = None if acquisition is None else acquisition.device
         for attribute in ("notes", "assumptions"):
-            for note in set(getattr(self._acquisition.device, attribute, ())) - self._said:
+            for note in set(getattr(device, attribute, ())) - self._said:
                 self._said.add(note)
                 self._log.info(note)
 
-    # --- parameters -----------------------------------------------------------------------------
+    # --- watching -------------------------------------------------------------------------------
+
+    def _watch(self) -> None:
+        """Open a device anew from which nothing comes; playback waits as long as was recorded."""
+        acquisition, limit = self._acquisition, self._parameters.values["watchdog"]
+        if acquisition is None or not limit or self._source.source == "playback":
+            return
+        rate = acquisition.device.frame_rate
+        if rate > 0:
+            limit = max(limit, 3.0 / rate)
+        if acquisition.waits() > limit:
+            acquisition.give_up(
+                DeviceError(f"no frame for {limit:g} s", remedy="the device is closed and opened anew")
+            )
+
+    def _look_at_frames(self) -> Any:
+        self._status.phase = self.node.phase
+        return self._status.frames(self._current_device())
+
+    def _look_at_device(self) -> Any:
+        self._status.phase = self.node.phase
+        return self._status.device(self._current_device())
+
+    def _current_device(self) -> Device | None:
+        acquisition = self._acquisition
+        return self._device if acquisition is None else acquisition.device
+
+    # --- parameters and services ----------------------------------------------------------------
 
     def _prepare(self, values: Values, changed: Set[str]) -> Apply:
         """Check new values and open the device that they ask for; return what puts them into effect."""
+        for name, kind in _FILES.items():
+            if name in changed:
+                self._folders.check(values[name], kind=kind, place=name)
         source = driver_parameters.source_of(values)
         if "/" in values["frame_id"][:1]:
             raise InputError("frame_id must not begin with /", place="frame_id")
+        geometry = _geometry(values)
         device: Device | None = None
-        if changed & driver_parameters.RESTARTING:
+        if self.node.phase == UNCONFIGURED:
+            source.check_settings()
+        elif changed & driver_parameters.RESTARTING:
             device = source.open()
         else:
-            source.check_settings(self._acquisition.device)
+            source.check_settings(self._current_device())
 
         def apply() -> None:
             self._source = source
-            self._frame_id, self._truth = values["frame_id"], values["publish_truth"]
-            if device is not None:
-                self._acquisition.exchange(device, retry=source.retries)
-                self._log.info(f"now publishing {source.describe()}")
-            else:
-                source.set_settings(self._acquisition.device)
+            self._status.source = source.describe()
+            if self._topics is not None:
+                self._topics.frame_id, self._topics.truth = values["frame_id"], values["publish_truth"]
+                self._topics.clock, self._topics.geometry = values["publish_clock"], geometry
+            if self.node.phase == ACTIVE:
+                self._apply_running(device, changed)
+            elif device is not None:
+                if self._device is not None:
+                    self._device.close()
+                self._device = device
+            elif self._device is not None:
+                source.set_settings(self._device)
 
         return apply
+
+    def _apply_running(self, device: Device | None, changed: Set[str]) -> None:
+        """Hand a device, or settings, to the acquisition that runs."""
+        acquisition = self._acquisition
+        assert acquisition is not None
+        source = self._source
+        if device is not None:
+            self._status.begin()
+            acquisition.exchange(device, retry=source.retries)
+            self._log.info(f"now publishing {source.describe()}")
+        else:
+            source.set_settings(acquisition.device)
+        if "frame_id" in changed:
+            self._mount.publish({**self._parameters.values})
+        self._status.paused = source.pause
+        acquisition.pause(source.pause)
+
+    def _set_camera_info(self, request: Any, response: Any) -> Any:
+        """Store a geometry in a camera file, and state it from the next frame on."""
+        values = self._parameters.values
+        try:
+            base = values["camera_info"] or values["camera"]
+            path, _ = store_geometry(request.camera_info, base=base, folders=self._folders)
+            (result,) = self.node.set_parameters([Parameter("camera_info", value=str(path))])
+            if not result.successful:
+                raise RimError(result.reason)
+        except Exception as error:
+            known = isinstance(error, RimError)
+            response.success = False
+            response.status_message = str(error) if known else f"unexpected {type(error).__name__}: {error}"
+            return response
+        response.success = True
+        response.status_message = f"the geometry is in {path}; give this file to the correction"
+        self._log.info(f"set_camera_info: {response.status_message}")
+        return response
+
+
+def _geometry(values: Values) -> Intrinsics | None:
+    """Return the geometry that camera_info is to state, None for the frames' own."""
+    name = values["camera_info"]
+    return load_camera(find_camera(name)).intrinsics if name else None
 
 
 def _nothing() -> None:
     """A guard condition only wakes the executor."""
-
-
-def _duration(seconds: float) -> Any:
-    from rclpy.duration import Duration
-
-    return Duration(seconds=seconds)
 
 
 def main() -> int:

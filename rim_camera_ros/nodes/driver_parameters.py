@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import fields
 
 from rim_camera_ros.devices.source import SOURCES, STAMPS, Source
+from rim_camera_ros.devices.swissranger_settings import modes
+from rim_camera_ros.nodes.folders import FOLDERS
+from rim_camera_ros.nodes.lifecycle import AUTOSTART
 from rim_camera_ros.nodes.parameters import Spec, Values
 from rim_camera_ros.nodes.qos import CHOICES, SENSOR_DATA
 
@@ -42,7 +45,55 @@ SPECS = (
     Spec(
         "stamps", "auto", "stamps of playback; auto: now, or recorded if as_fast_as_possible", choices=STAMPS
     ),
+    Spec(
+        "library",
+        "",
+        "file of the vendor's library libmesasr; empty: RIM_LIBMESASR, or the system's",
+        read_only=True,  # code of whoever can set parameters would run
+    ),
+    Spec("serial_number", 0, "serial number of the camera on USB; 0: the first", limits=(0, 2**32 - 1)),
+    Spec(
+        "modulation_frequency",
+        0.0,
+        "modulation frequency of the camera [Hz]; 0: the camera's",
+        limits=(0.0, 1e8),
+    ),
+    Spec("amplitude_threshold", 0, "counts below which the camera delivers no distance", limits=(0, 65535)),
+    Spec("auto_exposure", False, "the camera's library sets the integration time"),
+    Spec("mode", "raw", "processing in camera and library", choices=tuple(modes())),
+    Spec("pause", False, "playback stands still"),
+    Spec(
+        "publish_clock", False, "publish the stamps of the frames to /clock, for use_sim_time of other nodes"
+    ),
+    Spec(
+        "camera_info",
+        "",
+        "camera file whose geometry camera_info states; empty: that of the simulated or recorded camera",
+    ),
+    Spec(
+        "watchdog",
+        5.0,
+        "seconds [s] without a frame after which the device is opened anew, three periods at least; 0: never",
+        limits=(0.0, 3600.0),
+    ),
     Spec("frame_id", "camera_optical_frame", "optical frame (REP 103) in the headers"),
+    Spec(
+        "base_frame",
+        "",
+        "frame of the robot at which the camera is mounted: its transform is published; empty: none",
+        read_only=True,
+    ),
+    *(
+        Spec(f"mount.{name}", 0.0, f"camera in base_frame: {words}", limits=limits, read_only=True)
+        for name, words, limits in (
+            ("x", "forward [m]", (-1e3, 1e3)),
+            ("y", "to the left [m]", (-1e3, 1e3)),
+            ("z", "up [m]", (-1e3, 1e3)),
+            ("roll", "about the viewing direction [rad]", (-6.3, 6.3)),
+            ("pitch", "looking down is positive [rad]", (-6.3, 6.3)),
+            ("yaw", "looking to the left is positive [rad]", (-6.3, 6.3)),
+        )
+    ),
     Spec("publish_truth", True, "publish the poses of the scene's surfaces to /ground_truth/<surface>/pose"),
     Spec("frames", 0, "number of frames to publish; 0: no limit", limits=(0, 2**62), read_only=True),
     Spec(
@@ -66,10 +117,21 @@ SPECS = (
         choices=CHOICES,
         read_only=True,
     ),
+    FOLDERS,
+    AUTOSTART,
 )
 
 #: Parameters that can be changed while a device runs; the others that describe it make another one.
-_WHILE_RUNNING = {"frame_rate", "integration_time"}
+_WHILE_RUNNING = {
+    "frame_rate",
+    "integration_time",
+    "modulation_frequency",
+    "amplitude_threshold",
+    "auto_exposure",
+    "mode",
+    "pause",
+    "playback_rate",
+}
 RESTARTING = frozenset(one.name for one in fields(Source)) - _WHILE_RUNNING
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rim_camera_ros.bags.pairing import History
-from rim_camera_ros.frame import RawFrame, Settings
+from rim_camera_ros.frame import NANOSECONDS, RawFrame, Settings
 
 IMAGES = ("distance", "amplitude")
 #: Readings that belong to a frame by their stamp, or are the last ones before it.
@@ -16,7 +16,11 @@ READINGS = ("temperature", "ambient", "reference")
 _SIDES = ("frame_info", *READINGS)
 
 #: Exposures that may wait for the rest of their messages.
-CAPACITY = 16
+CAPACITY = 32
+#: Stamps of refused messages that are remembered, so that their partners are left out too.
+_REFUSED = 256
+#: A reading so far [ns] ahead of the last frame is not kept: a flood of them would push the true ones out.
+_AHEAD = 60 * NANOSECONDS
 #: Seconds that a pair of images waits for what came with the frames before it.
 PATIENCE = 0.1
 
@@ -25,7 +29,6 @@ PATIENCE = 0.1
 class _Exposure:
     parts: dict[str, Any] = field(default_factory=dict)
     complete_since: float | None = None
-    refused: bool = False
 
 
 class StampPairing:
@@ -41,6 +44,8 @@ class StampPairing:
         self.left_out: Counter[str] = Counter()
         self._publishes = publishes
         self._waiting: dict[int, _Exposure] = {}
+        self._refused: dict[int, None] = {}
+        self._newest: int | None = None
         self._readings: dict[str, History] = {}
         self._expected: set[str] | None = None
 
@@ -51,11 +56,14 @@ class StampPairing:
         where it has no value. ``now`` in s.
         """
         if role in READINGS:
-            self._readings.setdefault(role, History()).add(stamp, value)
+            if self._newest is not None and stamp > self._newest + _AHEAD:
+                self.left_out[f"{role} far ahead of the images"] += 1
+            else:
+                self._readings.setdefault(role, History()).add(stamp, value)
             return self._ready(now)
-        exposure = self._exposure(stamp)
-        if exposure.refused:
+        if stamp in self._refused:
             return []
+        exposure = self._exposure(stamp)
         if role in IMAGES and role in exposure.parts:
             self.left_out[f"{role} twice with one stamp"] += 1
             return []
@@ -66,12 +74,13 @@ class StampPairing:
 
     def refuse(self, stamp: int, reason: str) -> None:
         """Leave out the exposure of a stamp of which one message was refused."""
-        exposure = self._exposure(stamp)
-        if not exposure.refused:
-            exposure.refused = True
-            exposure.parts.clear()
-            exposure.complete_since = None
+        if stamp not in self._refused:
+            # apart from what waits: a flood of them must not push good frames out
+            self._refused[stamp] = None
+            self._waiting.pop(stamp, None)
             self.left_out[reason] += 1
+            while len(self._refused) > _REFUSED:
+                del self._refused[next(iter(self._refused))]
 
     def overdue(self, now: float) -> list[RawFrame]:
         """Return the frames that have waited long enough; ``now`` in s."""
@@ -116,6 +125,8 @@ class StampPairing:
             if older == stamp:
                 break
             self._drop(older)
+        self._refused = {one: None for one in self._refused if one > stamp}
+        self._newest = stamp
         self._expected = {role for role in _SIDES if self._came(role, stamp)} | {"frame_info"}
         parts = self._waiting.pop(stamp).parts
         if "frame_info" not in parts and self._publishes("frame_info"):

@@ -8,6 +8,7 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
 SENSOR_DATA = "sensor_data"
@@ -18,10 +19,15 @@ CHOICES = (SENSOR_DATA, RELIABLE)
 _DEPTH = {SENSOR_DATA: 5, RELIABLE: 50}
 
 
-def profile(name: str) -> QoSProfile:
-    """Return the profile ``sensor_data`` (best effort) or ``reliable``, both volatile."""
+def profile(name: str, *, depth: int | None = None) -> QoSProfile:
+    """Return the profile ``sensor_data`` (best effort) or ``reliable``, both volatile.
+
+    ``depth``: messages that may wait, None: as suits the profile.
+    """
     reliability = ReliabilityPolicy.RELIABLE if name == RELIABLE else ReliabilityPolicy.BEST_EFFORT
-    return QoSProfile(depth=_DEPTH[name], reliability=reliability, durability=DurabilityPolicy.VOLATILE)
+    return QoSProfile(
+        depth=depth or _DEPTH[name], reliability=reliability, durability=DurabilityPolicy.VOLATILE
+    )
 
 
 def latched() -> QoSProfile:
@@ -34,7 +40,10 @@ def latched() -> QoSProfile:
 def publisher(
     node: Node, kind: Any, topic: str, qos: QoSProfile, *, parameter: str | None = None
 ) -> Publisher:
-    """Return a publisher that warns of incompatible subscribers; ``parameter`` is what sets ``qos``."""
+    """Return a publisher that warns of incompatible subscribers; ``parameter`` is what sets ``qos``.
+
+    The parameters ``qos_overrides.<topic>.publisher.{reliability, history, depth}`` override it at the start.
+    """
 
     def incompatible(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
@@ -49,7 +58,11 @@ def publisher(
         )
 
     made = node.create_publisher(
-        kind, topic, qos, event_callbacks=PublisherEventCallbacks(incompatible_qos=incompatible)
+        kind,
+        topic,
+        qos,
+        event_callbacks=PublisherEventCallbacks(incompatible_qos=incompatible),
+        qos_overriding_options=QoSOverridingOptions.with_default_policies(),
     )
     return made
 

@@ -17,12 +17,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from rim_camera_ros.bags.topics import DEFAULT_NAMESPACE
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.files import share_folder
-
-#: Namespace of a node that is given none: topics are then those of the documentation.
-NAMESPACE = DEFAULT_NAMESPACE.lstrip("/")
 
 #: Seconds between two warnings of a kind.
 _QUIET = 5.0
@@ -70,6 +66,8 @@ def _run(name: str, make: Callable[[], Service], signals: _Signals) -> int:
             service = make()
         except RimError as error:
             return _failed(name, str(error), error.exit_status)
+        except RuntimeError as error:  # of rcl: the middleware refuses (security, domain, memory)
+            return _failed(name, str(error).partition(", at /")[0], 1)
         return _spin(service, signals)
     finally:
         rclpy.try_shutdown()  # type: ignore[attr-defined]

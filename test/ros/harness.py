@@ -88,6 +88,36 @@ class Collected:
         return {stamp_of(one): one for one in self.messages}
 
 
+class Diagnosed:
+    """Diagnostics that come, by the name of the check, as ``/camera/driver: frames``."""
+
+    def __init__(self, collected: Collected) -> None:
+        self._collected = collected
+
+    def of(self, name: str) -> list[Any]:
+        """Return all statuses of a check."""
+        return [one for message in self._collected for one in message.status if one.name == name]
+
+    def level(self, name: str) -> int:
+        """Return the last level of a check, -1 where it has not come."""
+        found = self.of(name)
+        return int(found[-1].level[0]) if found else -1
+
+    def message(self, name: str) -> str:
+        """Return the last message of a check."""
+        found = self.of(name)
+        return str(found[-1].message) if found else ""
+
+    def values(self, name: str) -> dict[str, str]:
+        """Return the last values of a check."""
+        found = self.of(name)
+        return {one.key: one.value for one in found[-1].values} if found else {}
+
+    def clear(self) -> None:
+        """Forget what has come."""
+        self._collected.messages.clear()
+
+
 class Process:
     """A node as a process; its output goes to a file."""
 
@@ -250,6 +280,46 @@ class World:
         found = client.describe_parameters(list(names.result().result.names))
         assert self.until(found.done), f"{node} does not answer\n{self.output()}"
         return {one.name: one for one in found.result().descriptors}
+
+    # --- services -------------------------------------------------------------------------------
+
+    def call(self, kind: Any, name: str, seconds: float = PATIENCE, **fields: Any) -> Any:
+        """Call a service, relative to the namespace, and return its response."""
+        client = self.node.create_client(kind, name if name.startswith("/") else f"{self.namespace}/{name}")
+        assert self.until(client.service_is_ready), f"no service {name}\n{self.output()}"
+        future = client.call_async(kind.Request(**fields))
+        assert self.until(future.done, seconds), f"{name} does not answer\n{self.output()}"
+        self.node.destroy_client(client)
+        return future.result()
+
+    def transition(self, node: str, label: str) -> bool:
+        """Ask a node for a transition of its lifecycle; whether it was made."""
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
+        ids = {
+            "configure": Transition.TRANSITION_CONFIGURE,
+            "activate": Transition.TRANSITION_ACTIVATE,
+            "deactivate": Transition.TRANSITION_DEACTIVATE,
+            "cleanup": Transition.TRANSITION_CLEANUP,
+            "shutdown from active": Transition.TRANSITION_ACTIVE_SHUTDOWN,
+            "nonsense": 77,
+        }
+        return bool(
+            self.call(ChangeState, f"{node}/change_state", transition=Transition(id=ids[label])).success
+        )
+
+    def state(self, node: str) -> str:
+        """Return the lifecycle state of a node."""
+        from lifecycle_msgs.srv import GetState
+
+        return str(self.call(GetState, f"{node}/get_state").current_state.label)
+
+    def diagnostics(self) -> Diagnosed:
+        """Return the last status of each check, as they come."""
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        return Diagnosed(self.collect(DiagnosticArray, "/diagnostics"))
 
     def _client(self, node: str) -> AsyncParameterClient:
         client = AsyncParameterClient(self.node, f"{self.namespace}/{node}")

@@ -88,11 +88,20 @@ def test_another_scene_and_camera(driver: tuple[World, Collected]) -> None:
     ("values", "reason"),
     [
         ({"camera": "sr30000"}, r"sr30000: no camera file of this name \(did you mean 'sr3000'\?"),
-        ({"scene": "nowhere/scene.yaml"}, r"nowhere/scene\.yaml: no such file"),
+        ({"scene": "nowhere"}, r"nowhere: no scene file of this name"),
+        (
+            {"scene": "nowhere/scene.yaml"},
+            r"scene\.yaml: scene: lies outside of the folders that may be read",
+        ),
+        ({"camera": "/etc/passwd"}, r"/etc/passwd: camera: lies outside of the folders .* folders:=FOLDER"),
+        ({"camera_info": "../../secret.yaml"}, r"secret\.yaml: camera_info: lies outside of the folders"),
+        ({"recording": "/etc", "source": "playback"}, r"/etc: recording: lies outside of the folders"),
+        ({"library": "/tmp/evil.so"}, r"read-only parameter: library"),
+        ({"pause": True}, r"pause: only playback can stand still"),
         ({"integration_time": -1.0}, r"integration_time out of range Min: 0\.0"),
         ({"frame_rate": float("nan")}, r"frame_rate"),
         ({"source": "playback"}, r"recording: source playback needs a recording"),
-        ({"source": "webcam"}, r"source: 'webcam' is not a choice \(one of: simulator, playback\)"),
+        ({"source": "webcam"}, r"source: 'webcam' is not a choice \(one of: simulator, playback, sr3000\)"),
         ({"waveform": "triangle"}, r"waveform: unknown waveform 'triangle'"),
         ({"frames": 7}, r"read-only parameter: frames"),
         ({"loop": 3}, r"Wrong parameter type"),
@@ -122,23 +131,23 @@ def test_descriptors(undisturbed_driver: tuple[World, Collected]) -> None:
     assert described["frame_rate"].floating_point_range[0].to_value == 1000.0
     assert described["seed"].integer_range[0].from_value == 0
     assert described["qos.images"].read_only
-    assert described["source"].additional_constraints == "one of: simulator, playback"
+    assert described["source"].additional_constraints == "one of: simulator, playback, sr3000"
 
 
 # --- correction ---------------------------------------------------------------------------------
 
 
-def started_chain(world: World) -> tuple[World, Collected]:
+def started_chain(world: World, **correction: Any) -> tuple[World, Collected]:
     world.start("driver_node", scene="room", frame_rate=25.0, integration_time=100.0)
-    world.start("correction_node")
+    world.start("correction_node", **correction)
     points = world.collect(PointCloud2, "points", BEST_EFFORT)
     assert world.until(lambda: len(points) > 2), world.output()
     return world, points
 
 
 @pytest.fixture
-def chain(world: World) -> tuple[World, Collected]:
-    return started_chain(world)
+def chain(world: World, tmp_path: Path) -> tuple[World, Collected]:
+    return started_chain(world, folders=str(tmp_path))
 
 
 @pytest.fixture(scope="module")

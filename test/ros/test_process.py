@@ -40,7 +40,7 @@ NODES = ("driver_node", "correction_node")
         (
             "driver_node",
             {"source": "webcam"},
-            r"source: 'webcam' is not a choice \(one of: simulator, playback\)",
+            r"source: 'webcam' is not a choice \(one of: simulator, playback, sr3000\)",
         ),
         ("driver_node", {"source": "playback"}, r"recording: source playback needs a recording \(.*\)"),
         ("driver_node", {"source": "playback", "recording": "no/bag"}, r"no/bag: .*"),

@@ -1,0 +1,69 @@
+"""Findings of a node on /diagnostics, once a second."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from rim_camera_ros.nodes.lifecycle import ManagedNode
+from rim_camera_ros.nodes.statistics import Finding, Level
+
+TOPIC = "/diagnostics"
+#: Seconds between two messages.
+PERIOD = 1.0
+
+
+class Diagnostics:
+    """Publishes one status per check, named ``<node>: <check>``; ``hardware`` returns the device's id.
+
+    A warning or error is logged when it begins and when it has gone.
+    """
+
+    def __init__(
+        self, node: ManagedNode, checks: Mapping[str, Callable[[], Finding]], *, hardware: Callable[[], str]
+    ) -> None:
+        self._node = node
+        self._checks = dict(checks)
+        self._hardware = hardware
+        self._levels: dict[str, Level] = {}
+        qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+        self._publisher = node.create_publisher(DiagnosticArray, TOPIC, qos)
+        self._timer = node.steady_timer(PERIOD, self.publish)
+
+    def publish(self) -> None:
+        """Publish what the checks find now."""
+        name = self._node.get_fully_qualified_name()
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        hardware = self._hardware()
+        for check, look in self._checks.items():
+            try:
+                finding = look()
+            except Exception as error:  # a check that fails must not end the node
+                finding = Finding()
+                finding.worse(Level.ERROR, f"the check failed: {type(error).__name__} {error}")
+            self._log(check, finding)
+            message.status.append(
+                DiagnosticStatus(
+                    level=bytes([finding.level]),
+                    name=f"{name}: {check}",
+                    message=finding.message,
+                    hardware_id=hardware,
+                    values=[KeyValue(key=key, value=value) for key, value in finding.values.items()],
+                )
+            )
+        self._publisher.publish(message)
+
+    def _log(self, check: str, finding: Finding) -> None:
+        before = self._levels.get(check, Level.OK)
+        self._levels[check] = finding.level
+        log, text = self._node.log, f"{check}: {finding.message}"
+        # rclpy allows one severity to a line of code
+        if finding.level > before and finding.level == Level.ERROR:
+            log.error(text)
+        elif finding.level > before:
+            log.warning(text)
+        elif finding.level < before and finding.level == Level.OK:
+            log.info(f"{check}: fine again")

@@ -1,0 +1,117 @@
+"""What a node counts and times while it runs, and findings of it in words; no ROS in here."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+
+#: Seconds over which rates, latencies and losses are stated, and the most frames that are kept for it.
+WINDOW = 5.0
+_KEPT = 4096
+#: Latencies [s] beyond this are of stamps that are not of now (a recording's own).
+_OF_NOW = 60.0
+
+
+class Level(IntEnum):
+    """What a robot can act on: go on; go on with care and tell somebody; do not rely on it."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+@dataclass
+class Finding:
+    """One line of diagnostics: its message are the sentences of its highest level."""
+
+    level: Level = Level.OK
+    values: dict[str, str] = field(default_factory=dict)
+    _sentences: list[tuple[Level, str]] = field(default_factory=list)
+
+    def worse(self, level: Level, sentence: str) -> None:
+        """Say what is wrong."""
+        self.level = max(self.level, level)
+        self._sentences.append((level, sentence))
+
+    def note(self, sentence: str) -> None:
+        """Say how it is, where nothing is wrong."""
+        self._sentences.append((Level.OK, sentence))
+
+    @property
+    def message(self) -> str:
+        return "; ".join(text for level, text in self._sentences if level == self.level) or "fine"
+
+
+class Flow:
+    """Rate, latency and jitter of frames over the last `WINDOW` seconds.
+
+    ``now`` arguments are seconds of a clock that never jumps.
+    """
+
+    def __init__(self) -> None:
+        self.total = 0
+        self.jumps = 0
+        self._times: deque[tuple[float, float, float]] = deque(maxlen=_KEPT)
+        self._last_stamp: int | None = None
+        self.last: float | None = None
+
+    def add(self, now: float, *, stamp: int, latency: float, processing: float) -> None:
+        """Count a frame. ``stamp`` [ns]; ``latency`` (stamp to now) and ``processing`` (here) in s."""
+        self.total += 1
+        if self._last_stamp is not None and not 0 < stamp - self._last_stamp < 10 * 10**9:
+            self.jumps += 1
+        self._last_stamp = stamp
+        self.last = now
+        self._times.append((now, latency, processing))
+
+    def rate(self, now: float) -> float:
+        """Return the frames per second; 0 where none came lately."""
+        times = [one[0] for one in self._recent(now)]
+        if len(times) < 2:
+            return 0.0
+        # a flow that stops loses its rate at once, not only when the window is empty
+        span = max(times[-1] - times[0], (now - times[0]) * (len(times) - 1) / len(times))
+        return (len(times) - 1) / span if span > 0 else 0.0
+
+    def values(self, now: float) -> dict[str, str]:
+        """Return rate, jitter, latencies as text."""
+        recent = self._recent(now)
+        result = {"frames": str(self.total), "rate_hz": f"{self.rate(now):.2f}"}
+        if len(recent) > 2:
+            times, latency, processing = np.array(recent).T
+            steps = np.diff(times)
+            result["jitter_ms"] = f"{1e3 * float(np.std(steps)):.2f}"
+            result["longest_gap_ms"] = f"{1e3 * float(steps.max()):.1f}"
+            if np.abs(latency).max() < _OF_NOW:
+                result["latency_median_ms"] = f"{1e3 * float(np.median(latency)):.2f}"
+                result["latency_p99_ms"] = f"{1e3 * float(np.percentile(latency, 99)):.2f}"
+            else:
+                result["latency_median_ms"] = "unknown: stamps are not of now"
+            result["processing_median_ms"] = f"{1e3 * float(np.median(processing)):.2f}"
+            result["processing_p99_ms"] = f"{1e3 * float(np.percentile(processing, 99)):.2f}"
+        result["stamp_jumps"] = str(self.jumps)
+        return result
+
+    def _recent(self, now: float) -> list[tuple[float, float, float]]:
+        while self._times and now - self._times[0][0] > WINDOW:
+            self._times.popleft()
+        return list(self._times)
+
+
+class Tally:
+    """Counts by reason, and what came to them over the last `WINDOW` seconds."""
+
+    def __init__(self) -> None:
+        self._history: deque[tuple[float, Counter[str]]] = deque()
+
+    def recent(self, counts: Mapping[str, int], now: float) -> Counter[str]:
+        """Return by how much each count grew lately; to be called about once a second."""
+        current = Counter(counts)
+        self._history.append((now, current))
+        while len(self._history) > 1 and now - self._history[1][0] > WINDOW:
+            self._history.popleft()
+        return current - self._history[0][1]

@@ -1,0 +1,212 @@
+"""The tables of the README are those of the running nodes; parameter files name what there is."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+import yaml
+from sensor_msgs.msg import CameraInfo, Image
+
+from rim_camera_ros.nodes import correction_parameters, driver_parameters
+from rim_camera_ros.nodes.transforms import mount, optical_rotation
+from test.ros.harness import BEST_EFFORT, World
+
+ROOT = Path(__file__).resolve().parents[2]
+README = (ROOT / "README.md").read_text()
+#: What every node of ROS has.
+_OF_EVERY_NODE = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+_EVERY_TOPIC = ("/rosout", "/parameter_events")
+_EVERY_SERVICE = (
+    r"/(describe_parameters|get_parameter\w*|list_parameters|set_parameters\w*|get_type_description|"
+    + (r"change_state|get_state|get_available_\w+|get_transition_graph)$")
+)
+
+
+def table(heading: str, first: str) -> list[list[str]]:
+    """Return the rows of the first table after a heading whose first column is ``first``."""
+    part = README[README.index(heading) :]
+    lines = part[part.index(f"| {first} |") :].splitlines()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2 : lines.index("")]]
+    assert rows
+    return rows
+
+
+@pytest.fixture(scope="module")
+def nodes(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    with World(tmp_path_factory.mktemp("documentation")) as world:
+        world.start("driver_node", scene="wall", publish_clock=True)
+        world.start("correction_node")
+        images = world.collect(Image, "distance/image", BEST_EFFORT)
+        assert world.until(lambda: len(images) > 2), world.output()
+        yield world
+
+
+@pytest.mark.parametrize("node", ["driver", "correction"])
+def test_parameters(nodes: World, node: str) -> None:
+    described = nodes.describe(node)
+    rows = {row[0].strip("`"): row for row in table(f"`{node}_node` (node `{node}`)", "parameter")}
+    running = {name for name in described if not name.startswith(_OF_EVERY_NODE)}
+    effects = {name for name in running if name.startswith("effects.")}
+    assert running - effects == set(rows) - {"effects.<name>"}
+    assert bool(effects) == ("effects.<name>" in rows)
+    specs = driver_parameters.SPECS if node == "driver" else correction_parameters.SPECS
+    for spec in specs:
+        found, (_, default, text) = described[spec.name], rows[spec.name]
+        assert found.description == spec.description
+        assert text.startswith(spec.description)
+        assert found.read_only == text.endswith("set at start")
+        shown = {"true": True, "false": False, "empty": ""}.get(default, default)
+        assert (
+            shown if isinstance(shown, bool | str) and not isinstance(spec.default, int | float) else None
+        ) in (
+            spec.default,
+            None,
+        )
+        if isinstance(spec.default, bool):
+            assert shown is spec.default
+        elif isinstance(spec.default, int | float):
+            assert float(default) == spec.default
+            ranges = found.floating_point_range or found.integer_range
+            assert len(ranges) == 1, f"{spec.name} has no range"
+            assert (ranges[0].from_value, ranges[0].to_value) == spec.limits
+        for choice in spec.choices:
+            assert choice in text
+
+
+def test_topics(nodes: World) -> None:
+    documented: dict[str, tuple[str, str]] = {}
+    for topics, kind, node, _ in table("### Topics", "topic"):
+        for topic in re.findall(r"`([^`]+)`", topics):
+            kinds = kind.split(", ")
+            documented[topic] = (kinds[-1] if "camera_info" in topic else kinds[0], node)
+    published: dict[str, set[str]] = {}
+    types: dict[str, str] = {}
+    for node in ("driver", "correction"):
+        for name, kinds in nodes.node.get_publisher_names_and_types_by_node(node, "/camera"):
+            if name in _EVERY_TOPIC or name.endswith("/transition_event"):
+                continue
+            short = re.sub(
+                r"^/ground_truth/[^/]+/", "/ground_truth/<surface>/", name.removeprefix("/camera/")
+            )
+            published.setdefault(short, set()).add(node)
+            types[short] = kinds[0].rpartition("/")[2]
+    assert set(published) == set(documented) - {"/tf_static"}
+    for name, (kind, node) in documented.items():
+        if name != "/tf_static":
+            assert types[name] == kind.split()[0], name
+            assert published[name] == ({"driver", "correction"} if node == "both" else {node}), name
+
+
+def test_services(nodes: World) -> None:
+    rows = {row[0].strip("`"): row for row in table("### Services", "service")}
+    offered: dict[str, tuple[str, str]] = {}
+    for node in ("driver", "correction"):
+        for name, kinds in nodes.node.get_service_names_and_types_by_node(node, "/camera"):
+            if not re.search(_EVERY_SERVICE, name):
+                offered[name.removeprefix("/camera/")] = (kinds[0].replace("/srv", ""), node)
+    assert offered == {name: (row[1], row[2]) for name, row in rows.items()}
+
+
+def test_camera_info_is_what_depth_image_proc_reads(nodes: World) -> None:
+    infos = {
+        topic: nodes.collect(CameraInfo, topic, BEST_EFFORT)
+        for topic in ("camera_info", "distance/camera_info", "depth/camera_info")
+    }
+    depth = nodes.collect(Image, "depth/image_raw", BEST_EFFORT)
+    assert nodes.until(lambda: depth and all(infos.values())), nodes.output()
+    for one in infos.values():
+        info = one.last
+        assert (info.width, info.height) == (depth.last.width, depth.last.height)
+        assert info.distortion_model == "plumb_bob"
+        assert len(info.d) == 5
+        assert list(info.r) == [1, 0, 0, 0, 1, 0, 0, 0, 1]
+        # the projection of the unrectified image: K itself, no baseline
+        assert np.allclose(
+            np.reshape(info.p, (3, 4)), np.hstack([np.reshape(info.k, (3, 3)), np.zeros((3, 1))])
+        )
+        assert (info.binning_x, info.roi.do_rectify) == (0, False)
+    common = set(infos["depth/camera_info"].by_stamp()) & set(depth.by_stamp())
+    assert common or nodes.until(lambda: set(infos["depth/camera_info"].by_stamp()) & set(depth.by_stamp()))
+    assert depth.last.header.frame_id == infos["depth/camera_info"].last.header.frame_id
+
+
+@pytest.mark.parametrize(
+    ("file", "specs"),
+    [
+        ("driver_simulator", driver_parameters.SPECS),
+        ("driver_playback", driver_parameters.SPECS),
+        ("driver_sr3000", driver_parameters.SPECS),
+        ("correction", correction_parameters.SPECS),
+    ],
+)
+def test_parameter_files_name_parameters_and_hold_their_types(file: str, specs: Any) -> None:
+    content = yaml.safe_load((ROOT / "config" / f"{file}.yaml").read_text())["/**"]["ros__parameters"]
+    known = {one.name: one for one in specs}
+
+    def flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        for key, value in values.items():
+            result |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+        return result
+
+    for name, value in flat(content).items():
+        assert name in known, name
+        assert type(value) is type(known[name].default), name
+        known[name].check(value)
+
+
+@pytest.mark.parametrize(
+    ("angles", "forward", "right"),
+    [
+        ({}, (1, 0, 0), (0, -1, 0)),
+        ({"yaw": np.pi / 2}, (0, 1, 0), (1, 0, 0)),
+        ({"pitch": np.pi / 2}, (0, 0, -1), (0, -1, 0)),
+        ({"roll": np.pi / 2}, (1, 0, 0), (0, 0, -1)),
+        ({"roll": np.pi / 2, "pitch": np.pi / 2}, (0, 0, -1), (-1, 0, 0)),
+    ],
+)
+def test_mount(angles: dict[str, float], forward: tuple[float, ...], right: tuple[float, ...]) -> None:
+    from scipy.spatial.transform import Rotation
+
+    values = {"roll": 0.0, "pitch": 0.0, "yaw": 0.0, **angles}
+    rotation = Rotation.from_quat(optical_rotation(**values))
+    assert np.allclose(rotation.apply([0, 0, 1]), forward, atol=1e-12)
+    assert np.allclose(rotation.apply([1, 0, 0]), right, atol=1e-12)
+    # roll, pitch, yaw about fixed axes as URDF has them, then the optical frame of REP 103
+    urdf = Rotation.from_euler("xyz", [0.3, -0.2, 1.1]) * Rotation.from_euler(
+        "xyz", [-np.pi / 2, 0, -np.pi / 2]
+    )
+    ours = Rotation.from_quat(optical_rotation(roll=0.3, pitch=-0.2, yaw=1.1))
+    assert (ours.inv() * urdf).magnitude() < 1e-12
+    message = mount(
+        {"base_frame": "base_link", "frame_id": "optical", **{f"mount.{k}": v for k, v in values.items()}}
+        | {"mount.x": 0.1, "mount.y": -0.2, "mount.z": 0.9}
+    )
+    assert (message.header.frame_id, message.child_frame_id) == ("base_link", "optical")
+    assert (message.transform.translation.x, message.transform.translation.z) == (0.1, 0.9)
+
+
+def test_a_base_frame_without_tf2_msgs_is_said(world: World) -> None:
+    try:
+        import tf2_msgs.msg  # noqa: F401
+    except ImportError:
+        driver = world.start("driver_node", base_frame="base_link")
+        images = world.collect(Image, "distance/image_raw", BEST_EFFORT)
+        assert world.until(lambda: len(images) > 2), world.output()
+        assert "no transform is published (sudo apt install ros-jazzy-tf2-msgs)" in driver.text
+    else:
+        from tf2_msgs.msg import TFMessage
+
+        from test.ros.harness import LATCHED
+
+        world.start("driver_node", base_frame="base_link")
+        transforms = world.collect(TFMessage, "/tf_static", LATCHED)
+        assert world.until(lambda: len(transforms)), world.output()
+        assert transforms.last.transforms[0].child_frame_id == "camera_optical_frame"

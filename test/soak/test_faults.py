@@ -1,0 +1,100 @@
+"""Short versions of the soak; the long ones are marked slow or run by `make soak`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("psutil")
+
+from test.soak import faults, mutations
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.mark.parametrize("count", [4, pytest.param(50, marks=[pytest.mark.slow, pytest.mark.timeout(900)])])
+def test_kills(tmp_path: Path, count: int) -> None:
+    found = faults.kills(tmp_path, count=count)
+    assert found["kills"] >= count - 2
+    assert found["stale"] == found["backwards"] == found["wrong"] == found["tracebacks"] == 0
+    assert found["paired"] > 10
+    # the start of a process on a busy machine is not what is tested here; docs/reliability.md has figures
+    assert max(seconds for _, seconds in found["back_s"]) < 15.0
+
+
+@pytest.mark.parametrize("seconds", [4.0, pytest.param(60.0, marks=pytest.mark.slow)])
+def test_hostile_messages(tmp_path: Path, seconds: float) -> None:
+    found = faults.hostile(tmp_path, seconds=seconds, rate=500.0)
+    assert found["running"]
+    assert found["tracebacks"] == 0
+    assert found["good_corrected"] == found["good"] >= 5 * seconds
+    assert found["refused"] > 0.5 * found["hostile"]
+    assert found["left_out"] > 0
+    before, most, last = found["memory_mb"]
+    assert max(most, last) < before + 30.0
+    assert found["log_lines"] < 40 + 3 * seconds  # a flood does not fill the log
+
+
+@pytest.mark.parametrize(
+    "seconds", [15.0, pytest.param(300.0, marks=[pytest.mark.slow, pytest.mark.timeout(600)])]
+)
+def test_reconfiguration_every_second(tmp_path: Path, seconds: float) -> None:
+    found = faults.reconfiguration(tmp_path, seconds=seconds)
+    assert found["changes"] >= 0.5 * seconds
+    assert found["tracebacks"] == 0
+    correction = found["correction"]
+    assert correction["frames"] > 10 * seconds
+    assert correction["left_out_frames"] == correction["refused_messages"] == correction["not corrected"] == 0
+    assert found["driver"]["not_published"] == 0
+    # frames are counted at two moments of the same second
+    assert abs(correction["frames"] - found["driver"]["frames"]) <= 60
+    for early, late in found["memory_mb"].values():
+        assert late < early + 20.0
+    assert all(count < 100 for count in found["descriptors"])
+
+
+def test_many_readers_and_one_that_never_reads(tmp_path: Path) -> None:
+    found = faults.readers(tmp_path, seconds=3.0)
+    assert found["running"]
+    assert found["with_readers_hz"] > 0.6 * found["alone_hz"]
+    assert found["never_reading_hz"] > 0.6 * found["alone_hz"]
+    assert found["memory_mb"][1] < found["memory_mb"][0] + 40.0
+
+
+def test_clock_jumps(tmp_path: Path) -> None:
+    found = faults.clock_jumps(tmp_path)
+    assert found["corrected"] == found["frames"] == 100
+    assert found["jumps_counted"] == 4
+    assert found["tracebacks"] == 0
+
+
+def test_a_full_disk_and_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    found = faults.full_disk(tmp_path)
+    assert found["refused"]
+    assert "cannot be written" in found["message"]
+    assert found["file_whole"]
+    assert found["left_over"] == []
+    assert found["written_later"]
+    refused, message = found["read_only"]
+    assert refused
+    assert "start the node with another folders:=FOLDER" in message
+
+
+@pytest.mark.parametrize(
+    "count", [150, pytest.param(10_000, marks=[pytest.mark.slow, pytest.mark.timeout(1800)])]
+)
+def test_damaged_files(tmp_path: Path, count: int) -> None:
+    found = mutations.run(tmp_path, count=count)
+    assert found["crashes"] == []
+    assert found["outside"] == []
+    assert found["slowest_s"] < 5.0
+    assert found["refused"] > found["accepted"] > 0
+
+
+@pytest.mark.parametrize("count", [5, pytest.param(100, marks=[pytest.mark.slow, pytest.mark.timeout(900)])])
+def test_damaged_parameter_files(tmp_path: Path, count: int) -> None:
+    found = mutations.parameter_files(tmp_path, count=count)
+    assert found["bad"] == []
+    assert found["refused"] > 0
