@@ -1,0 +1,151 @@
+"""Corners of checkerboards in amplitude images, in sub-pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.photogrammetry.edges import edge_coverage
+from rim_camera_ros.photogrammetry.greyfit import fit_grey_values
+
+Array = NDArray[np.float64]
+Image = NDArray[Any]
+
+#: Enlargement at which OpenCV looks for a board; without it squares of 6 px are not found.
+_ENLARGEMENT = 3
+#: Radius in px of the window that a corner is fitted in, and the least that still says something.
+_LARGEST_WINDOW = 6.0
+_SMALLEST_WINDOW = 2.5
+#: Residuals in units of the step between the squares above which there is no corner.
+_LARGEST_RESIDUAL = 0.25
+_STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-3, 1e-5, 1e-5])
+
+
+@dataclass(frozen=True, slots=True)
+class Corner:
+    """A corner at (u, v) in px (column, row) and its ``sigma`` in px (RMS of u and v)."""
+
+    u: float
+    v: float
+    sigma: float
+
+
+def find_checkerboard(amplitude: Image, *, rows: int, columns: int) -> list[list[Corner]] | None:
+    """Return the inner corners of a checkerboard, ``rows`` lists of ``columns``; None where it is not found.
+
+    The whole board must be in the image. Which of the equivalent corners comes first is OpenCV's choice
+    (cv2.findChessboardCorners). Raises ValueError for fewer than 3 rows or columns.
+    """
+    if min(rows, columns) < 3:
+        raise ValueError(f"a checkerboard has at least 3 x 3 inner corners, not {rows} x {columns}")
+    image = np.nan_to_num(np.asarray(amplitude, np.float32))
+    low, high = np.quantile(image, [0.005, 0.995])
+    if not high > low:
+        return None
+    grey = np.clip((image - low) / (high - low) * 255, 0, 255).astype(np.uint8)
+    large = cv2.resize(grey, None, fx=_ENLARGEMENT, fy=_ENLARGEMENT, interpolation=cv2.INTER_CUBIC)
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    found, corners = cv2.findChessboardCorners(large, (columns, rows), flags=flags)
+    if not found:
+        return None
+    # the centre of the first small pixel lies at (1 / enlargement - 1) / 2 of a large one
+    grid = (corners.reshape(rows, columns, 2).astype(float) + 0.5) / _ENLARGEMENT - 0.5
+    across, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
+    axes = np.stack([across, down], axis=-2).reshape(-1, 2, 2)
+    refined = refine_corners(amplitude, grid.reshape(-1, 2), axes=axes)
+    result: list[list[Corner]] = []
+    for i in range(rows):
+        row = [one for one in refined[i * columns : (i + 1) * columns] if one is not None]
+        if len(row) != columns:
+            return None
+        result.append(row)
+    return result
+
+
+def refine_corners(amplitude: Image, approximate: Array, *, axes: Array) -> list[Corner | None]:
+    """Return the corners near approximate positions (n, 2) as (u, v) in px; None where there is none.
+
+    ``axes`` (n, 2, 2): the vectors in px from each corner to the next along the two edges of the board that
+    cross in it. OpenCV's cornerSubPix leads to the corner, a fit to the grey values gives it its
+    precision: two crossing edges, blurred by the pixel's square and the optics, under a linear
+    illumination.
+    """
+    image = np.nan_to_num(np.asarray(amplitude, np.float32))
+    height, width = image.shape
+    result: list[Corner | None] = []
+    for start, edges in zip(np.asarray(approximate, float), np.asarray(axes, float), strict=True):
+        spacing = min(
+            np.linalg.norm(edges[0]),
+            np.linalg.norm(edges[1]),
+            *(np.linalg.norm(edges[0] + sign * edges[1]) for sign in (1, -1)),
+        )
+        radius = min(0.8 * float(spacing), _LARGEST_WINDOW)
+        room = min(start[0], start[1], width - 1 - start[0], height - 1 - start[1])
+        if radius < _SMALLEST_WINDOW or not room >= 2:
+            result.append(None)
+            continue
+        # a square window, in which the next corners must not lie
+        half = max(int(min(0.45 * spacing, room - 1, _LARGEST_WINDOW)), 1)
+        moved = cv2.cornerSubPix(
+            image,
+            start.astype(np.float32).reshape(1, 1, 2).copy(),
+            (half, half),
+            (-1, -1),
+            (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3),
+        ).reshape(2)
+        near = np.linalg.norm(moved - start) < 0.4 * spacing
+        result.append(_fit_corner(image, moved.astype(float) if near else start, edges, radius))
+    return result
+
+
+def _fit_corner(image: Image, start: Array, edges: Array, radius: float) -> Corner | None:
+    height, width = image.shape
+    u0, u1 = max(int(np.ceil(start[0] - radius)), 0), min(int(start[0] + radius), width - 1)
+    v0, v1 = max(int(np.ceil(start[1] - radius)), 0), min(int(start[1] + radius), height - 1)
+    columns, rows = (one.ravel() for one in np.meshgrid(np.arange(u0, u1 + 1.0), np.arange(v0, v1 + 1.0)))
+    near = np.hypot(columns - start[0], rows - start[1]) <= radius
+    x, y = columns[near], rows[near]
+    grey = np.asarray(image[v0 : v1 + 1, u0 : u1 + 1], np.float64).ravel()[near]
+    if grey.size < 12:
+        return None
+    angles = np.arctan2(edges[:, 1], edges[:, 0])
+    scale = max(float(grey.std()), 1e-9)
+    mean = float(grey.mean()) / scale
+
+    def sides(parameters: Array) -> Array:
+        p = parameters[..., None]
+        dx, dy = x - p[:, 0], y - p[:, 1]
+        both: Array = np.ones(1)
+        for angle in (p[:, 2], p[:, 3]):
+            along, across = np.cos(angle), np.sin(angle)
+            both = both * (2 * edge_coverage(along * dy - across * dx, across, along, p[:, 6]) - 1)
+        return both
+
+    def model(parameters: Array) -> Array:
+        p = parameters[..., None]
+        trend = 1 + p[:, 7] * (x - start[0]) + p[:, 8] * (y - start[1])
+        result: Array = (p[:, 4] + p[:, 5] * sides(parameters)) * trend
+        return result
+
+    begin = np.array([*start, *angles, mean, 0.0, 0.3, 0.0, 0.0])
+    step = float(np.mean(sides(begin[None])[0] * (grey / scale - mean)))
+    begin[5] = step if abs(step) > 1e-3 else 0.5
+    fit = fit_grey_values(model, begin, grey / scale, steps=_STEPS)
+    if fit is None:
+        return None
+    p = fit.parameters
+    sigma = float(np.sqrt(np.trace(fit.covariance[:2, :2]) / 2))
+    turned = np.abs(np.angle(np.exp(1j * 2 * (p[2:4] - angles)))) / 2
+    if (
+        fit.residual_rms > 2 * _LARGEST_RESIDUAL * abs(p[5])
+        or np.hypot(p[0] - start[0], p[1] - start[1]) > radius
+        or turned.max() > np.deg2rad(30)
+        or not abs(p[6]) < 3
+        or not sigma < 1
+    ):
+        return None
+    return Corner(float(p[0]), float(p[1]), sigma)

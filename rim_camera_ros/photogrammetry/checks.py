@@ -1,0 +1,175 @@
+"""What a bundle adjustment needs of its observations: errors where it cannot work, notes where it is weak."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from rim_camera_ros.errors import InputError, nearest_name
+from rim_camera_ros.photogrammetry.targets import Distance, ImagePoint, Observations, TargetField
+
+Array = NDArray[np.float64]
+
+#: Fewest targets at a station: three give a pose, the fourth tells it from the three others.
+LEAST_TARGETS = 4
+#: A field thinner than this share of its length is a plane.
+_FLAT = 0.02
+#: Least angles in rad between the directions from which a plane is seen, and between the camera's rolls:
+#: tilts of 40 deg in different directions alone are up to 40 deg of roll between two stations.
+_LEAST_DIRECTIONS = np.deg2rad(5.0)
+_LEAST_ROLL = np.deg2rad(60.0)
+
+
+def usable_points(observations: Observations) -> tuple[list[ImagePoint], list[str]]:
+    """Return the points of the stations that have enough of them, and notes on the others.
+
+    Raises `InputError` in one line: an id that the field does not have, a target seen twice at a station,
+    a sigma or coordinate that is no number, too few targets, only one station.
+    """
+    field = observations.field
+    for one in observations.points:
+        if one.target not in field.targets:
+            raise InputError(
+                f"target '{one.target}' of station {one.station} is not in the target field",
+                place="targets",
+                remedy=nearest_name(one.target, field.targets),
+            )
+        if not (np.isfinite([one.u, one.v, one.sigma]).all() and one.sigma > 0):
+            raise InputError(
+                f"target '{one.target}' of station {one.station} has u {one.u:g}, v {one.v:g}, "
+                f"sigma {one.sigma:g}",
+                place="targets",
+                remedy="coordinates must be numbers and sigma positive",
+            )
+    counted = Counter((one.station, one.target) for one in observations.points)
+    for (station, target), count in counted.items():
+        if count > 1:
+            raise InputError(
+                f"target '{target}' was observed {count} times at station {station}",
+                place="targets",
+                remedy="give each target at most once per station",
+            )
+    by_station: dict[int, list[tuple[float, float, float]]] = {}
+    for one in observations.points:
+        by_station.setdefault(one.station, []).append(field.targets[one.target].position)
+    if not by_station:
+        raise InputError(
+            "too few targets: none was observed",
+            place="targets",
+            remedy="check that the scene describes the target field and that it is in view",
+        )
+    unusable: dict[int, str] = {}
+    for station, positions in sorted(by_station.items()):
+        if len(positions) < LEAST_TARGETS:
+            unusable[station] = f"{len(positions)} targets, at least {LEAST_TARGETS} are needed"
+        elif _on_a_line(np.array(positions)):
+            unusable[station] = f"its {len(positions)} targets lie on one line"
+    notes = [f"station {station} left out: {reason}" for station, reason in unusable.items()]
+    stations = sorted(set(by_station) - set(unusable))
+    if not stations:
+        station = max(unusable, key=lambda one: len(by_station[one]))
+        raise InputError(
+            f"too few targets at every station; at station {station}, which has most: {unusable[station]}",
+            place="targets",
+            remedy="bring more of the target field into view",
+        )
+    if len(stations) == 1:
+        raise InputError(
+            f"only one station ({stations[0]}) has enough targets",
+            place="stations",
+            remedy="observe the field from at least two stations, better eight and more, some of them rolled",
+        )
+    return [one for one in observations.points if one.station not in unusable], notes
+
+
+def check_field(field: TargetField, *, distances: Sequence[Distance], free: bool) -> None:
+    """Raise `InputError` for distances between unknown targets, without need, or that are no lengths."""
+    for one in distances:
+        for name in (one.first, one.second):
+            if name not in field.targets:
+                raise InputError(
+                    f"the known distance {one.first} - {one.second} names target '{name}', "
+                    "which is not in the field",
+                    place="distances",
+                    remedy=nearest_name(name, field.targets),
+                )
+        if one.first == one.second or not (one.length > 0 and one.sigma > 0):
+            raise InputError(
+                f"the known distance {one.first} - {one.second} is {one.length:g} m, sigma {one.sigma:g} m",
+                place="distances",
+                remedy="length and sigma must be positive and the two targets different",
+            )
+    if distances and not free:
+        raise InputError(
+            "known distances were given together with known target coordinates",
+            place="distances",
+            remedy="give one of the two, or let the target coordinates be free",
+        )
+
+
+def check_directions(targets: Array, rotations: Array) -> None:
+    """Raise `InputError` where all targets lie in a plane that all stations see from one direction.
+
+    ``targets`` (t, 3), ``rotations`` (s, 3, 3) field to camera. The camera constant and the distance then
+    only scale the same image.
+    """
+    if not is_flat(targets):
+        return
+    normal = np.linalg.svd(targets - targets.mean(axis=0))[2][2]
+    seen = rotations @ normal
+    spread = _largest_angle(seen)
+    if spread < _LEAST_DIRECTIONS:
+        raise InputError(
+            "all targets lie in a plane and all stations see it from one direction "
+            f"(within {np.rad2deg(spread):.1f} deg)",
+            place="stations",
+            remedy="tilt the field or the camera by 30 deg and more between stations",
+        )
+
+
+def geometry_notes(rotations: Array, correlation: Array, names: Sequence[str]) -> list[str]:
+    """Return a warning where no station is rolled about the optical axis against another.
+
+    ``rotations`` (s, 3, 3) field to camera; ``correlation`` (k, k) of the optics parameters ``names``, of
+    which the greatest between principal point and decentring is named.
+    """
+    between = np.einsum("aij,bkj->abik", rotations, rotations).reshape(-1, 3, 3)
+    quaternions = Rotation.from_matrix(between).as_quat()
+    # the part of a rotation that turns about z
+    twist = 2 * np.arctan2(quaternions[:, 2], quaternions[:, 3])
+    roll = float(np.abs(np.angle(np.exp(1j * twist))).max())
+    if roll >= _LEAST_ROLL:
+        return []
+    pairs = [
+        (float(correlation[names.index(one), names.index(other)]), one, other)
+        for one in ("cx", "cy")
+        for other in ("p1", "p2")
+        if one in names and other in names
+    ]
+    value, one, other = max(pairs, key=lambda pair: abs(pair[0]), default=(0.0, "", ""))
+    measured = f" (correlation {one} - {other} {value:+.2f})" if pairs else ""
+    return [
+        "no station is rotated about the optical axis "
+        f"(largest roll between stations {np.rad2deg(roll):.0f} deg): "
+        f"principal point and decentring are not separable{measured}; add stations rolled by 90 deg"
+    ]
+
+
+def is_flat(targets: Array) -> bool:
+    """Whether targets (t, 3) lie in a plane, within 2 % of their extent."""
+    sizes = np.linalg.svd(targets - targets.mean(axis=0), compute_uv=False)
+    return bool(sizes[-1] < _FLAT * sizes[0])
+
+
+def _on_a_line(targets: Array) -> bool:
+    sizes = np.linalg.svd(targets - targets.mean(axis=0), compute_uv=False)
+    return bool(sizes[1] < _FLAT * sizes[0])
+
+
+def _largest_angle(directions: Array) -> float:
+    cosine = np.clip(np.abs(directions @ directions.T), 0.0, 1.0)
+    return float(np.arccos(cosine.min()))

@@ -1,0 +1,61 @@
+"""Least squares of a target's model to the grey values of an image, with a covariance from what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+Array = NDArray[np.float64]
+#: Grey values (k, n) at n pixels for k rows of parameters (k, p).
+GreyModel = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class GreyFit:
+    """Parameters (p,), their covariance (p, p) and the RMS of the residuals in grey values."""
+
+    parameters: Array
+    covariance: Array
+    residual_rms: float
+
+
+def fit_grey_values(model: GreyModel, start: Array, grey: Array, *, steps: Array) -> GreyFit | None:
+    """Fit ``model`` to the grey values (n,) from ``start`` (p,); None where it does not converge.
+
+    ``steps`` (p,) are those of the central differences. The covariance is the heteroscedasticity
+    -consistent one (MacKinnon & White 1985, HC3): what the model misses sits at the edges of a target, where
+    the position comes from, and one variance for all pixels would hide it.
+    """
+    count, unknowns = len(grey), len(start)
+    if count <= unknowns + 2:
+        return None
+
+    def residuals(parameters: Array) -> Array:
+        difference: Array = model(parameters[None])[0] - grey
+        return difference
+
+    def jacobian(parameters: Array) -> Array:
+        values = model(np.concatenate([parameters + np.diag(steps), parameters - np.diag(steps)]))
+        slopes: Array = ((values[:unknowns] - values[unknowns:]) / (2 * steps)[:, None]).T
+        return slopes
+
+    found: Any = least_squares(residuals, start, jac=jacobian, method="lm", x_scale="jac", max_nfev=60)
+    if found.status <= 0 or not np.isfinite(found.x).all():
+        return None
+    scale = np.linalg.norm(found.jac, axis=0)
+    # a parameter without effect, such as a blur of nothing, stays as it is
+    moving = scale > 1e-9 * scale.max()
+    q, r = np.linalg.qr(found.jac[:, moving] / scale[moving])
+    if np.abs(np.diag(r)).min() < 1e-7:
+        return None
+    leverage = np.minimum(np.sum(q**2, axis=1), 0.99)
+    to_parameters = np.zeros((unknowns, count))
+    to_parameters[moving] = np.linalg.solve(r, q.T) / scale[moving, None]
+    spread = to_parameters * (found.fun / (1 - leverage))
+    rms = float(np.sqrt(np.sum(found.fun**2) / (count - unknowns)))
+    return GreyFit(found.x, spread @ spread.T, rms)

@@ -1,0 +1,63 @@
+"""Which parameters of the optics the observations support."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from rim_camera_ros.optics import Optics
+from rim_camera_ros.photogrammetry.adjustment import Adjusted, State
+from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS
+from rim_camera_ros.photogrammetry.report import LeftOut
+
+
+def _groups(estimated: Sequence[str]) -> list[tuple[str, ...]]:
+    """Groups that may be left out next: the highest radial order, the decentring, the aspect.
+
+    p1 and p2 are components of one vector and change into each other when the axes are turned.
+    """
+    groups: list[tuple[str, ...]] = []
+    for name in ("k3", "k2", "k1"):
+        if name in estimated:
+            groups.append((name,))
+            break
+    decentring = tuple(name for name in ("p1", "p2") if name in estimated)
+    if decentring:
+        groups.append(decentring)
+    if "fy" in estimated:
+        groups.append(("fy",))
+    return groups
+
+
+def least_significant(adjusted: Adjusted, start: Optics, significance: float) -> LeftOut | None:
+    """Return the group with the greatest probability of being zero if that exceeds ``significance``."""
+    values = dict(zip(OPTICS_PARAMETERS, adjusted.state.optics, strict=True))
+    values["fy"] -= values["fx"] * start.fy / start.fx
+    transfer = np.eye(len(adjusted.estimated))
+    if "fy" in adjusted.estimated:
+        # what is tested is fy - fx * (start.fy / start.fx), not the departure from the present ratio
+        i, j = adjusted.estimated.index("fy"), adjusted.estimated.index("fx")
+        optics = adjusted.state.optics
+        transfer[i, j] = optics[1] / optics[0] - start.fy / start.fx
+    covariance = transfer @ adjusted.optics_covariance @ transfer.T
+    worst: LeftOut | None = None
+    for group in _groups(adjusted.estimated):
+        where = [adjusted.estimated.index(name) for name in group]
+        value = np.array([values[name] for name in group])
+        weight = np.linalg.solve(covariance[np.ix_(where, where)], value)
+        statistic = float(value @ weight) / len(group)
+        probability = float(fisher.sf(statistic, len(group), max(adjusted.redundancy, 1)))
+        if probability > significance and (worst is None or probability > worst.probability):
+            worst = LeftOut(group, statistic, probability)
+    return worst
+
+
+def zeroed(state: State, names: Sequence[str]) -> State:
+    """Return the state without these parameters; without fy the adjustment holds the ratio itself."""
+    optics = state.optics.copy()
+    for name in names:
+        if name != "fy":
+            optics[OPTICS_PARAMETERS.index(name)] = 0.0
+    return State(optics, state.rotations, state.translations, state.targets)
