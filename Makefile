@@ -2,6 +2,7 @@
 
 PYTHON ?= python3.12
 PYTEST_ARGS ?=
+DURATION ?= 300
 
 VENV := .venv
 OLDEST := .venv-oldest
@@ -12,7 +13,7 @@ PIP_INSTALL := -m pip install --quiet --disable-pip-version-check --no-input --n
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-all test-oldest lint bench lock clean
+.PHONY: help venv demo test test-all test-oldest lint bench proof soak lock clean
 
 help: ## print this list of targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
@@ -38,6 +39,12 @@ lint: $(VENV)/.installed ## check style, format and types
 
 bench: $(VENV)/.installed ## measure the speed of the hot paths
 	@$(RUN) -m test.bench
+
+proof: $(VENV)/.installed ## run the blind benchmark of the diagnosis and write docs/proof.md (hours)
+	@$(RUN) -m test.blind --out build/proof --docs docs --resume
+
+soak: $(VENV)/.installed ## run the faults for DURATION seconds (300)
+	@$(RUN) -m test.soak --duration $(DURATION)
 
 lock: $(VENV)/.installed ## renew requirements/*.lock from requirements/*.in
 	@$(RUN) requirements/lock.py default

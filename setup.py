@@ -13,7 +13,13 @@ MINIMUM = ["numpy>=1.26", "scipy>=1.11", "PyYAML>=6.0.1", "matplotlib>=3.6", "ro
 # and pip would install a second one.
 OPENCV = ["opencv-python-headless>=4.6"]
 # tests_require is gone since setuptools 72; colcon finds pytest in this extra.
-TEST = ["pytest>=7.4", "pytest-timeout", "hypothesis>=6.98"]
+# closed forms of unknown curves
+DIAGNOSIS = ["scikit-learn>=1.3"]
+# more recordings than one machine
+CLUSTER = ["distributed>=2024.1"]
+# finding and resetting SwissRanger cameras
+USB = ["pyusb>=1.2"]
+TEST = ["pytest>=7.4", "pytest-timeout", "hypothesis>=6.98", "psutil"]
 
 
 def shared(*folders: str) -> list[tuple[str, list[str]]]:
@@ -48,7 +54,13 @@ setup(
         *shared("launch", "config", "calibration"),
     ],
     install_requires=MINIMUM,
-    extras_require={"opencv": OPENCV, "test": TEST},
+    extras_require={
+        "opencv": OPENCV,
+        "diagnosis": DIAGNOSIS,
+        "cluster": CLUSTER,
+        "usb": USB,
+        "test": TEST,
+    },
     zip_safe=False,
     entry_points={
         "console_scripts": [

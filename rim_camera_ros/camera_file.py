@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -189,12 +191,66 @@ def draw_parameters(camera: Camera, rng: np.random.Generator) -> Camera:
 def save_camera(camera: Camera, path: str | os.PathLike[str], *, header: str = "") -> None:
     """Write a camera file and the arrays that it names beside it; the YAML comes last and whole.
 
-    Raises `RimError` where it cannot be written.
+    Raises `RimError` where it cannot be written; arrays that were not there before are removed then.
     """
     path = Path(path)
-    for effect in camera.effects.values():
-        for one in arrays_of(effect):
+    arrays = [one for effect in camera.effects.values() for one in arrays_of(effect)]
+    if camera.covariance is not None:
+        arrays.append(camera.covariance.matrix)
+    new = [path.parent / one.file for one in arrays if not (path.parent / one.file).exists()]
+    try:
+        for one in arrays:
             _write_array(path.parent, one)
+        write_yaml(path, _document(camera), header=header)
+    except BaseException:
+        for written in new:
+            written.unlink(missing_ok=True)
+        raise
+
+
+def save_camera_apart(camera: Camera, path: str | os.PathLike[str], *, header: str = "") -> Camera:
+    """Write a camera file whose arrays are its own: no other file in the folder names them.
+
+    They are called ``STEM.PLACE.CHECKSUM.npy`` after the camera file, so that neither another camera file nor
+    the one that is replaced is harmed, whatever happens meanwhile. Arrays of that form that the replaced file
+    left behind and no YAML file in the folder names are removed. Returns the camera as written. Raises
+    `RimError` where it cannot be written.
+    """
+    path = Path(path)
+    camera = _with_own_arrays(camera, path.stem)
+    save_camera(camera, path, header=header)
+    own = re.compile(re.escape(path.stem) + r"\.[a-z_]+\.[0-9a-f]{8}\.npy")
+    stale = [one for one in path.parent.glob("*.npy") if own.fullmatch(one.name)]
+    # a copy of the replaced file may live on beside it
+    for other in path.parent.glob("*.y*ml") if stale else ():
+        text = other.read_bytes()
+        stale = [one for one in stale if one.name.encode() not in text]
+    for one in stale:
+        one.unlink(missing_ok=True)
+    return camera
+
+
+def _with_own_arrays(camera: Camera, stem: str) -> Camera:
+    def name(place: str, one: ArrayFile) -> ArrayFile:
+        values = np.ascontiguousarray(one.values)
+        text = hashlib.sha256(f"{values.dtype.str}{values.shape}".encode() + values.tobytes()).hexdigest()
+        return ArrayFile(f"{stem}.{place}.{text[:8]}.npy", one.values)
+
+    effects = {effect: _with_arrays(one, effect, name) for effect, one in camera.effects.items()}
+    covariance = camera.covariance
+    if covariance is not None:
+        covariance = replace(covariance, matrix=name("covariance", covariance.matrix))
+    return replace(camera, effects=MappingProxyType(effects), covariance=covariance)
+
+
+def _with_arrays(effect: Effect, place: str, name: Callable[[str, ArrayFile], ArrayFile]) -> Effect:
+    found = {one.name: getattr(effect, one.name) for one in fields(effect) if one.init}
+    renamed = {key: name(place, one) for key, one in found.items() if isinstance(one, ArrayFile)}
+    return replace(effect, **renamed) if renamed else effect
+
+
+def _document(camera: Camera) -> dict[str, Any]:
+    """Return a camera file's content as plain data."""
     data: dict[str, Any] = {"format": CAMERA_FORMAT, "device": camera.device}
     for section in ("sensor", "optics", "radiometry", "noise"):
         data[section] = encode(getattr(camera, section))
@@ -204,11 +260,10 @@ def save_camera(camera: Camera, path: str | os.PathLike[str], *, header: str = "
     if validity:
         data["validity"] = validity
     if camera.covariance is not None:
-        _write_array(path.parent, camera.covariance.matrix)
         data["covariance"] = encode(camera.covariance)
     if camera.provenance:
         data["provenance"] = encode(camera.provenance)
-    write_yaml(path, data, header=header)
+    return data
 
 
 def _write_array(folder: Path, one: ArrayFile) -> None:

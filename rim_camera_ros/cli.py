@@ -28,9 +28,16 @@ _PATIENCE = 3.0
 
 def command_modules() -> dict[str, ModuleType]:
     """Return the modules of the commands by name."""
-    from rim_camera_ros.commands import correct, diagnose, info, record, simulate
+    from rim_camera_ros.commands import calibrate, correct, diagnose, info, record, simulate
 
-    return {"simulate": simulate, "record": record, "correct": correct, "diagnose": diagnose, "info": info}
+    return {
+        "simulate": simulate,
+        "record": record,
+        "correct": correct,
+        "calibrate": calibrate,
+        "diagnose": diagnose,
+        "info": info,
+    }
 
 
 def parser() -> argparse.ArgumentParser:
@@ -39,7 +46,7 @@ def parser() -> argparse.ArgumentParser:
 
     result = Parser(
         prog="rim",
-        description="Simulate, record, correct and examine range imaging (time-of-flight) cameras.",
+        description="Simulate, record, correct, calibrate and examine range imaging cameras (time of flight).",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -57,10 +64,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _run(list(sys.argv[1:] if argv is None else argv))
         except RimError as error:
             return _failed(str(error), error.exit_status)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as end:
             for number in _ENDING:
                 signal.signal(number, signal.SIG_IGN)
-            return _failed("interrupted", 130)
+            return _failed(": ".join(["interrupted", *map(str, end.args)]), 130)
         except BrokenPipeError:
             _drop_output()  # whoever read it has gone
             return 0

@@ -151,6 +151,17 @@ def _stacked(folds: Sequence[Fold], count: int) -> tuple[Array, Array, Array, li
     return gram, pixel, weight, nuisances
 
 
+def _times(folds: Sequence[Fold], count: int, values: Array) -> Array:
+    """Return the product of the sums per pixel of some folds, as `_stacked` orders them, with values."""
+    total = np.zeros(len(folds[0].weight))
+    start = count
+    for fold in folds:
+        own = np.concatenate([values[:count], values[start : start + len(fold.nuisances)], values[-1:]])
+        total += fold.pixel @ own
+        start += len(fold.nuisances)
+    return total
+
+
 def _stacked_replicates(
     folds: Sequence[Fold], count: int, replicates: Sequence[tuple[Array, Array]]
 ) -> tuple[Array, Array]:
@@ -206,10 +217,12 @@ def reduce_folds(
         if nuisances:
             right = right - cross[:, :-1].T @ linalg.cho_solve(factor, drawn[count:], check_finite=False)
 
+    # the sums per pixel are put together anew when they are asked for: kept, they would fill the memory
     def recover(values: Array) -> tuple[dict[str, float], Array]:
         errors = solved[:, -1] - solved[:, :-1] @ values if nuisances else np.zeros(0)
-        everything = np.concatenate([values, errors])
-        pattern = scale * (pixel[:, -1] - pixel[:, :-1] @ everything)
+        everything = np.concatenate([values, errors, [-1.0]])
+        total = -_times(folds, count, everything)
+        pattern = total / (sum(fold.weight for fold in folds) + pattern_prior**-2)
         return {name: float(e) for (name, _, _), e in zip(nuisances, errors, strict=True)}, pattern
 
     return Reduced(

@@ -76,6 +76,11 @@ class Exploration:
         leader = int(np.argmax(self.gains[: self.named])) if self.named else 0
         return float(self.thresholds[leader]) if self.thresholds.size else LEAST_THRESHOLD
 
+    def forget(self) -> None:
+        """Let go of the sums per pixel, which only the last exploration still needs."""
+        for fold in self.fit.equations.folds:
+            fold.pixel = fold.pixel[:, :0]
+
     def best(self) -> dict[str, int]:
         """Return the best variant of each effect, the best effect first; further candidates left out."""
         result: dict[str, int] = {}
@@ -273,6 +278,7 @@ def search(
             rivals, ties = _rivals(step, name, need)
             found.append(Found(name, gain, rivals, ties))
         explorations.append(next_step)
+        step.forget()
         step, problem = next_step, next_problem
     return Result(
         camera=step.fit.camera,

@@ -143,7 +143,11 @@ def diagnose(
     linear = any(one.effect in LINEAR for one in result.found)
     if unknown is not None and not linear and _is_unknown(unknown, named, baseline, final):
         described = _described(unknown, baseline, result, seed)
-    setup = check_setup(final.fit if described is None else described.fit, explained=explained)
+    setup = check_setup(
+        final.fit if described is None else described.fit,
+        explained=explained,
+        physics=bool(result.found) or described is not None,
+    )
     reason = None if variance.pixels_vary_together or codes is not None else setup.reason
     say("held-out poses before and after")
     return _verdict(
@@ -254,7 +258,7 @@ def _verdict(
         where = of_residuals(baseline.fit)
         final = baseline
         ties = []
-    elif unknown is not None and (not result.found or unknown.gain > BEYOND * _named_gain(result)):
+    elif unknown is not None and (not result.found or unknown.gain > BEYOND * result.found[0].gain):
         model, where, missing = unknown.camera, unknown.where, [unknown.missing]
         verdict = "unknown_physics"
         ties = []
@@ -302,10 +306,6 @@ def _verdict(
         notes=notes,
         smooth_rest=None if rest is None else (" and ".join(rest.covariates), rest.on_top),
     )
-
-
-def _named_gain(result: Result) -> float:
-    return result.log_likelihood - result.start_log_likelihood
 
 
 def _ranking(baseline: Exploration, result: Result) -> list[tuple[str, float, float]]:

@@ -17,6 +17,8 @@ LARGE = 10.0
 AGAINST_OTHERS = 4.0
 #: ... and where such poses are few: what many poses show is physics.
 FEW = 0.15
+#: Factor on these limits where physics was found whose form may be wrong.
+_STRAINED = 3.0
 #: Median distance residual [m] and relative amplitude error beyond which nothing fits.
 GROSS_DISTANCE = 0.10
 GROSS_AMPLITUDE = 0.6
@@ -83,18 +85,19 @@ def overlap(fitted: Fit) -> float:
     return both / measured if measured else 0.0
 
 
-def check_setup(fitted: Fit, *, explained: float = 0.0) -> Setup:
+def check_setup(fitted: Fit, *, explained: float = 0.0, physics: bool = False) -> Setup:
     """Say whether scene, poses and camera belong to the recording.
 
     ``explained`` is the share of the excess chi-square that the physics found explains: what it explains is
-    no fault of the setup.
+    no fault of the setup. Where ``physics`` was found at all, its form may be wrong enough to strain a few poses:
+    then they must stand out by far more.
     """
     poses = check_poses(fitted)
     reason = None
     if not poses:
         reason = "no pixel of the recording can be compared with the scene"
     else:
-        reason = _gross(fitted, poses) or _few(poses)
+        reason = _gross(fitted, poses) or _few(poses, _STRAINED if physics else 1.0)
     if explained > 0.5 and reason is not None and "poses" not in reason:
         reason = None
     return Setup(tuple(poses), reason)
@@ -124,14 +127,14 @@ def _gross(fitted: Fit, poses: list[PoseCheck]) -> str | None:
     return None
 
 
-def _few(poses: list[PoseCheck]) -> str | None:
+def _few(poses: list[PoseCheck], factor: float) -> str | None:
     errors = float(np.quantile([one.error for one in poses], 0.8))
     typical = float(np.quantile([one.chi_square for one in poses], 0.8))
     bad = [
         one
         for one in poses
-        if (one.error > FAR and one.error > AGAINST_OTHERS * errors)
-        or (one.chi_square > LARGE and one.chi_square > AGAINST_OTHERS * typical)
+        if (one.error > factor * FAR and one.error > AGAINST_OTHERS * errors)
+        or (one.chi_square > factor * LARGE and one.chi_square > AGAINST_OTHERS * typical)
     ]
     if not bad or len(bad) > max(1.0, FEW * len(poses)):
         return None
@@ -141,7 +144,7 @@ def _few(poses: list[PoseCheck]) -> str | None:
     detail = (
         f"pose {first.key[1]} at {first.time:.1f} s: {first.error_of.removeprefix('pose.')} is off by "
         f"{first.error:.0f} sigma of its instrument"
-        if first.error > FAR
+        if first.error > factor * FAR
         else f"pose {first.key[1]} at {first.time:.1f} s: chi-square per value {first.chi_square:.1f}"
     )
     return f"{len(bad)} of {len(poses)} poses do not agree with the rest ({names}); {detail}"

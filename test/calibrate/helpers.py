@@ -1,4 +1,4 @@
-"""Small simulated laboratories: a board of patches before a camera, at poses told with the instrument's error."""
+"""A small simulated laboratory: a board of patches at poses told with the instrument's error."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def scene(tmp_path: Path) -> Scene:
 def record(
     truth: Camera, board: Scene, *, poses: int = 24, frames: int = 4, seed: int = 0, wrong: float = 1.0
 ) -> Dataset:
-    """Stations of a simulated recording whose poses are told wrongly by ``wrong`` times the instrument's sigma."""
+    """Stations of a simulated recording; poses are told wrongly by ``wrong`` times the instrument's sigma."""
     rng = np.random.default_rng([seed, 11])
     simulation = Simulation(truth, board, seed=seed)
     recorded: list[RawFrame] = []

@@ -1,0 +1,255 @@
+"""Can these recordings calibrate this camera before this scene? One-line errors that say what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.bags import Recording, Topics
+from rim_camera_ros.calibrate.held_out import wrapped
+from rim_camera_ros.calibrate.stations import Dataset, check_frame
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.frame import Intrinsics, RawFrame
+from rim_camera_ros.scene import Scene, see
+
+Array = NDArray[Any]
+
+#: Effects that change with time or setting, and so can be told from one pose.
+WITHOUT_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_offset"})
+#: A pose off by more than this [m] from the others is no pose of this scene; all of them off by more than
+#: `WHOLE_SCENE` [m] is another scene.
+FAR_POSE = 0.3
+WHOLE_SCENE = 0.8
+#: Share of the poses that may be left out before the scene is refused.
+MOST_LEFT_OUT = 0.2
+#: Spread of the distances that a pixel sees over the poses [m], below which they are all the same.
+LEAST_DEPTH = 0.05
+#: Pixels of a surface from which on its distance in a pose counts, and poses that an error names.
+LEAST_PIXELS = 20
+_NAMED = 4
+
+
+@dataclass(frozen=True)
+class RecordingFacts:
+    """What a recording says of itself, before its images are read."""
+
+    path: Path
+    frames: int
+    device: str
+    intrinsics: Intrinsics | None
+    surfaces: tuple[str, ...]
+    integration_time: float | None
+
+
+def examine(path: str | PathLike[str], camera: Camera, topics: Topics | None) -> RecordingFacts:
+    """Read the first frame of a recording.
+
+    Raises `InputError` naming the recording where it has no frame or another camera made it.
+    """
+    with Recording(path, topics=topics) as bag:
+        first: RawFrame | None = next(iter(bag.frames()), None)
+        if first is None:
+            why = ", ".join(f"{n} {reason}" for reason, n in bag.skipped.items() if n)
+            raise InputError(
+                "it holds no complete frame" + (f": {why}" if why else ""),
+                file=path,
+                remedy="was the recording ended properly? rim info tells what is in it",
+            )
+        try:
+            check_frame(first, camera)
+        except InputError as error:
+            raise error.located(path) from None
+        return RecordingFacts(
+            Path(path),
+            bag.frame_count,
+            first.device,
+            first.intrinsics,
+            bag.truth_surfaces,
+            camera.stated_integration_time(first.settings),
+        )
+
+
+def agree(recordings: Sequence[RecordingFacts]) -> list[str]:
+    """Return notes on recordings of one camera. Raises `InputError` for recordings of several cameras."""
+    notes: list[str] = []
+    known = [one for one in recordings if one.device]
+    for one in known[1:]:
+        if one.device != known[0].device:
+            raise InputError(
+                f"it was made by '{one.device}', but {known[0].path} by '{known[0].device}'",
+                file=one.path,
+                remedy="calibrate each camera by itself",
+            )
+    with_geometry = [one for one in recordings if one.intrinsics is not None]
+    for one in with_geometry[1:]:
+        if one.intrinsics != with_geometry[0].intrinsics:
+            notes.append(
+                f"{one.path}: its camera_info differs from that of {with_geometry[0].path}; the optics of "
+                "the camera file hold for all"
+            )
+    for one in recordings:
+        if one.integration_time is None:
+            raise InputError(
+                "it states no integration_time (no frame_info)",
+                file=one.path,
+                remedy="give sensor.integration_time in the camera file",
+            )
+    return notes
+
+
+def require_scene(recordings: Sequence[RecordingFacts], scene: Scene | None) -> Scene:
+    """Return the scene. Raises `InputError` where there is none, or a recording lacks a pose it needs."""
+    if scene is None:
+        found = sorted({name for one in recordings for name in one.surfaces})
+        surfaces = f"poses of {', '.join(found)}" if found else "no poses of surfaces"
+        raise InputError(
+            f"without a scene nothing says what the camera saw (the recordings hold {surfaces})",
+            place="--scene",
+            remedy="give a scene file with these surfaces and pose: truth"
+            if found
+            else "give a scene file with the poses of its surfaces, free: [...] where they are not known",
+        )
+    for one in recordings:
+        for name in scene.needs_truth:
+            if name not in one.surfaces:
+                held = ", ".join(one.surfaces) or "none"
+                raise InputError(
+                    f"the scene takes the pose of '{name}' from the recording, which holds poses of: {held}",
+                    file=one.path,
+                    place=f"/ground_truth/{name}/pose",
+                    remedy="record the poses, or give the pose in the scene file",
+                )
+    return scene
+
+
+def with_known_poses(dataset: Dataset, scene: Scene) -> Dataset:
+    """Return the stations of which every surface's pose is known, with a note on the others."""
+    kept, lost = [], 0
+    for one in dataset.stations:
+        if all(name in one.truth for name in scene.needs_truth):
+            kept.append(one)
+        else:
+            lost += one.frames
+    notes = list(dataset.notes)
+    if lost:
+        missing = ", ".join(scene.needs_truth)
+        notes.append(f"left out: {lost} frames before the first pose of {missing}")
+    if not kept:
+        raise InputError(
+            "no frame has a pose of every surface",
+            file=dataset.files[0] if dataset.files else None,
+            remedy="poses must be stamped before the frames that they hold for",
+        )
+    return replace(dataset, stations=kept, notes=notes, frames=sum(one.frames for one in kept))
+
+
+def with_plausible_poses(dataset: Dataset, scene: Scene, camera: Camera, tick: Callable[[], None]) -> Dataset:
+    """Return the stations whose distances agree with the scene within a few decimetres, and say which do not.
+
+    Poses are compared with the median of all of their setting, so that an unknown offset of the camera does
+    not count. ``tick`` is called for each station. Raises `InputError` for a scene that describes another
+    recording, naming the poses that are off, and how far.
+    """
+    found = list(_medians(dataset, scene, camera, tick))
+    if not found:
+        raise InputError(
+            "no pixel can be used: no surface of the scene is where the recording has measurements",
+            remedy="check that the scene file describes the recording (rim info BAG lists its surfaces)",
+        )
+    number, setting, value = (np.array([one[i] for one in found]) for i in range(3))
+    centre = float(np.median(value))
+    if abs(centre) > WHOLE_SCENE:
+        raise InputError(
+            f"the recorded distances differ from the scene's by {centre:+.2f} m in the median pose",
+            remedy="check the scene's poses: surface frames in the camera optical frame, metres",
+        )
+    level = {t: float(np.median(value[setting == t])) for t in np.unique(setting)}
+    off = value - np.array([level[t] for t in setting])
+    # few poses of one setting: their own median may be the wrong one
+    off = np.where(np.abs(off) > np.abs(value - centre), value - centre, off)
+    far = np.abs(off) > FAR_POSE
+    if not far.any():
+        return dataset
+    named = []
+    for i in np.flatnonzero(far)[np.argsort(-np.abs(off[far]))][:_NAMED]:
+        one = dataset.stations[int(number[i])]
+        surface = found[int(i)][3]
+        named.append(f"'{surface}' in pose {one.pose} at {one.time:.1f} s by {off[i]:+.2f} m")
+    left = {dataset.stations[int(i)].recording: i for i in number[far]}
+    bad = {(dataset.stations[int(i)].recording, dataset.stations[int(i)].pose) for i in number[far]}
+    more = f" and {int(far.sum()) - _NAMED} more" if far.sum() > _NAMED else ""
+    which = "; ".join(named) + more
+    file = dataset.files[next(iter(left))] if dataset.files else None
+    if len(bad) > max(1, MOST_LEFT_OUT * dataset.poses) or len(bad) == dataset.poses:
+        raise InputError(
+            f"{len(bad)} of {dataset.poses} poses are off from what was recorded: {which}",
+            file=file,
+            remedy="check these poses in the scene file or the reference instrument's messages",
+        )
+    kept = [one for one in dataset.stations if (one.recording, one.pose) not in bad]
+    note = (
+        f"{file}: left out {len(bad)} of {dataset.poses} poses that are off from what was recorded: {which}"
+    )
+    return replace(
+        dataset, stations=kept, notes=[*dataset.notes, note], frames=sum(one.frames for one in kept)
+    )
+
+
+def _medians(
+    dataset: Dataset, scene: Scene, camera: Camera, tick: Callable[[], None]
+) -> Iterator[tuple[int, float, float, str]]:
+    """Yield number of the station, setting, median residual [m] and name of each surface that it sees."""
+    for number, station in enumerate(dataset.stations):
+        tick()
+        setting = camera.integration_time(station.settings)
+        geometry = see(scene, scene.poses_for(station.truth), camera.rays)
+        difference = wrapped(station.distance - geometry.distance, camera)
+        valid = geometry.hit & (station.count > 0) & np.isfinite(difference)
+        for i, surface in enumerate(scene.surfaces):
+            mine = valid & (geometry.surface == i)
+            if mine.sum() >= LEAST_PIXELS:
+                yield number, setting, float(np.median(difference[mine])), surface.name
+
+
+def require_variety(dataset: Dataset, scene: Scene, camera: Camera, effects: Sequence[str] | None) -> None:
+    """Raise `InputError` for one pose only, or for all poses at one distance.
+
+    Not where all that is asked for changes with time or setting.
+    """
+    if effects is not None and effects and set(effects) <= WITHOUT_POSES:
+        return
+    only = ", ".join(sorted(WITHOUT_POSES))
+    file = dataset.files[0] if len(dataset.files) == 1 else None
+    if dataset.poses < 2:
+        raise InputError(
+            "only one pose: nothing that depends on distance, amplitude or angle can be told from the offset "
+            "of each pixel",
+            file=file,
+            remedy=f"record the surface at 20 poses or more; one pose does for --effects {only}",
+        )
+    shape = camera.shape
+    near, far = np.full(shape, np.inf), np.full(shape, -np.inf)
+    for one in dataset.stations:
+        geometry = see(scene, scene.poses_for(one.truth), camera.rays)
+        used = geometry.hit & (one.count > 0)
+        near[used] = np.minimum(near[used], geometry.distance[used])
+        far[used] = np.maximum(far[used], geometry.distance[used])
+    seen = np.isfinite(near) & (far > -np.inf)
+    if not seen.any():
+        return
+    depth = float(np.median((far - near)[seen]))
+    if depth < LEAST_DEPTH:
+        raise InputError(
+            f"all at one distance: over the {dataset.poses} poses a pixel sees distances that differ by only "
+            f"{depth * 1e3:.0f} mm (median)",
+            file=file,
+            remedy="record the surface at distances over the whole range of use; with one distance only "
+            f"--effects {only} can be fitted",
+        )

@@ -1,0 +1,124 @@
+"""The effect ``empirical`` as regressors: hat functions between knots of one or two covariates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.normal_equations import Block, Regressor
+from rim_camera_ros.calibrate.prediction import Forward, Prediction
+from rim_camera_ros.effects.covariates import COVARIATES, covariate
+from rim_camera_ros.effects.empirical import Empirical
+from rim_camera_ros.errors import InputError, nearest_name
+from rim_camera_ros.parameters import NestedList
+
+Array = NDArray[Any]
+
+#: Knots of one covariate, or of each of two.
+KNOTS = (12, 6)
+#: Values per knot that a fit needs, and 1-sigma of a value's prior [m].
+LEAST_VALUES = 200
+PRIOR = 0.05
+#: Covariates over which knots are spaced in proportion.
+_BY_RATIO = frozenset({"amplitude", "row_amplitude", "column_amplitude"})
+_SAMPLES = 2000
+
+
+def empirical_covariates(word: str) -> tuple[str, ...]:
+    """Return the covariates of ``empirical:NAME`` or ``empirical:NAME:NAME``; of ``empirical`` amplitude.
+
+    Raises `InputError` for an unknown covariate.
+    """
+    names = tuple(one for one in word.split(":")[1:] if one) or ("amplitude",)
+    for name in names:
+        if name not in COVARIATES:
+            remedy = nearest_name(name, COVARIATES)
+            raise InputError(f"unknown covariate '{name}' of empirical", place="--effects", remedy=remedy)
+    if len(names) > 2:
+        raise InputError("empirical takes one or two covariates", place="--effects")
+    return names
+
+
+def empirical_start(forward: Forward, names: tuple[str, ...]) -> Empirical:
+    """Return the effect at zero, with knots where the recordings have values.
+
+    Knots lie between the 0.5 and 99.5 % quantiles, evenly or, for amplitudes, in proportion; those between
+    which there are few values are left out. Raises `InputError` where a covariate is not recorded or does
+    not vary.
+    """
+    parts: list[list[Array]] = [[] for _ in names]
+    for one in forward.predictions(slopes=False):
+        values = _values(names, one)
+        if values is None:
+            raise InputError(
+                f"the recordings state no {' or '.join(names)}",
+                place="--effects",
+                remedy="choose another covariate of empirical",
+            )
+        pixels = np.flatnonzero(one.used.ravel())
+        pixels = pixels[:: max(1, pixels.size // _SAMPLES)]
+        for part, value in zip(parts, values, strict=True):
+            part.append(value.ravel()[pixels])
+    samples = [np.concatenate(part) for part in parts]
+    knots = tuple(_knots(name, x, KNOTS[len(names) - 1]) for name, x in zip(names, samples, strict=True))
+    return Empirical(names, knots, NestedList(np.zeros([len(one) for one in knots])))
+
+
+def _knots(name: str, values: Array, count: int) -> tuple[float, ...]:
+    low, high = np.quantile(values, [0.005, 0.995])
+    if not high > low:
+        raise InputError(
+            f"{name} does not vary in these recordings", place="--effects", remedy="choose another covariate"
+        )
+    if name in _BY_RATIO and low > 0:
+        edges = np.geomspace(low, high, count)
+    else:
+        edges = np.linspace(low, high, count)
+    kept = [float(edges[0])]
+    for lower, upper in pairwise(edges):
+        if np.sum((values >= kept[-1]) & (values < upper)) >= min(LEAST_VALUES, values.size / (3 * count)):
+            kept.append(float(upper))
+        elif upper == edges[-1] and lower != kept[-1]:
+            kept[-1] = float(upper)
+    if len(kept) < 2:
+        kept = [float(low), float(high)]
+    return tuple(float(f"{one:.6g}") for one in kept)
+
+
+def empirical_block(effect: Empirical) -> Block:
+    """Return the regressors of the values at the knots, ``effects.empirical.values.N`` in C order."""
+    count = int(np.prod([len(one) for one in effect.knots]))
+    regressors = tuple(Regressor(f"effects.empirical.values.{i}", "empirical", PRIOR) for i in range(count))
+
+    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
+        values = _values(effect.covariates, prediction)
+        shape = prediction.distance.shape
+        if values is None:
+            return [(np.zeros(shape), None)] * count
+        hats = [_hats(np.asarray(one), x) for one, x in zip(effect.knots, values, strict=True)]
+        if len(hats) == 1:
+            return [(hat, None) for hat in hats[0]]
+        return [(a * b, None) for a in hats[0] for b in hats[1]]
+
+    return Block(regressors, columns)
+
+
+def _values(names: Iterable[str], prediction: Prediction) -> list[Array] | None:
+    found = []
+    for name in names:
+        value = covariate(name, prediction.delivered.distance, prediction.amplitude, prediction.context)
+        if value is None:
+            return None
+        found.append(np.broadcast_to(np.asarray(value, float), prediction.distance.shape))
+    return found
+
+
+def _hats(knots: Array, x: Array) -> list[Array]:
+    """Return the hat functions of linear interpolation between knots, held constant outside."""
+    held = np.clip(np.nan_to_num(x, nan=float(knots[0])), knots[0], knots[-1])
+    identity = np.eye(len(knots))
+    return [np.interp(held, knots, identity[k]) for k in range(len(knots))]

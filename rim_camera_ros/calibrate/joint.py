@@ -1,0 +1,267 @@
+"""Which effects take part, and the joint fit of all of them: by search, or exactly those asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from rim_camera_ros.calibrate.adjustment import ROBUST_LIMIT, Fit, Problem, fit
+from rim_camera_ros.calibrate.determined import (
+    EffectStatus,
+    statuses,
+    undeterminable,
+    undetermined_effects,
+)
+from rim_camera_ros.calibrate.empirical_fit import empirical_block, empirical_covariates, empirical_start
+from rim_camera_ros.calibrate.library import GEOMETRY, LINEAR, UNFITTED, Facts, candidates
+from rim_camera_ros.calibrate.prediction import Forward
+from rim_camera_ros.calibrate.search import LEAST_THRESHOLD, explore, search
+from rim_camera_ros.calibrate.selection import Scores, folds_of
+from rim_camera_ros.calibrate.solution import Solution, count_outliers, moved_by
+from rim_camera_ros.calibrate.views import Views
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.effects import registry
+from rim_camera_ros.errors import InputError, nearest_name
+
+Say = Callable[[str], None]
+Key = tuple[int, int]
+
+#: Rounds in which the empirical function and all else are solved together.
+_ROUNDS = 5
+#: Pixel values on which effects are tried that are not fitted.
+MOST_VALUES = 3_000_000
+#: Kept as in the file because the recordings do not speak of it.
+_KEPT_UNTOLD = "as in the file: these recordings do not determine it"
+_KEPT_UNASKED = "as in the file: not among --effects"
+_LAMBERT = (
+    "the surfaces do not reflect as Lambert says: their light over the angle of incidence is fitted as a curve, "
+    "which is not part of the camera file"
+)
+
+
+@dataclass
+class Outcome:
+    """The solution, what the recordings say of every effect, and which effects joined by search."""
+
+    solution: Solution
+    statuses: list[EffectStatus]
+    found: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def by_search(problem: Problem, camera: Camera, facts: Facts, *, say: Say, seed: int = 0) -> Outcome:
+    """Fit what the camera file has and the recordings determine, and add what held-out poses ask for."""
+    kept = _untold(problem, camera, say)
+    names = [name for name in [*registry(), *GEOMETRY] if name not in kept and name not in UNFITTED]
+    free = replace(problem, effects=tuple(names))
+    asked = [name for name in names if name not in camera.effects and name not in problem.geometry]
+    # surfaces that do not reflect as Lambert says would lend their light to other effects
+    asked += sorted(LINEAR)
+    result = search(free, camera, facts, effects=asked, seed=seed, progress=say)
+    last = result.explorations[-1]
+    solution = _solved(last.fit, last.scores, result.folds, camera)
+    named = list(last.candidates)[: len(last.spans)]
+    ties = {one.effect: one.ties for one in result.found}
+    found = statuses(
+        last.fit,
+        last.scores,
+        named,
+        last.spans,
+        facts,
+        start=camera,
+        kept=kept,
+        threshold=last.threshold,
+        ties=ties,
+        tick=lambda: None,
+    )
+    joined = [one.effect for one in result.found]
+    notes = [_LAMBERT] if set(joined) & LINEAR else []
+    return Outcome(solution, found, [name for name in joined if name not in LINEAR], notes)
+
+
+def exactly(problem: Problem, camera: Camera, facts: Facts, words: Sequence[str], *, say: Say) -> Outcome:
+    """Fit exactly the effects that are named; those absent start from the library's best variant.
+
+    Raises `InputError` for unknown names, and where the recordings determine none of them.
+    """
+    names, covariates = checked_names(words)
+    folds = folds_of(problem.dataset)
+    geometry = tuple(dict.fromkeys([*problem.geometry, *(n for n in names if n in GEOMETRY)]))
+    problem = replace(problem, effects=tuple(names), geometry=geometry)
+    notes: list[str] = []
+    camera_start = camera
+    # the same pixels throughout, or a term could grow by losing those that contradict it
+    first = Forward(problem.dataset, problem.scene, camera)
+    first.estimate_amplitudes()
+    problem = replace(problem, masks=first.pixels_used())
+    views = first.views
+    camera, unseen = _with_absent(problem, camera, facts, names, folds, views, say)
+    kept = {name: _KEPT_UNASKED for name in camera.effects if name not in names and name not in UNFITTED}
+    pool = [one for one in candidates(camera, facts) if one.effect not in (*geometry, *unseen)]
+    if "empirical" in names and covariates is not None:
+        say("fitting " + ", ".join(names))
+        fitted, scores = _with_empirical(problem, camera, covariates, folds, views)
+    else:
+        say("fitting " + (", ".join(names) or "offsets of pixels"))
+        step = explore(problem, camera, [], folds, views=views, replicates=0, progress=say)
+        fitted, scores = step.fit, step.scores
+    untold = undetermined_effects(scores, [n for n in names if n in fitted.camera.effects])
+    for name in dict.fromkeys([*unseen, *untold]):
+        notes.append(f"{name} cannot be determined from these recordings: {undeterminable(name, facts)}")
+    if names and set(names) - {"fixed_pattern_offset"} <= {*unseen, *untold}:
+        raise InputError(notes[0], place="--effects", remedy="without --effects those are fitted that can be")
+    solution = _solved(fitted, scores, folds, camera_start)
+    if untold:
+        remaining = tuple(n for n in names if n not in untold)
+        camera = _restored(fitted.camera, camera_start, untold)
+        again = replace(problem, effects=remaining)
+        step = explore(again, camera, [], folds, views=views, replicates=0, progress=say)
+        solution = _solved(step.fit, step.scores, folds, camera_start)
+        fitted = step.fit
+        problem = again
+        kept |= {name: _KEPT_UNTOLD for name in untold if name in camera_start.effects}
+    say("what else the recordings say")
+    few, few_folds = _some_stations(problem, folds)
+    probe = explore(few, fitted.camera, pool, few_folds, views=views, replicates=0, iterations=1)
+    found = statuses(
+        probe.fit,
+        probe.scores,
+        pool,
+        probe.spans,
+        facts,
+        start=camera_start,
+        kept=kept,
+        threshold=LEAST_THRESHOLD,
+    )
+    found = [
+        replace(one, status="left out", text=f"not among --effects; {one.text}")
+        if one.status == "absent" and (one.gain or 0.0) > LEAST_THRESHOLD
+        else one
+        for one in found
+    ]
+    return Outcome(solution, found, [n for n in names if n not in camera_start.effects], notes)
+
+
+def checked_names(words: Sequence[str]) -> tuple[list[str], tuple[str, ...] | None]:
+    """Return the names of --effects and the covariates of ``empirical``, None where it is not among them.
+
+    Raises `InputError` for a name that is not of the vocabulary, or that no joint fit can estimate.
+    """
+    names: list[str] = []
+    covariates: tuple[str, ...] | None = None
+    known = [*registry(), *GEOMETRY]
+    for word in words:
+        name = word.partition(":")[0]
+        if name not in known or (":" in word and name != "empirical"):
+            raise InputError(f"unknown effect '{word}'", place="--effects", remedy=nearest_name(name, known))
+        if name == "empirical":
+            covariates = empirical_covariates(word)
+        elif name in UNFITTED and name != "fixed_pattern_offset":
+            raise InputError(
+                f"{name} is not estimated from means of frames",
+                place="--effects",
+                remedy="leave it out: what the camera file says of it stays"
+                if name != "integral_table"
+                else "give it alone: --effects integral_table",
+            )
+        names.append(name)
+    return list(dict.fromkeys(names)), covariates
+
+
+def _untold(problem: Problem, camera: Camera, say: Say) -> dict[str, str]:
+    """Return the effects of the camera file of which these recordings say nothing."""
+    names = [name for name in camera.effects if name not in UNFITTED]
+    if not names:
+        return {}
+    say("what the recordings determine")
+    fitted = fit(problem, camera, iterations=2)
+    count = len(fitted.parameters)
+    scores = Scores(fitted.equations, range(count))
+    return dict.fromkeys(undetermined_effects(scores, names), _KEPT_UNTOLD)
+
+
+def _with_absent(
+    problem: Problem,
+    camera: Camera,
+    facts: Facts,
+    names: Sequence[str],
+    folds: Mapping[Key, int],
+    views: Views,
+    say: Say,
+) -> tuple[Camera, list[str]]:
+    """Return the camera with the effects that it lacks, and which of them nothing in the data shows.
+
+    One after the other, the one that explains most first, each by its best variant beside all so far.
+    """
+    missing = [n for n in names if n not in camera.effects and n not in UNFITTED and n not in GEOMETRY]
+    unseen = [n for n in missing if not candidates(camera, facts, effects=[n])]
+    missing = [n for n in missing if n not in unseen]
+    while missing:
+        say("starting values of " + ", ".join(missing))
+        pool = candidates(camera, facts, effects=missing)
+        step = explore(problem, camera, pool, folds, views=views, replicates=0, iterations=1)
+        best = step.best()
+        name = next(iter(best))
+        camera = step.camera_with([best[name]])
+        missing.remove(name)
+    return camera, unseen
+
+
+def _with_empirical(
+    problem: Problem,
+    camera: Camera,
+    covariates: tuple[str, ...],
+    folds: Mapping[Key, int],
+    views: Views,
+) -> tuple[Fit, Scores]:
+    """Fit everything beside a smooth function, in turn and together until the function rests."""
+    forward = Forward(problem.dataset, problem.scene, camera, views=views)
+    forward.masks = problem.masks
+    forward.estimate_amplitudes()
+    effect: Any = camera.effects.get("empirical")
+    if effect is None or effect.covariates != covariates:
+        effect = empirical_start(forward, covariates)
+        camera = with_effects(camera, {**camera.effects, "empirical": effect})
+    block = empirical_block(effect)
+    for _ in range(_ROUNDS):
+        fitted = fit(problem, camera, fold_of=folds, further=[block], views=views)
+        base = len(fitted.parameters) + len(block.regressors)
+        scores = Scores(fitted.equations, range(base))
+        changes = scores.values()
+        sigma = np.sqrt(np.diag(scores.covariance(scores.base)))
+        own = slice(len(fitted.parameters), base)
+        steps = np.array(list(changes.values()))[own]
+        camera = moved_by(fitted.camera, changes)
+        if bool(np.all(np.abs(steps) < 0.1 * sigma[own])):
+            break
+    fitted = fit(problem, camera, fold_of=folds, further=[block], views=views)
+    return fitted, Scores(fitted.equations, range(base))
+
+
+def _some_stations(problem: Problem, folds: Mapping[Key, int]) -> tuple[Problem, dict[Key, int]]:
+    """Return the problem with so many of its stations, evenly, as candidates can be tried on in a minute."""
+    stations = problem.dataset.stations
+    pixels = stations[0].distance.size
+    step = -(-len(stations) * pixels // MOST_VALUES)
+    chosen = range(0, len(stations), max(1, min(step, len(stations) // 10)))
+    masks = None if problem.masks is None else [problem.masks[i] for i in chosen]
+    dataset = replace(problem.dataset, stations=[stations[i] for i in chosen])
+    kept = {(one.recording, one.pose) for one in dataset.stations}
+    numbers = {old: new for new, old in enumerate(sorted({folds[key] for key in kept}))}
+    return replace(problem, dataset=dataset, masks=masks), {key: numbers[folds[key]] for key in kept}
+
+
+def _restored(camera: Camera, before: Camera, names: Sequence[str]) -> Camera:
+    """Return the camera with some effects as they were before, or without them where they were not."""
+    effects = {name: one for name, one in camera.effects.items() if name not in names}
+    effects |= {name: before.effects[name] for name in names if name in before.effects}
+    return with_effects(camera, effects)
+
+
+def _solved(fitted: Fit, scores: Scores, folds: Mapping[Key, int], start: Camera) -> Solution:
+    outliers, values = count_outliers(fitted, limit=ROBUST_LIMIT)
+    return Solution(fitted, scores, folds, start, outliers, values, list(fitted.notes))

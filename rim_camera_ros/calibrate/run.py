@@ -1,0 +1,332 @@
+"""Calibrate a camera from recordings: what the command ``rim calibrate`` and the node call."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.bags import Topics
+from rim_camera_ros.calibrate import checks
+from rim_camera_ros.calibrate.adjustment import Problem
+from rim_camera_ros.calibrate.determined import EffectStatus
+from rim_camera_ros.calibrate.held_out import Accuracy, evaluate
+from rim_camera_ros.calibrate.integral import IntegralFit
+from rim_camera_ros.calibrate.joint import Outcome, by_search, exactly
+from rim_camera_ros.calibrate.library import Facts
+from rim_camera_ros.calibrate.noise_fit import POOR, NoiseFit, fit_noise
+from rim_camera_ros.calibrate.pose_errors import wider_poses_note, with_wider_poses
+from rim_camera_ros.calibrate.provenance import Source, checksum, provenance
+from rim_camera_ros.calibrate.solution import Solution, high_correlations, stated
+from rim_camera_ros.calibrate.stations import Dataset, merged, reduce_recording
+from rim_camera_ros.calibrate.validity import supported
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.frame import RawFrame
+from rim_camera_ros.scene import Scene
+
+Array = NDArray[Any]
+#: What is done, how much of it, of how much (None: unknown).
+Progress = Callable[[str, int | None, int | None], None]
+#: Reduces the recordings to stations, in their order; `tick` may raise to end the work.
+Reducer = Callable[[Sequence[Path], Camera, Topics | None], Sequence[Dataset]]
+
+GEOMETRY = ("camera_constant", "lens_distortion")
+_INTEGRAL = "integral_table"
+#: Pixels of the sensor from which on sums per pixel are kept in single precision.
+_MANY_PIXELS = 20_000
+#: Rounds in which the errors of poses are taken as large as they turn out.
+_ROUNDS = 4
+#: Common variation of frames beyond which something changes all pixels from frame to frame.
+_COMMON = 3.0
+
+
+class Cancelled(RimError):
+    """The work was cancelled; nothing was written."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to be calibrated.
+
+    ``recordings`` of one camera, ``camera`` its file so far, ``scene`` what it saw. ``effects`` None: those
+    of the camera file and those that the recordings ask for; else exactly those (``empirical:COVARIATE`` for a
+    smooth function of it; ``integral_table`` alone for a table by position). ``geometry`` estimates the
+    optics with them. ``camera_name``, ``scene_name`` and ``command`` go into the provenance.
+    """
+
+    recordings: tuple[Path, ...]
+    camera: Camera
+    scene: Scene | None
+    effects: tuple[str, ...] | None = None
+    geometry: bool = False
+    topics: Topics | None = None
+    seed: int = 0
+    camera_name: str = ""
+    scene_name: str | None = None
+    command: str = ""
+
+
+@dataclass
+class Calibration:
+    """The result: ``camera`` to be written, what it was before, and all that the report tells.
+
+    ``paths`` and ``covariance`` of the fitted parameters that the data determine; ``accuracy`` of the camera
+    on held-out poses and ``integral_accuracy`` that of a table by position from the same poses (None where it
+    was not made); ``correlations`` above 0.9.
+    """
+
+    camera: Camera
+    before: Camera
+    solution: Solution
+    statuses: list[EffectStatus]
+    found: list[str]
+    paths: list[str]
+    covariance: Array
+    correlations: list[tuple[str, str, float]]
+    noise: NoiseFit | None
+    accuracy: Accuracy
+    integral_accuracy: Accuracy | None
+    sources: list[Source]
+    frames: int
+    poses: int
+    integral: bool = False
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def chi_square(self) -> float | None:
+        """Chi-square per value of held-out poses by their predictive distribution; None: nothing left out."""
+        return self.solution.held_out_chi_square()
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """1-sigma of each parameter that the data determine."""
+        return dict(zip(self.paths, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+def calibrate(
+    request: Request,
+    *,
+    progress: Progress | None = None,
+    cancelled: Callable[[], bool] | None = None,
+    reducer: Reducer | None = None,
+    integral: bool = True,
+) -> Calibration:
+    """Calibrate, all in memory; nothing is written.
+
+    ``progress`` is told what is done; ``cancelled`` is asked between frames, stations and iterations.
+    ``reducer`` replaces the reduction of recordings to stations (to do it elsewhere). ``integral`` makes the table
+    by position, too, for comparison.
+
+    Raises `InputError` for recordings, scene or effects that do not go together (one line with a remedy),
+    `Cancelled`, and `RimError` where the adjustment finds no solution.
+    """
+    watch = _Watch(progress, cancelled)
+    camera = request.camera
+    if not request.recordings:
+        raise InputError("no recording is given", remedy="give one recording or more")
+    recordings = [checks.examine(path, camera, request.topics) for path in request.recordings]
+    notes = checks.agree(recordings)
+    scene = checks.require_scene(recordings, request.scene)
+    total = sum(one.frames for one in recordings)
+    reduce_all = reducer if reducer is not None else watch.reducer(total)
+    dataset = merged(reduce_all(request.recordings, camera, request.topics))
+    notes += dataset.notes
+    dataset = replace(dataset, notes=[])
+    dataset = checks.with_known_poses(dataset, scene)
+    dataset = checks.with_plausible_poses(dataset, scene, camera, watch.ticking("poses"))
+    checks.require_variety(dataset, scene, camera, request.effects)
+    notes += dataset.notes
+    watch.say("noise")
+    noise = fit_noise(dataset, camera)
+    if noise is not None:
+        camera = replace(camera, noise=noise.noise)
+        notes += _noise_notes(noise)
+    else:
+        notes.append("noise as in the camera file: there are too few repeated frames to fit it")
+    facts = Facts.of(dataset, moves=scene.camera_motion.moves, surfaces=len(scene.surfaces), camera=camera)
+    problem = Problem(
+        dataset,
+        scene,
+        geometry=GEOMETRY if request.geometry else (),
+        single=camera.shape[0] * camera.shape[1] > _MANY_PIXELS,
+    )
+    only_integral = request.effects is not None and tuple(request.effects) == (_INTEGRAL,)
+    words = () if only_integral else request.effects
+    for _ in range(_ROUNDS):
+        if words is None:
+            outcome = by_search(problem, camera, facts, say=watch.say, seed=request.seed)
+        else:
+            outcome = exactly(problem, camera, facts, words, say=watch.say)
+        wider = with_wider_poses(problem.scene, outcome.solution.fit)
+        if wider is None:
+            break
+        problem = replace(problem, scene=wider)
+    if problem.scene is not scene:
+        notes.append(wider_poses_note(scene, problem.scene))
+    notes += [*outcome.notes, *outcome.solution.notes]
+    return _finished(
+        request, outcome, dataset, noise, notes, watch, integral=integral, only_integral=only_integral
+    )
+
+
+def _finished(
+    request: Request,
+    outcome: Outcome,
+    dataset: Dataset,
+    noise: NoiseFit | None,
+    notes: list[str],
+    watch: _Watch,
+    *,
+    integral: bool,
+    only_integral: bool,
+) -> Calibration:
+    solution = outcome.solution
+    fitted = solution.fit
+    forward = fitted.forward
+    watch.say("held-out poses")
+    masks = [used for used, _ in forward.pixels_used()]
+    numbers = range(len(solution.scores.trained))
+    cameras = {k: solution.camera(k) for k in numbers} or {0: solution.camera()}
+    arguments = (dataset, fitted.scene, forward.views)
+    split = solution.folds if numbers else {}
+    accuracy = evaluate(
+        *arguments, cameras, split, request.camera, masks, held_out=bool(numbers), tick=watch.tick
+    )
+    table, by_table = None, None
+    if integral or only_integral:
+        watch.say("table by position")
+        table = IntegralFit(forward, split, masks, tick=watch.tick)
+        tables = table.cameras([*numbers, None])
+        made = {k: tables[k] for k in numbers} or {0: tables[None]}
+        by_table = evaluate(
+            *arguments, made, split, request.camera, masks, held_out=bool(numbers), tick=watch.tick
+        )
+    paths, covariance = solution.covariance()
+    camera = solution.camera()
+    if only_integral:
+        assert table is not None
+        camera = table.cameras([None])[None]
+        paths, covariance = [], np.zeros((0, 0))
+    camera = replace(camera, validity=supported(forward))
+    camera = stated(camera, paths, covariance) if not only_integral else replace(camera, covariance=None)
+    watch.say("checksums")
+    sources = _sources(request.recordings, dataset, watch.tick)
+    camera = replace(
+        camera,
+        provenance=provenance(
+            sources=sources,
+            command=request.command,
+            camera=request.camera_name,
+            scene=request.scene_name,
+            fitted=[_INTEGRAL] if only_integral else sorted({_owner(path) for path in paths}),
+            left_out={one.effect: one.text for one in outcome.statuses if one.status != "fitted"},
+            accuracy=_stated_accuracy(by_table if only_integral and by_table else accuracy, solution),
+            notes=notes,
+        ),
+    )
+    return Calibration(
+        camera=camera,
+        before=request.camera,
+        solution=solution,
+        statuses=outcome.statuses,
+        found=outcome.found,
+        paths=paths,
+        covariance=covariance,
+        correlations=high_correlations(paths, covariance),
+        noise=noise,
+        accuracy=accuracy,
+        integral_accuracy=by_table,
+        sources=sources,
+        frames=dataset.frames,
+        poses=dataset.poses,
+        integral=only_integral,
+        notes=notes,
+    )
+
+
+def _owner(path: str) -> str:
+    parts = path.split(".")
+    return parts[1] if parts[0] == "effects" else parts[0]
+
+
+def _stated_accuracy(accuracy: Accuracy, solution: Solution) -> Mapping[str, Any]:
+    chi_square = solution.held_out_chi_square()
+    return {
+        "held_out_poses": accuracy.poses if accuracy.held_out else 0,
+        "rms_m": round(accuracy.after, 6),
+        "rms_before_m": round(accuracy.before, 6),
+        "noise_m": round(accuracy.noise, 6),
+        "reference_m": round(accuracy.reference, 6),
+        "systematic_m": round(accuracy.systematic, 6),
+        "chi_square_per_value": None if chi_square is None else round(chi_square, 4),
+        "outliers": solution.outliers,
+        "values": solution.values,
+    }
+
+
+def _sources(paths: Sequence[Path], dataset: Dataset, tick: Callable[[], None]) -> list[Source]:
+    result = []
+    for number, path in enumerate(paths):
+        own = [one for one in dataset.stations if one.recording == number]
+        frames, poses = sum(one.frames for one in own), len({one.pose for one in own})
+        result.append(Source(os.fspath(path), checksum(path, tick=tick), frames, poses))
+    return result
+
+
+def _noise_notes(noise: NoiseFit) -> list[str]:
+    notes = []
+    if noise.misfit > POOR:
+        notes.append(
+            f"noise over amplitude departs by {noise.misfit:.0%} (RMS) from floor, shot and amplitude "
+            "terms: the predicted sigma is as wrong"
+        )
+    if noise.common is not None and noise.common > _COMMON:
+        notes.append(
+            f"pixels vary together from frame to frame ({noise.common:.1f} times what independent noise "
+            "would): another light source or camera, or motion; intervals are too narrow by what that adds"
+        )
+    return notes
+
+
+class _Watch:
+    """Tells progress and ends the work where it is cancelled."""
+
+    def __init__(self, progress: Progress | None, cancelled: Callable[[], bool] | None) -> None:
+        self._progress = progress
+        self._cancelled = cancelled
+
+    def tick(self) -> None:
+        if self._cancelled is not None and self._cancelled():
+            raise Cancelled("cancelled; nothing was written")
+
+    def say(self, text: str) -> None:
+        self.tick()
+        if self._progress is not None:
+            self._progress(text, None, None)
+
+    def ticking(self, text: str) -> Callable[[], None]:
+        self.say(text)
+        return self.tick
+
+    def reducer(self, total: int) -> Reducer:
+        """Return the reduction in this process, one recording after the other."""
+        done = [0]
+
+        def watched(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
+            for frame in frames:
+                self.tick()
+                yield frame
+                done[0] += 1
+                if self._progress is not None:
+                    self._progress("reading frames", done[0], total)
+
+        def reduce_all(paths: Sequence[Path], camera: Camera, topics: Topics | None) -> list[Dataset]:
+            return [reduce_recording(path, camera, topics=topics, progress=watched) for path in paths]
+
+        return reduce_all

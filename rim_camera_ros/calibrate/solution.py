@@ -1,0 +1,226 @@
+"""A finished adjustment with what follows from it: cameras of folds, shrunk pattern, stated covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from rim_camera_ros.calibrate.adjustment import Fit, after_nuisances
+from rim_camera_ros.calibrate.selection import Scores
+from rim_camera_ros.camera import Camera, Covariance
+from rim_camera_ros.camera_file import camera_numbers, with_effects, with_numbers
+from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
+from rim_camera_ros.parameters import ArrayFile, NestedList
+
+Array = NDArray[Any]
+Key = tuple[int, int]
+
+#: Posterior over prior sigma beyond which the data say nothing of a parameter.
+UNTOLD = 0.9
+#: Correlations beyond this are named.
+HIGH_CORRELATION = 0.9
+#: Width [px] over which the smooth part of the fixed pattern is averaged.
+_SMOOTH = 3.0
+_GAIN = "radiometry.gain"
+_EMPIRICAL = "effects.empirical.values."
+
+
+@dataclass
+class Solution:
+    """The fit, its scores (base: all that is fitted), the folds of poses, chi-square per value held out.
+
+    ``factor`` is the variance factor a posteriori, at least 1: by it the covariance is scaled. ``outliers``
+    is the number of distances beyond the robust limit among ``values``.
+    """
+
+    fit: Fit
+    scores: Scores
+    folds: Mapping[Key, int]
+    start: Camera
+    outliers: int = 0
+    values: int = 0
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def labels(self) -> list[str]:
+        """Dotted paths of all that is fitted."""
+        return [self.scores.regressors[int(i)].label for i in self.scores.base]
+
+    def held_out_chi_square(self) -> float | None:
+        """Return chi-square per value of held-out poses by their predictive distribution; None: one fold."""
+        if not self.scores.trained:
+            return None
+        total, rows = self.scores.chi_square(held_out=True)
+        return total / max(rows, 1)
+
+    @property
+    def factor(self) -> float:
+        """Variance factor a posteriori, at least 1."""
+        total, rows = self.scores.chi_square()
+        return max(1.0, (self.held_out_chi_square() or total / max(rows, 1)))
+
+    def camera(self, leave_out: int | None = None) -> Camera:
+        """Return the camera of all poses, or of all folds but one, with its fixed pattern shrunk.
+
+        The camera of some folds is one Gauss-Newton step from that of all.
+        """
+        camera = self.fit.camera
+        if leave_out is None:
+            return with_pattern(camera, self.fit.pattern, self.pattern_variance())
+        reduced = self.scores.trained[leave_out]
+        values = self.scores.values(leave_out=leave_out)
+        moved = moved_by(camera, values)
+        everything = np.zeros(len(self.scores.regressors))
+        for i in self.scores.base:
+            everything[int(i)] = values[self.scores.regressors[int(i)].label]
+        _, flat = reduced.recover(everything)
+        pattern = flat.reshape(camera.shape) if flat.size == self.fit.pattern.size else self.fit.pattern * 0.0
+        return with_pattern(moved, pattern, self.pattern_variance(leave_out))
+
+    def pattern_variance(self, leave_out: int | None = None) -> Array:
+        """Return the variance of the pattern's estimate (H, W) in m^2 by the noise; infinite where unseen."""
+        kept = [one for i, one in enumerate(self.fit.equations.folds) if i != leave_out]
+        weight = np.sum([one.weight for one in kept], axis=0)
+        shape = self.fit.camera.shape
+        if weight.size != shape[0] * shape[1]:
+            return np.full(shape, np.inf)
+        with np.errstate(divide="ignore"):
+            return np.asarray(self.factor / weight.reshape(shape))
+
+    def covariance(self) -> tuple[list[str], Array]:
+        """Return the paths and the covariance of those parameters of which the data say something."""
+        scale = np.array([self._unit(label) for label in self.labels])
+        matrix = self.scores.covariance(self.scores.base) * self.factor
+        matrix = matrix * scale[:, None] * scale[None, :]
+        prior = self.scores.prior[self.scores.base] * scale
+        told = np.sqrt(np.diag(matrix)) < UNTOLD * prior * np.sqrt(self.factor)
+        keep = np.flatnonzero(told)
+        return [self.labels[i] for i in keep], np.asarray(matrix[np.ix_(keep, keep)])
+
+    def untold(self) -> list[str]:
+        """Return the paths of fitted parameters of which the data say nothing: they stay as in the file."""
+        told, _ = self.covariance()
+        return [label for label in self.labels if label not in set(told)]
+
+    def _unit(self, label: str) -> float:
+        return self.fit.camera.radiometry.gain if label == _GAIN else 1.0
+
+
+def moved_by(camera: Camera, changes: Mapping[str, float]) -> Camera:
+    """Return the camera with its numbers changed by the values of regressors, kept within bounds.
+
+    Errors of scene poses among the changes are passed over.
+    """
+    numbers = camera_numbers(camera)
+    limits = {
+        f"effects.{name}.{path}": limit
+        for name, effect in camera.effects.items()
+        for path, limit in effect.bounds().items()
+    }
+    values: dict[str, float] = {}
+    table: dict[int, float] = {}
+    for label, change in changes.items():
+        if label == _GAIN:
+            values[label] = numbers[label] * float(np.exp(change))
+        elif label.startswith(_EMPIRICAL):
+            table[int(label.removeprefix(_EMPIRICAL))] = change
+        elif label in numbers:
+            low, high = limits.get(label, (-np.inf, np.inf))
+            value = numbers[label] + change
+            values[label] = float(np.clip(value, low + 1e-12 if low > 0 else low, high))
+    if values:
+        camera = with_numbers(camera, values)
+    if table:
+        effect: Any = camera.effects["empirical"]
+        flat = effect.values.values.ravel().copy()
+        for i, change in table.items():
+            flat[i] += change
+        shape = effect.values.values.shape
+        camera = with_effects(
+            camera, {**camera.effects, "empirical": replace(effect, values=NestedList(flat.reshape(shape)))}
+        )
+    return camera
+
+
+def with_pattern(camera: Camera, pattern: Array, variance: Array) -> Camera:
+    """Return the camera with a pattern (H, W) [m] added to its fixed pattern, shrunk by its variance [m^2].
+
+    The pattern is split into a smooth part and the rest of each pixel; the rest is weighed by its own
+    variance over pixels against that of its estimate (empirical Bayes). Pixels that were never seen get the
+    smooth part of their neighbourhood.
+    """
+    seen = np.isfinite(variance)
+    if not seen.any():
+        return camera
+    shrunk = shrink(pattern, variance)
+    effect = camera.effects.get("fixed_pattern_offset")
+    before: Any = 0.0 if effect is None else effect.map.values
+    values = np.asarray(before + shrunk, np.float32)
+    name = "fixed_pattern.npy" if effect is None else effect.map.file
+    return with_effects(
+        camera, {**camera.effects, "fixed_pattern_offset": FixedPatternOffset(ArrayFile(name, values))}
+    )
+
+
+def shrink(pattern: Array, variance: Array) -> Array:
+    """Return the best estimate (H, W) of a pattern known with a variance, see `with_pattern`."""
+    seen = np.isfinite(variance)
+    weight = np.where(seen, 1.0 / np.where(seen, np.maximum(variance, 1e-12), 1.0), 0.0)
+    values = np.where(seen, pattern, 0.0)
+    level = float(np.average(values[seen], weights=weight[seen]))
+    # far from any pixel that was seen the mean of all is the best guess
+    few = 1e-3 * float(np.median(weight[seen]))
+    total = gaussian_filter(weight, _SMOOTH, mode="constant") + few
+    smooth = (gaussian_filter(weight * values, _SMOOTH, mode="constant") + few * level) / total
+    rest = values - smooth
+    spread = (1.4826 * float(np.median(np.abs(rest[seen])))) ** 2 - float(np.median(variance[seen]))
+    spread = max(spread, 0.0)
+    share = np.where(seen, spread / (spread + np.where(seen, variance, 1.0) + 1e-15), 0.0)
+    return np.asarray(smooth + share * rest)
+
+
+def stated(camera: Camera, paths: list[str], matrix: Array) -> Camera:
+    """Return the camera with a covariance; what its file stated of other parameters is kept beside it."""
+    known = camera_numbers(camera)
+    own = [i for i, path in enumerate(paths) if path in known]
+    names = [paths[i] for i in own]
+    block = matrix[np.ix_(own, own)]
+    old = camera.covariance
+    if old is not None:
+        rest = [i for i, path in enumerate(old.parameters) if path not in set(names) and path in known]
+        names = [*names, *(old.parameters[i] for i in rest)]
+        whole = np.zeros((len(names), len(names)))
+        whole[: len(own), : len(own)] = block
+        whole[len(own) :, len(own) :] = old.matrix.values[np.ix_(rest, rest)]
+        block = whole
+    if not names:
+        return replace(camera, covariance=None)
+    return replace(camera, covariance=Covariance(tuple(names), ArrayFile("covariance.npy", block)))
+
+
+def high_correlations(paths: list[str], matrix: Array) -> list[tuple[str, str, float]]:
+    """Return pairs of parameters whose correlation exceeds `HIGH_CORRELATION`, the highest first."""
+    sigma = np.sqrt(np.diag(matrix))
+    correlation = matrix / np.where(sigma > 0, sigma, 1.0)[:, None] / np.where(sigma > 0, sigma, 1.0)[None, :]
+    pairs = [
+        (paths[i], paths[j], float(correlation[i, j]))
+        for i, j in zip(*np.triu_indices(len(paths), 1), strict=True)
+        if abs(correlation[i, j]) > HIGH_CORRELATION
+    ]
+    return sorted(pairs, key=lambda one: -abs(one[2]))
+
+
+def count_outliers(fitted: Fit, *, limit: float) -> tuple[int, int]:
+    """Return how many distances lie beyond ``limit`` sigma after the fit, and how many were used."""
+    beyond = total = 0
+    for one in fitted.forward.predictions():
+        rest, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
+        z = np.abs(rest[one.used]) / one.sigma[one.used]
+        beyond += int((z > limit).sum())
+        total += int(z.size)
+    return beyond, total

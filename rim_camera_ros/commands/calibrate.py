@@ -1,0 +1,194 @@
+"""``rim calibrate``: recordings and a scene make a camera file with its uncertainty."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+import time
+from pathlib import Path
+
+from rim_camera_ros.calibrate.run import Calibration, Request, calibrate
+from rim_camera_ros.camera_file import save_camera_apart
+from rim_camera_ros.commands.common import (
+    add_command,
+    add_output,
+    add_topics,
+    camera_of,
+    check_file,
+    check_outputs,
+    say,
+    scene_of,
+    topics_of,
+)
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.files import find_camera, find_scene
+from rim_camera_ros.info.text import several
+from rim_camera_ros.parameters import write_whole
+from rim_camera_ros.reports.calibration_text import calibration_text
+
+_EXAMPLES = """
+rim calibrate board_bag --camera sr3000 --scene board.yaml --out calibrated.yaml
+rim calibrate board_bag wall_bag cold_bag --camera sr3000 --scene room.yaml --out calibrated.yaml
+rim calibrate bag --camera a.yaml --scene s.yaml --out b.yaml --effects cyclic_error,amplitude_offset
+rim calibrate bag --camera a.yaml --scene s.yaml --out b.yaml --effects distance_scale,empirical:amplitude
+rim calibrate bag --camera a.yaml --scene s.yaml --out a.yaml --force    # replace the file that is read
+"""
+#: Seconds between two lines of progress on a terminal.
+_PACE = 0.1
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = add_command(
+        commands,
+        "calibrate",
+        "Fit a camera file to recordings of known scenes. One joint adjustment of all effects over all "
+        "recordings, with errors of the reference instrument and an offset per pixel; writes the camera file "
+        "with covariance, validity and provenance, and a report (HTML) beside it.",
+        _EXAMPLES,
+    )
+    parser.add_argument("bags", metavar="BAG", type=Path, nargs="+", help="recordings of one camera")
+    parser.add_argument("--camera", required=True, help="camera file to start from, or a shipped one's name")
+    parser.add_argument("--scene", help="scene file of the recordings, or the name of a shipped one")
+    parser.add_argument("--out", required=True, type=Path, metavar="CAMERA2", help="camera file to write")
+    parser.add_argument(
+        "--effects",
+        metavar="A,B",
+        help="fit exactly these effects; empirical:COVARIATE[:COVARIATE] fits a smooth function, "
+        "integral_table alone a table by position (default: those of the camera file and those that the recordings ask for)",
+    )
+    parser.add_argument(
+        "--geometry", action="store_true", help="fit camera constant, principal point and distortion, too"
+    )
+    parser.add_argument("--no-report", action="store_true", help="write no HTML report")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the simulated nulls (0)")
+    add_topics(parser)
+    add_output(parser)
+    parser.set_defaults(run=run)
+
+
+def run(given: argparse.Namespace) -> int:
+    """Calibrate, write, and print the table of results."""
+    request, report = _checked(given)
+    with _Line(quiet=given.quiet) as line:
+        try:
+            result = calibrate(request, progress=line.show)
+            page, notes = _page(result, given, line) if report is not None else (None, [])
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt("nothing was written") from None
+        _write(result, given.out, report, page)
+    say(given, [*result.notes, *notes])
+    if not given.quiet:
+        print(calibration_text(result))
+        print(f"written: {given.out}" + (f", {report}" if page is not None else ""))
+    return 0
+
+
+def _checked(given: argparse.Namespace) -> tuple[Request, Path | None]:
+    """Check the options before any work; return the request and the report's path."""
+    if given.out.suffix not in (".yaml", ".yml"):
+        raise InputError(
+            "a camera file ends in .yaml", file=given.out, place="--out", remedy=f"give {given.out}.yaml"
+        )
+    source = find_camera(given.camera)
+    check_file(given.out, force=given.force)
+    same = given.out.exists() and given.out.resolve() == source.resolve()
+    scene = None if given.scene is None else find_scene(given.scene)
+    inputs: list[str | Path | None] = [*given.bags, scene, *([] if same else [source])]
+    report = None if given.no_report else given.out.with_name(f"{given.out.stem}.report.html")
+    check_outputs({"--out": given.out, "the report": report}, inputs)
+    check_file(report, force=given.force)
+    seen: dict[Path, Path] = {}
+    for bag in given.bags:
+        if bag.resolve() in seen:
+            raise InputError("is given twice", file=bag, remedy="give each recording once")
+        seen[bag.resolve()] = bag
+    if not 0 <= given.seed < 2**64:
+        raise InputError(f"--seed {given.seed} is not a number from 0 to 2^64 - 1")
+    effects = None
+    if given.effects is not None:
+        effects = tuple(one.strip() for one in given.effects.split(",") if one.strip())
+        if not effects and not given.geometry:
+            raise InputError("--effects names none", remedy="leave it out, or name effects: rim info CAMERA")
+    request = Request(
+        recordings=tuple(given.bags),
+        camera=camera_of(given.camera),
+        scene=None if given.scene is None else scene_of(given.scene),
+        effects=effects,
+        geometry=given.geometry,
+        topics=topics_of(given),
+        seed=given.seed,
+        camera_name=given.camera,
+        scene_name=given.scene,
+        command=shlex.join(["rim", *_command_line(given)]),
+    )
+    return request, report
+
+
+def _command_line(given: argparse.Namespace) -> list[str]:
+    words = ["calibrate", *map(str, given.bags), "--camera", given.camera]
+    for name in ("scene", "out", "effects"):
+        value = getattr(given, name)
+        if value is not None:
+            words += [f"--{name}", str(value)]
+    words += ["--geometry"] * given.geometry
+    words += ["--seed", str(given.seed)] if given.seed else []
+    for one in given.topic:
+        words += ["--topic", one]
+    return words
+
+
+def _page(result: Calibration, given: argparse.Namespace, line: _Line) -> tuple[bytes | None, list[str]]:
+    """Return the report, and notes on what could not be made."""
+    line.show("report", None, None)
+    try:
+        from rim_camera_ros.reports.calibration import calibration_page
+    except ImportError as error:
+        if error.name is None or not error.name.startswith("matplotlib"):
+            raise
+        remedy = "pip install 'rim_camera_ros[reports]', or apt install python3-matplotlib"
+        return None, [f"no report was written: matplotlib is not installed ({remedy})"]
+    return calibration_page(result, title=given.out.name).encode(), []
+
+
+def _write(result: Calibration, out: Path, report: Path | None, page: bytes | None) -> None:
+    """Write the camera file, then the report."""
+    accuracy = result.accuracy
+    header = (
+        f"# Calibrated by rim calibrate from {several(result.frames, 'frame')} of "
+        f"{several(result.poses, 'pose')}.\n"
+        f"# Corrected distances of held-out poses: {accuracy.after * 1e3:.2f} mm RMS, of which noise "
+        f"{accuracy.noise * 1e3:.2f} mm; see provenance below.\n"
+    )
+    result.camera = save_camera_apart(result.camera, out, header=header)
+    if report is not None and page is not None:
+        content = page
+        write_whole(report, lambda stream: stream.write(content))
+
+
+class _Line:
+    """One line on a terminal that says what is done; nothing in a pipe or with --quiet."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self._shown = not quiet and sys.stderr.isatty()
+        self._start = time.monotonic()
+        self._last = 0.0
+
+    def __enter__(self) -> _Line:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._shown:
+            sys.stderr.write("\r\033[K")
+            sys.stderr.flush()
+
+    def show(self, words: str, done: int | None, total: int | None) -> None:
+        """Say what is done; counts at most ten times a second."""
+        now = time.monotonic()
+        if not self._shown or (done is not None and now - self._last < _PACE):
+            return
+        self._last = now
+        count = "" if done is None else f" {done}" + ("" if not total else f" of {total}")
+        sys.stderr.write(f"\r\033[K{now - self._start:4.0f} s  {words}{count}"[:110])
+        sys.stderr.flush()
