@@ -46,7 +46,7 @@ def parser() -> argparse.ArgumentParser:
 
     result = Parser(
         prog="rim",
-        description="Simulate, record, correct, calibrate and examine range imaging cameras (time of flight).",
+        description="Simulate, record, correct, calibrate and diagnose time-of-flight cameras.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -306,7 +306,7 @@ def _moved(
             numbers[path] * float(np.exp(np.clip(offset, -3, 3))) if path == _GAIN else numbers[path] + offset
         )
         low, high = lows.get(path, -np.inf), highs.get(path, np.inf)
-        if path.endswith("time_constant") or ".sigma." in path or path.endswith("blur"):
+        if path.endswith(("time_constant", "blur")) or ".sigma." in path:
             low = max(low, 0.2 * abs(numbers[path]))
             high = min(high, 5.0 * abs(numbers[path]) + 1e-9)
         if path.endswith(".b"):

@@ -45,8 +45,8 @@ class EffectStatus:
     """What the recordings say of one effect.
 
     ``bound`` is the 95 % limit of its RMS over the recordings' distances [m] where it is absent,
-    ``brightness`` that of the relative amplitude for effects that hardly move distances, ``text`` says it in words with what
-    to record.
+    ``brightness`` that of the relative amplitude for effects that hardly move distances, ``text`` says it
+    in words with what to record.
     """
 
     effect: str

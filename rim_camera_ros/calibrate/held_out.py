@@ -50,10 +50,10 @@ class Accuracy:
     ``raw`` of the distances as measured, ``before`` corrected by the camera file that was given, ``after`` by
     the new one. ``noise`` is what the noise of the mean frames makes of it by the predicted sigma, and
     ``reference`` what the stated errors of the reference instrument make. ``systematic`` is the RMS beyond
-    both (0 where nothing is left), each value weighted by how well it tells, so that noise of dark pixels does not
-    hide it. ``single`` is the predicted noise of one frame, its median. ``held_out`` is false where
-    there were too few poses to leave any out. ``samples``: covariates and both errors of some of the values, by
-    name; ``maps``: mean errors over the array (H, W).
+    both (0 where nothing is left), each value weighted by how well it tells, so that noise of dark pixels
+    does not hide it. ``single`` is the predicted noise of one frame, its median. ``held_out`` is false where
+    there were too few poses to leave any out. ``samples``: covariates and both errors of some of the
+    values, by name; ``maps``: mean errors over the array (H, W).
     """
 
     raw: float

@@ -144,7 +144,9 @@ class IntegralFit:
             finish(key)
 
     def _patches(self, one: Prediction, mask: Array) -> tuple[Array, Array, Array, Array]:
-        """Return design (N, K), pose columns (N, 12), of which few are not 0, residuals and weights of patches."""
+        """Return design (N, K), pose columns (N, 12), of which few are not 0, residuals and weights of
+        patches.
+        """
         width = mask.shape[1]
         v, u = np.nonzero(mask)
         cell = (v // self._patch) * (-(-width // self._patch)) + u // self._patch

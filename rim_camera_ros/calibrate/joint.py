@@ -38,7 +38,8 @@ MOST_VALUES = 3_000_000
 _KEPT_UNTOLD = "as in the file: these recordings do not determine it"
 _KEPT_UNASKED = "as in the file: not among --effects"
 _LAMBERT = (
-    "the surfaces do not reflect as Lambert says: their light over the angle of incidence is fitted as a curve, "
+    "the surfaces do not reflect as Lambert says: their light over the angle of incidence is fitted as a "
+    "curve, "
     "which is not part of the camera file"
 )
 

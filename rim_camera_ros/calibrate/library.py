@@ -53,8 +53,8 @@ _STEEP = 60.0
 class Candidate:
     """One variant of an effect that a camera file lacks.
 
-    ``effect`` is its name in the vocabulary, ``variant`` tells variants apart; ``build`` makes the camera with
-    it from the coefficients by label.
+    ``effect`` is its name in the vocabulary, ``variant`` tells variants apart; ``build`` makes the camera
+    with it from the coefficients by label.
     """
 
     effect: str
@@ -145,8 +145,8 @@ def present_priors(effect: Effect, camera: Camera) -> dict[str, float]:
         return {"coefficient": 0.005, "time_constant": max(0.5 * effect.time_constant, 30.0)}
     if isinstance(effect, CyclicError):
         priors = {}
-        for i, one in enumerate(effect.harmonics):
-            priors[f"harmonics.{i}.amplitude"] = max(abs(one.amplitude), 0.005)
+        for i, harmonic in enumerate(effect.harmonics):
+            priors[f"harmonics.{i}.amplitude"] = max(abs(harmonic.amplitude), 0.005)
             priors[f"harmonics.{i}.phase"] = 1.0
         priors |= {"gradient.0": 0.005, "gradient.1": 0.005}
         return priors
@@ -196,6 +196,11 @@ def _linear(effect: Effect, priors: Mapping[str, float], variant: str = "") -> C
         return added(camera, with_values(effect, clipped))
 
     return Candidate(effect.name, variant, block, build)
+
+
+def _large(camera: Camera) -> bool:
+    """Say whether so many pixels make every variant expensive: then there are fewer."""
+    return camera.sensor.width * camera.sensor.height > 60_000
 
 
 def added(camera: Camera, effect: Effect) -> Camera:
@@ -313,6 +318,11 @@ def _scale(camera: Camera, facts: Facts) -> list[Candidate]:
 def _scattering(camera: Camera, facts: Facts) -> list[Candidate]:
     width = camera.sensor.width
     sizes = [max(width * share, 1.0) for share in (0.02, 0.045, 0.1, 0.2, 0.4, 0.9)]
+    if _large(camera):
+        return [
+            _linear(Scattering(kernels=(Kernel(0.0, (s, s)),)), {"kernels.0.weight": 0.05}, f"{s:.3g} px")
+            for s in sizes[::2]
+        ]
     found = [
         _linear(Scattering(kernels=(Kernel(0.0, (s, s)),)), {"kernels.0.weight": 0.05}, f"{s:.3g} px")
         for s in sizes
@@ -334,6 +344,8 @@ def _emission(camera: Camera, facts: Facts) -> list[Candidate]:
 
 
 def _mixed(camera: Camera, facts: Facts) -> list[Candidate]:
+    if _large(camera):
+        return [_blurred(b) for b in (0.5, 1.0)]
     return [_blurred(b) for b in (0.25, 0.35, 0.5, 0.65, 0.8, 1.0, 1.3, 1.7)]
 
 
@@ -410,7 +422,9 @@ _OPTICS: dict[str, tuple[tuple[str, float, float], ...]] = {
 
 
 def optics_block(camera: Camera, name: str) -> Block:
-    """Return the regressors of the camera geometry: the optics' parameters behind a name of the vocabulary."""
+    """Return the regressors of the camera geometry: the optics' parameters behind a name of the
+    vocabulary.
+    """
     parts = _OPTICS[name]
     changes: list[Array] = []
     for path, step, _ in parts:

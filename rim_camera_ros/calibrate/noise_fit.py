@@ -40,8 +40,8 @@ class NoiseFit:
     """The fitted model, its classes, how well it describes them (relative RMS), and what it was before.
 
     ``confirmed``: the model of the file describes the variances within their errors, and is kept. ``common``
-    is the variation from frame to frame that all pixels share, chi-square per degree of freedom (1: none; None:
-    unknown).
+    is the variation from frame to frame that all pixels share, chi-square per degree of freedom (1: none;
+    None: unknown).
     """
 
     noise: Noise

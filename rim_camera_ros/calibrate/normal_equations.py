@@ -85,7 +85,8 @@ def effect_block(
 class Fold:
     """Sums over the stations of one fold of poses.
 
-    ``nuisances``: name, 1-sigma of the prior, and where the equations are linearised (their prior's mean is 0).
+    ``nuisances``: name, 1-sigma of the prior, and where the equations are linearised (their prior's mean is
+    0).
     ``gram`` (M, M) over regressors, this fold's nuisances and the observations (last); ``pixel`` (P, M) and
     ``weight`` (P,) the sums per pixel of the distance channel; ``rows`` the number of observations,
     ``log_sigma`` the sum of their log standard deviations.
@@ -118,8 +119,8 @@ class NormalEquations:
 class Reduced:
     """Equations of the regressors after eliminating all nuisances.
 
-    ``gram`` (K, K) and ``right`` (K,) or (K, R); ``square`` y' V^-1 y; ``log_norm`` half the log determinant of
-    V; ``rows`` observations. ``recover`` gives nuisances and pattern for
+    ``gram`` (K, K) and ``right`` (K,) or (K, R); ``square`` y' V^-1 y; ``log_norm`` half the log
+    determinant of V; ``rows`` observations. ``recover`` gives nuisances and pattern for
     given regressor values.
     """
 
@@ -279,9 +280,9 @@ class _FoldSums:
         self._square = 0.0
         self._rows = 0
         self._log_sigma = 0.0
-        self._pixel = np.zeros((pixels, count), self._type)
-        self._pixel_y = np.zeros(pixels, self._type)
-        self._weight = np.zeros(pixels)
+        self._pixel: Array = np.zeros((pixels, count), self._type)
+        self._pixel_y: Array = np.zeros(pixels, self._type)
+        self._weight: Array = np.zeros(pixels)
         # of each nuisance: products with the regressors, with y, and its sums per pixel
         self._cross: dict[str, Array] = {}
         self._cross_y: dict[str, float] = {}
@@ -382,7 +383,9 @@ _Nuisance = tuple[str, float, float, Array, Array]
 
 
 def _nuisances(prediction: Prediction, gain_sigma: float, stray_light: float) -> list[_Nuisance]:
-    """Return name, prior, value and both columns of a station's random effects: errors of poses, emitted power."""
+    """Return name, prior, value and both columns of a station's random effects: errors of poses, emitted
+    power.
+    """
     station = prediction.station
     key = f"{station.recording}.{station.pose}"
     result = []

@@ -40,7 +40,8 @@ def null_scores(
     """Return scores whose right-hand sides are those of replicates, (K, R).
 
     ``errors`` found of poses and powers give the replicates' errors their shape: instruments err with
-    heavier tails than a Gaussian, and a few large errors imitate a drift. They are dealt to the poses at random.
+    heavier tails than a Gaussian, and a few large errors imitate a drift. They are dealt to the poses at
+    random.
     ``temper`` is the variance of the residuals in units of the noise model.
     """
     rng = np.random.default_rng([seed, 41])

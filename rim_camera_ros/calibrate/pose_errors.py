@@ -56,7 +56,8 @@ def with_wider_poses(scene: Scene, fitted: Fit) -> Scene | None:
 def wider_poses_note(stated: Scene, found: Scene) -> str:
     """Return in words by how much poses err more than the scene file states."""
     parts = [
-        f"pose_sigma of '{new.name}' is [{old.pose_sigma[0]:.2g}, {old.pose_sigma[1]:.2g}] in the scene file, but "
+        f"pose_sigma of '{new.name}' is [{old.pose_sigma[0]:.2g}, {old.pose_sigma[1]:.2g}] in the scene "
+        f"file, but "
         f"its poses err by [{new.pose_sigma[0]:.2g}, {new.pose_sigma[1]:.2g}] (m, rad)"
         for old, new in zip(stated.surfaces, found.surfaces, strict=True)
         if old.pose_sigma != new.pose_sigma

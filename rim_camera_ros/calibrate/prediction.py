@@ -71,8 +71,8 @@ class Prediction:
     def light_change(self, after: str | None, change: Array) -> tuple[Array, Array]:
         """Carry a relative change of the complex image through the optics that follow an effect.
 
-        ``change`` (H, W) complex: dS / S just after effect ``after`` (None: at the scene). Returns the derivatives
-        of measured distance and published amplitude.
+        ``change`` (H, W) complex: dS / S just after effect ``after`` (None: at the scene). Returns the
+        derivatives of measured distance and published amplitude.
         """
         start = -1 if after is None else self.order[after]
         relative = change

@@ -55,7 +55,8 @@ class Request:
     """What is to be calibrated.
 
     ``recordings`` of one camera, ``camera`` its file so far, ``scene`` what it saw. ``effects`` None: those
-    of the camera file and those that the recordings ask for; else exactly those (``empirical:COVARIATE`` for a
+    of the camera file and those that the recordings ask for; else exactly those (``empirical:COVARIATE``
+    for a
     smooth function of it; ``integral_table`` alone for a table by position). ``geometry`` estimates the
     optics with them. ``camera_name``, ``scene_name`` and ``command`` go into the provenance.
     """
@@ -120,8 +121,8 @@ def calibrate(
     """Calibrate, all in memory; nothing is written.
 
     ``progress`` is told what is done; ``cancelled`` is asked between frames, stations and iterations.
-    ``reducer`` replaces the reduction of recordings to stations (to do it elsewhere). ``integral`` makes the table
-    by position, too, for comparison.
+    ``reducer`` replaces the reduction of recordings to stations (to do it elsewhere). ``integral`` makes
+    the table by position, too, for comparison.
 
     Raises `InputError` for recordings, scene or effects that do not go together (one line with a remedy),
     `Cancelled`, and `RimError` where the adjustment finds no solution.

@@ -55,7 +55,8 @@ _MANY_PIXELS = 60_000
 class Exploration:
     """Scores of all candidates at one fit.
 
-    ``gains`` in nats of held-out log likelihood and ``thresholds``, one per candidate, the latter from its gains
+    ``gains`` in nats of held-out log likelihood and ``thresholds``, one per candidate, the latter from its
+    gains
     in replicates in which nothing is left out; ``null_maxima`` is the greatest excess over the threshold's
     least value in each of them. The first ``named``
     candidates are of the vocabulary, the others stand for what is not.
@@ -195,7 +196,7 @@ def gumbel_quantile(maxima: Array, probability: float) -> float:
     """Return a quantile of maxima by a Gumbel distribution of their mean and spread."""
     scale = float(np.std(maxima)) * np.sqrt(6) / np.pi
     location = float(np.mean(maxima)) - 0.5772 * scale
-    return location - scale * float(np.log(-np.log(probability)))
+    return float(location - scale * np.log(-np.log(probability)))
 
 
 @dataclass

@@ -91,7 +91,8 @@ class Dataset:
                 f"holds no pose of {', '.join(absent) or 'all surfaces together'}",
                 file=path,
                 place="scene with pose: truth",
-                remedy=f"record /ground_truth/{(absent or list(needed))[0]}/pose, or state the pose in the scene file",
+                remedy=f"record /ground_truth/{(absent or list(needed))[0]}/pose, "
+                "or state the pose in the scene file",
             )
         if lost:
             self.notes.append(f"left out: {lost} frames before the first pose of every surface")

@@ -45,8 +45,8 @@ class PoseColumn:
     """Derivative of the distance by one error of one pose.
 
     ``path`` names it: ``pose.SURFACE.offset|tilt_x|tilt_y`` with the 1-sigma ``prior`` of the reference
-    instrument, or ``scene.SURFACE.AXIS`` of a free pose. ``distance`` (H, W) in m per m or per rad; ``amplitude``
-    (H, W) the relative change of the light, by the distance and by the angle of incidence.
+    instrument, or ``scene.SURFACE.AXIS`` of a free pose. ``distance`` (H, W) in m per m or per rad;
+    ``amplitude`` (H, W) the relative change of the light, by the distance and by the angle of incidence.
     """
 
     path: str
@@ -156,7 +156,7 @@ def _free_columns(
 
 
 def _along_rays(view: View, mine: Array, rays: Array) -> Array:
-    return np.einsum("nk,nk->n", view.geometry.normals[mine], rays[mine])
+    return np.asarray(np.einsum("nk,nk->n", view.geometry.normals[mine], rays[mine]))
 
 
 def _by_shift(direction: Array, view: View, mine: Array, rays: Array) -> tuple[Array, Array]:

@@ -56,7 +56,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--effects",
         metavar="A,B",
         help="fit exactly these effects; empirical:COVARIATE[:COVARIATE] fits a smooth function, "
-        "integral_table alone a table by position (default: those of the camera file and those that the recordings ask for)",
+        "integral_table alone a table by position (default: those of the camera file and those that the "
+        "recordings ask for)",
     )
     parser.add_argument(
         "--geometry", action="store_true", help="fit camera constant, principal point and distortion, too"

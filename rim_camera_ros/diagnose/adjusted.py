@@ -22,7 +22,7 @@ _CHANCE = 1e-4
 LEAST_CHANGE = 0.0004
 #: The verdict speaks of wrong parameters where all terms together move distances by this many single-frame
 #: sigmas (RMS).
-LEAST_TOTAL = 0.1
+LEAST_TOTAL = 0.2
 #: A relative change of the radiometric gain that matters.
 LEAST_GAIN = 0.03
 
@@ -37,7 +37,9 @@ class Adjusted:
 
 
 def adjusted_terms(camera: Camera, fitted: Fit) -> list[Adjusted]:
-    """Return the terms of a camera file whose parameters differ in a fit, significantly and in millimetres."""
+    """Return the terms of a camera file whose parameters differ in a fit, significantly and in
+    millimetres.
+    """
     before, after = camera_numbers(camera), camera_numbers(fitted.camera)
     names = list(fitted.parameters)
     result = []

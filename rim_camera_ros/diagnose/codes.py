@@ -20,8 +20,8 @@ LEAST_SHARE = 0.02
 class MissingCodes:
     """Counts that are left out.
 
-    ``share`` of the frequent codes that lack a neighbour, and the median ``step`` in counts between codes that
-    occur, where they are frequent.
+    ``share`` of the frequent codes that lack a neighbour, and the median ``step`` in counts between codes
+    that occur, where they are frequent.
     """
 
     share: float
@@ -31,8 +31,8 @@ class MissingCodes:
 def missing_codes(histogram: NDArray[Any] | None, *, noise: float) -> MissingCodes | None:
     """Examine how often each distance count (65536,) occurred; None where nothing is missing.
 
-    ``noise`` [counts] is the smallest standard deviation of a distance. Beside a code that occurred 30 times, with
-    noise wider than three counts, none at all has a probability below 1e-9.
+    ``noise`` [counts] is the smallest standard deviation of a distance. Beside a code that occurred 30
+    times, with noise wider than three counts, none at all has a probability below 1e-9.
     """
     if histogram is None or noise < LEAST_NOISE:
         return None

@@ -56,7 +56,8 @@ def as_json(result: Diagnosis) -> dict[str, Any]:
     }
     if result.reason is not None:
         report["reason"] = result.reason
-    return _plain(report)
+    plain: dict[str, Any] = _plain(report)
+    return plain
 
 
 def _missing(one: Missing, result: Diagnosis) -> dict[str, Any]:

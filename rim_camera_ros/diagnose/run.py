@@ -1,4 +1,6 @@
-"""The diagnosis: from a recording and what is believed of it to a verdict, a model and the proof that it helps."""
+"""The diagnosis: from a recording and what is believed of it to a verdict, a model and the proof that it
+helps.
+"""
 
 from __future__ import annotations
 
@@ -346,9 +348,13 @@ def intervals_of(step: Exploration, *, seed: int = 0) -> dict[str, tuple[float, 
     """
     fitted, scores = step.fit, step.scores
     count = len(fitted.parameters)
-    own = np.arange(count)
     nulls = null_scores(
-        fitted.equations, own, replicates=200, seed=seed + 1, temper=scores.temper, errors=fitted.nuisances
+        fitted.equations,
+        range(count),
+        replicates=200,
+        seed=seed + 1,
+        temper=scores.temper,
+        errors=fitted.nuisances,
     )
     matrix = scores.full.gram[:count, :count] + np.diag(scores.prior[:count] ** -2)
     scale = scores.prior[:count]
@@ -411,7 +417,8 @@ def _missing(
 
 
 _GEOMETRY_SENTENCE = {
-    "radiometry": "radiometry: surfaces do not reflect as Lambert says; amplitudes depend otherwise on the angle "
+    "radiometry": "radiometry: surfaces do not reflect as Lambert says; amplitudes depend otherwise on "
+    "the angle "
     "of incidence than the scene's simulation",
     "camera_constant": "camera constant: focal length or principal point differ from the camera file's",
     "lens_distortion": "lens distortion: the rays bend other than the camera file's distortion says",
@@ -544,7 +551,8 @@ def _with_variance(
         if variance.background > 0 and "background_light" not in model.effects:
             level = variance.background
             sentence = (
-                f"background light: {level:.3g} counts of unmodulated light add photon noise; the variance of "
+                f"background light: {level:.3g} counts of unmodulated light add photon noise; the "
+                f"variance of "
                 f"repeated frames is {variance.ratio:.2f} times the model's, most where it is dark"
             )
             named = Missing("background_light", 0.7, {"level": level}, {}, sentence)
@@ -579,7 +587,8 @@ def _with_variance(
 def _codes(codes: MissingCodes, camera: Camera) -> Missing:
     step = codes.step * camera.sensor.lsb
     sentence = (
-        f"unknown physics: beside {codes.share:.0%} of the frequent distance counts lie counts that never occur "
+        f"unknown physics: beside {codes.share:.0%} of the frequent distance counts lie counts that never "
+        f"occur "
         f"(steps of {codes.step:.0f} counts, {step * 1e3:.2g} mm): the read-out leaves out codes"
     )
     return Missing(

@@ -89,8 +89,8 @@ def check_setup(fitted: Fit, *, explained: float = 0.0, physics: bool = False) -
     """Say whether scene, poses and camera belong to the recording.
 
     ``explained`` is the share of the excess chi-square that the physics found explains: what it explains is
-    no fault of the setup. Where ``physics`` was found at all, its form may be wrong enough to strain a few poses:
-    then they must stand out by far more.
+    no fault of the setup. Where ``physics`` was found at all, its form may be wrong enough to strain a few
+    poses: then they must stand out by far more.
     """
     poses = check_poses(fitted)
     reason = None
@@ -110,18 +110,21 @@ def _gross(fitted: Fit, poses: list[PoseCheck]) -> str | None:
     share = overlap(fitted)
     if share < LEAST_OVERLAP:
         return (
-            f"only {share:.0%} of the measured pixels see a surface of the scene: the scene file does not describe "
+            f"only {share:.0%} of the measured pixels see a surface of the scene: the scene file does not "
+            f"describe "
             "this recording"
         )
     if chi_square > 50 and (spread > GROSS_DISTANCE or median > 3 * GROSS_DISTANCE):
         return (
-            f"distances differ from the scene's by {median:.2f} m (varying by {spread:.2f} m from pose to pose) "
+            f"distances differ from the scene's by {median:.2f} m (varying by {spread:.2f} m from pose to "
+            f"pose) "
             "and no physics of a camera explains it: another scene, or poses of another recording"
         )
     tau = fitted.forward.amplitude_model.tau
     if tau > GROSS_AMPLITUDE:
         return (
-            f"amplitudes differ from the scene's by a factor of {np.exp(tau):.1f} from pixel to pixel: a board was "
+            f"amplitudes differ from the scene's by a factor of {np.exp(tau):.1f} from pixel to pixel: a "
+            f"board was "
             "swapped or turned, or the scene's reflectivities are others"
         )
     return None

@@ -1,8 +1,10 @@
-"""Physics outside the vocabulary: which covariates it follows, its curve, a closed form, a table that serves."""
+"""Physics outside the vocabulary: which covariates it follows, its curve, a closed form, a table that
+serves.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -176,7 +178,7 @@ def smooth_pairs(step: Exploration, most: int = 5) -> list[tuple[str, str]]:
     return pairs
 
 
-_FORMS = {
+_FORMS: dict[str, Callable[[Array], Array]] = {
     "x": lambda x: x,
     "x^2": lambda x: x**2,
     "x^3": lambda x: x**3,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
 from itertools import pairwise
 from typing import Any
 
@@ -38,9 +37,10 @@ class Variance:
 
     ``ratio`` measured over modelled variance of all pixels with standard error ``sigma``; ``noise`` the model
     fitted to them; ``common`` the mean of `stations.Station.common` over stations, with standard error
-    ``common_sigma`` (1: pixels scatter independently). ``floor`` [m] is the RMS of the noise of station means.
-    ``background`` [counts] is the unmodulated light that explains the excess as well as another noise does (0:
-    it does not).
+    ``common_sigma`` (1: pixels scatter independently). ``floor`` [m] is the RMS of the noise of station
+    means.
+    ``background`` [counts] is the unmodulated light that explains the excess as well as another noise does
+    (0: it does not).
     """
 
     ratio: float

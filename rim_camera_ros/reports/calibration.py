@@ -156,7 +156,8 @@ def _pattern(result: Calibration) -> str:
         "mm",
     )
     caption = (
-        f"Offset per pixel: {np.std(values):.2f} mm RMS. White: pixels that no pose covers; they have the offset "
+        f"Offset per pixel: {np.std(values):.2f} mm RMS. White: pixels that no pose covers; they have the "
+        f"offset "
         "of their neighbourhood."
     )
     return html.figure(picture, caption)

@@ -184,7 +184,8 @@ def _draw_classes(axis: Any, x: Array, values: Array, expected: Array, edges: Ar
 class Map:
     """An image over the array with a title.
 
-    ``limit``: the colours reach from -limit to limit (None: by itself); ``from_zero``: no negative values, colours from 0.
+    ``limit``: the colours reach from -limit to limit (None: by itself); ``from_zero``: no negative values,
+    colours from 0.
     """
 
     title: str

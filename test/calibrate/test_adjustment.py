@@ -44,7 +44,9 @@ def known() -> list[Effect]:
 
 
 def test_derivatives_are_those_of_the_prediction(tmp_path: Path) -> None:
-    """Scattering passes on to the terms, the emission pattern to scattering: all as finite differences say."""
+    """Scattering passes on to the terms, the emission pattern to scattering: all as finite differences
+    say.
+    """
     own = camera(tmp_path, *known(), Scattering((Kernel(0.02, (5.0, 7.0)),)))
     board = scene(tmp_path)
     data = record(own, board, poses=1, frames=1)

@@ -1,0 +1,64 @@
+"""Reduction on a Dask cluster: the same stations, also when a worker is lost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rim_camera_ros.calibrate.cluster import reduce_on_cluster
+from rim_camera_ros.calibrate.stations import reduce_recording
+from rim_camera_ros.camera_file import load_camera
+from rim_camera_ros.cli import main
+from rim_camera_ros.errors import InputError
+
+from .helpers import CAMERA
+
+SCENE = """
+format: rim_scene/1
+surfaces:
+- {name: wall, type: plane, pose: {position: [0, 0, 2.5]}, reflectivity: 0.7}
+schedule:
+- {frames: 3, integration_time: 60}
+- {frames: 3, integration_time: 100, poses: {wall: {position: [0, 0, 1.7]}}}
+"""
+
+
+@pytest.fixture
+def bags(tmp_path: Path) -> tuple[Path, list[Path]]:
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    paths = []
+    for seed in range(4):
+        paths.append(tmp_path / f"bag{seed}")
+        arguments = ["simulate", "scene.yaml", "--camera", "camera.yaml", "--seed", str(seed), "--quiet"]
+        arguments[1:2] = [str(tmp_path / "scene.yaml")]
+        arguments[3] = str(tmp_path / "camera.yaml")
+        assert main([*arguments, "--out", str(paths[-1])]) == 0
+    return tmp_path / "camera.yaml", paths
+
+
+def test_two_workers_reduce_as_one_machine_does(bags: tuple[Path, list[Path]]) -> None:
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is an optional extra")
+    camera = load_camera(bags[0])
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        parts = reduce_on_cluster(bags[1], camera, scheduler=cluster.scheduler_address)
+    for number, (part, path) in enumerate(zip(parts, bags[1], strict=True)):
+        own = reduce_recording(path, camera, recording=number)
+        assert [one.pose for one in part.stations] == [one.pose for one in own.stations]
+        for one, other in zip(part.stations, own.stations, strict=True):
+            assert np.array_equal(one.distance, other.distance, equal_nan=True)
+            assert np.array_equal(one.amplitude, other.amplitude)
+            assert one.recording == number
+
+
+def test_without_a_scheduler_the_error_names_the_address(
+    bags: tuple[Path, list[Path]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed", reason="dask.distributed is an optional extra")
+    monkeypatch.setattr("rim_camera_ros.calibrate.cluster._CONNECT_SECONDS", 1)
+    with pytest.raises(InputError, match=r"--scheduler tcp://127.0.0.1:1: no scheduler answers"):
+        reduce_on_cluster(bags[1], load_camera(bags[0]), scheduler="tcp://127.0.0.1:1")
