@@ -46,10 +46,10 @@ _LAMBERT = (
 
 @dataclass
 class Outcome:
-    """The solution, what the recordings say of every effect, and which effects joined by search."""
+    """The solution, and which effects joined; ``tell`` says what the recordings say of every effect."""
 
     solution: Solution
-    statuses: list[EffectStatus]
+    tell: Callable[[], list[EffectStatus]]
     found: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -67,21 +67,23 @@ def by_search(problem: Problem, camera: Camera, facts: Facts, *, say: Say, seed:
     solution = _solved(last.fit, last.scores, result.folds, camera)
     named = list(last.candidates)[: len(last.spans)]
     ties = {one.effect: one.ties for one in result.found}
-    found = statuses(
-        last.fit,
-        last.scores,
-        named,
-        last.spans,
-        facts,
-        start=camera,
-        kept=kept,
-        threshold=last.threshold,
-        ties=ties,
-        tick=lambda: None,
-    )
+
+    def tell() -> list[EffectStatus]:
+        return statuses(
+            last.fit,
+            last.scores,
+            named,
+            last.spans,
+            facts,
+            start=camera,
+            kept=kept,
+            threshold=last.threshold,
+            ties=ties,
+        )
+
     joined = [one.effect for one in result.found]
     notes = [_LAMBERT] if set(joined) & LINEAR else []
-    return Outcome(solution, found, [name for name in joined if name not in LINEAR], notes)
+    return Outcome(solution, tell, [name for name in joined if name not in LINEAR], notes)
 
 
 def exactly(problem: Problem, camera: Camera, facts: Facts, words: Sequence[str], *, say: Say) -> Outcome:
@@ -95,11 +97,6 @@ def exactly(problem: Problem, camera: Camera, facts: Facts, words: Sequence[str]
     problem = replace(problem, effects=tuple(names), geometry=geometry)
     notes: list[str] = []
     camera_start = camera
-    # the same pixels throughout, or a term could grow by losing those that contradict it
-    first = Forward(problem.dataset, problem.scene, camera)
-    first.estimate_amplitudes()
-    problem = replace(problem, masks=first.pixels_used())
-    views = first.views
     camera, unseen = _with_absent(problem, camera, facts, names, folds, views, say)
     kept = {name: _KEPT_UNASKED for name in camera.effects if name not in names and name not in UNFITTED}
     pool = [one for one in candidates(camera, facts) if one.effect not in (*geometry, *unseen)]
@@ -125,26 +122,30 @@ def exactly(problem: Problem, camera: Camera, facts: Facts, words: Sequence[str]
         fitted = step.fit
         problem = again
         kept |= {name: _KEPT_UNTOLD for name in untold if name in camera_start.effects}
-    say("what else the recordings say")
-    few, few_folds = _some_stations(problem, folds)
-    probe = explore(few, fitted.camera, pool, few_folds, views=views, replicates=0, iterations=1)
-    found = statuses(
-        probe.fit,
-        probe.scores,
-        pool,
-        probe.spans,
-        facts,
-        start=camera_start,
-        kept=kept,
-        threshold=LEAST_THRESHOLD,
-    )
-    found = [
-        replace(one, status="left out", text=f"not among --effects; {one.text}")
-        if one.status == "absent" and (one.gain or 0.0) > LEAST_THRESHOLD
-        else one
-        for one in found
-    ]
-    return Outcome(solution, found, [n for n in names if n not in camera_start.effects], notes)
+    final, pool_camera = problem, fitted.camera
+
+    def tell() -> list[EffectStatus]:
+        say("what else the recordings say")
+        few, few_folds = _some_stations(final, folds)
+        probe = explore(few, pool_camera, pool, few_folds, views=views, replicates=0, iterations=1)
+        found = statuses(
+            probe.fit,
+            probe.scores,
+            pool,
+            probe.spans,
+            facts,
+            start=camera_start,
+            kept=kept,
+            threshold=LEAST_THRESHOLD,
+        )
+        return [
+            replace(one, status="left out", text=f"not among --effects; {one.text}")
+            if one.status == "absent" and (one.gain or 0.0) > LEAST_THRESHOLD
+            else one
+            for one in found
+        ]
+
+    return Outcome(solution, tell, [n for n in names if n not in camera_start.effects], notes)
 
 
 def checked_names(words: Sequence[str]) -> tuple[list[str], tuple[str, ...] | None]:

@@ -20,7 +20,9 @@ from rim_camera_ros.calibrate.integral import IntegralFit
 from rim_camera_ros.calibrate.joint import Outcome, by_search, exactly
 from rim_camera_ros.calibrate.library import Facts
 from rim_camera_ros.calibrate.noise_fit import POOR, NoiseFit, fit_noise
+from rim_camera_ros.calibrate.pixels import usable_pixels, without_edges
 from rim_camera_ros.calibrate.pose_errors import wider_poses_note, with_wider_poses
+from rim_camera_ros.calibrate.prediction import Forward
 from rim_camera_ros.calibrate.provenance import Source, checksum, provenance
 from rim_camera_ros.calibrate.solution import Solution, high_correlations, stated
 from rim_camera_ros.calibrate.stations import Dataset, merged, reduce_recording
@@ -159,15 +161,33 @@ def calibrate(
     )
     only_integral = request.effects is not None and tuple(request.effects) == (_INTEGRAL,)
     words = () if only_integral else request.effects
+    forward = Forward(dataset, scene, camera)
+    forward.estimate_amplitudes()
+    # the same pixels throughout, or a term could grow by losing those that contradict it
+    masks, gross = usable_pixels(forward)
+    if gross:
+        notes.append(f"left out: {gross} distances that are far from any surface of the scene")
+    problem = replace(problem, masks=masks)
+    all_pixels = True
     for _ in range(_ROUNDS):
         if words is None:
             outcome = by_search(problem, camera, facts, say=watch.say, seed=request.seed)
         else:
-            outcome = exactly(problem, camera, facts, words, say=watch.say)
-        wider = with_wider_poses(problem.scene, outcome.solution.fit)
-        if wider is None:
+            outcome = exactly(problem, camera, facts, words, views=forward.views, say=watch.say)
+        fitted = outcome.solution.fit
+        inner = without_edges(fitted, masks) if all_pixels else None
+        if inner is not None:
+            masks, note = inner
+            notes.append(note)
+            all_pixels = False
+        wider = with_wider_poses(problem.scene, fitted)
+        if inner is None and wider is None:
             break
-        problem = replace(problem, scene=wider)
+        watch.say(
+            "again, with "
+            + " and ".join(["other pixels"] * (inner is not None) + ["wider poses"] * (wider is not None))
+        )
+        problem = replace(problem, masks=masks, scene=problem.scene if wider is None else wider)
     if problem.scene is not scene:
         notes.append(wider_poses_note(scene, problem.scene))
     notes += [*outcome.notes, *outcome.solution.notes]
@@ -188,6 +208,7 @@ def _finished(
     only_integral: bool,
 ) -> Calibration:
     solution = outcome.solution
+    statuses = outcome.tell()
     fitted = solution.fit
     forward = fitted.forward
     watch.say("held-out poses")
@@ -226,7 +247,7 @@ def _finished(
             camera=request.camera_name,
             scene=request.scene_name,
             fitted=[_INTEGRAL] if only_integral else sorted({_owner(path) for path in paths}),
-            left_out={one.effect: one.text for one in outcome.statuses if one.status != "fitted"},
+            left_out={one.effect: one.text for one in statuses if one.status != "fitted"},
             accuracy=_stated_accuracy(by_table if only_integral and by_table else accuracy, solution),
             notes=notes,
         ),
@@ -235,7 +256,7 @@ def _finished(
         camera=camera,
         before=request.camera,
         solution=solution,
-        statuses=outcome.statuses,
+        statuses=statuses,
         found=outcome.found,
         paths=paths,
         covariance=covariance,

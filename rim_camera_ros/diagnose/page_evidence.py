@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from rim_camera_ros.calibrate.adjustment import Fit, Problem, after_nuisances, f
 from rim_camera_ros.calibrate.library import GEOMETRY
 from rim_camera_ros.calibrate.prediction import Forward, Prediction
 from rim_camera_ros.calibrate.search import contribution
+from rim_camera_ros.calibrate.stations import Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.run import Diagnosis
 from rim_camera_ros.diagnose.smooth import UNKNOWN, values_of
@@ -88,7 +89,7 @@ class Evidence:
 
 
 @dataclass
-class _Station:
+class _Compared:
     after: Array
     sigma: Array
     change: Array
@@ -105,31 +106,33 @@ def evidence(result: Diagnosis) -> Evidence:
     """
     fitted = better_fit(result)
     start = result.baseline.fit.start
-    named = changed_effects(result)
+    moved = result.verdict not in ("consistent", "inconsistent_setup") and bool(changed_effects(result))
+    named = changed_effects(result) if moved else ()
     before = Forward(fitted.forward.dataset, fitted.scene, start, views=fitted.forward.views)
     before.amplitude_model, before.shifts = fitted.forward.amplitude_model, fitted.forward.shifts
     shape = fitted.camera.shape
     rng = np.random.default_rng(_SEED)
-    stations: list[_Station] = []
+    stations: list[_Compared] = []
     drawn: list[Array] = []
-    kept: list[Prediction] = []
-    covariates: dict[str, list[Array]] = {name: [] for name in (*COVARIATES, AXIS)}
+    kept: list[Station] = []
+    covariates: dict[str, list[Array]] = {name: [] for name in (*COVARIATES, AXIS)} if moved else {}
+    predictions = fitted.forward.predictions()
+    pairs = zip(before.predictions(), predictions, strict=True) if moved else ((p, p) for p in predictions)
     # a station keeps its images in single precision: all of them are in memory
-    for old, new in zip(before.predictions(), fitted.forward.predictions(), strict=True):
+    for old, new in pairs:
         one = _compared(old, new, fitted, named, start)
         pixels = np.flatnonzero(np.isfinite(one.after).ravel())
         drawn.append(rng.choice(pixels, min(_SAMPLE, pixels.size), replace=False))
         _collect(new, drawn[-1], covariates)
         stations.append(one)
-        kept.append(replace(new, view=new.view, before={}, pose_columns=[], spread=[]))
+        kept.append(new.station)
     samples = _samples(stations, kept, drawn, covariates)
     _centre(stations, shape)
-    moved = bool(named) and result.verdict not in ("consistent", "inconsistent_setup")
     after = np.stack([one.after / one.sigma for one in stations])
     without = np.stack([(one.after + one.change) / one.sigma for one in stations])
     return Evidence(
-        times=np.array([one.station.time for one in kept]),
-        poses=np.array([one.station.pose for one in kept]),
+        times=np.array([one.time for one in kept]),
+        poses=np.array([one.pose for one in kept]),
         chi_before=_chi(without) if moved else None,
         chi_after=_chi(after),
         strength=_strength(stations) if moved else None,
@@ -174,7 +177,9 @@ def changed_effects(result: Diagnosis) -> tuple[str, ...]:
     return tuple(name for name in names if name in present)
 
 
-def _compared(old: Prediction, new: Prediction, fitted: Fit, names: Sequence[str], start: Camera) -> _Station:
+def _compared(
+    old: Prediction, new: Prediction, fitted: Fit, names: Sequence[str], start: Camera
+) -> _Compared:
     rest, brightness = after_nuisances(new, fitted.pattern, fitted.nuisances)
     reading = new.station.amplitude - new.amplitude_residual
     change = new.distance - old.distance
@@ -193,7 +198,7 @@ def _compared(old: Prediction, new: Prediction, fitted: Fit, names: Sequence[str
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.where(bright, brightness / reading, np.nan)
         relative_part = np.where(bright, (new.station.amplitude - old.amplitude_residual) / reading, np.nan)
-    return _Station(
+    return _Compared(
         np.where(used, rest, np.nan).astype(np.float32),
         new.sigma.astype(np.float32),
         np.where(used, change, np.nan).astype(np.float32),
@@ -217,10 +222,10 @@ def _collect(prediction: Prediction, pixels: Array, covariates: dict[str, list[A
             parts.append(np.broadcast_to(np.asarray(value, float), shape).ravel()[pixels])
 
 
-def _centre(stations: list[_Station], shape: tuple[int, int]) -> None:
+def _centre(stations: list[_Compared], shape: tuple[int, int]) -> None:
     """Remove the weighted mean over the stations of each pixel: it belongs to the fixed pattern."""
 
-    def mean(of: Callable[[_Station], Array]) -> Array:
+    def mean(of: Callable[[_Compared], Array]) -> Array:
         total, norm = np.zeros(shape), np.zeros(shape)
         for one in stations:
             values = of(one)
@@ -258,12 +263,12 @@ def _mean(images: Sequence[Array]) -> Array:
     return np.asarray(np.nansum(stack, axis=0) / np.where(count >= max(2, len(stack) // 8), count, np.nan))
 
 
-def _found(one: _Station) -> Array:
+def _found(one: _Compared) -> Array:
     """Return what the effects add to distances [m]; by way of amplitudes alone, all that changed."""
     return np.asarray(np.sum(list(one.parts.values()), axis=0)) if one.parts else one.change
 
 
-def _strength(stations: Sequence[_Station]) -> Array:
+def _strength(stations: Sequence[_Compared]) -> Array:
     result = []
     for one in stations:
         values = _found(one)
@@ -273,17 +278,17 @@ def _strength(stations: Sequence[_Station]) -> Array:
 
 
 def _samples(
-    stations: Sequence[_Station],
-    kept: Sequence[Prediction],
+    stations: Sequence[_Compared],
+    kept: Sequence[Station],
     drawn: Sequence[Array],
     covariates: Mapping[str, Sequence[Array]],
 ) -> Samples:
-    def together(of: Callable[[_Station], Array]) -> Array:
+    def together(of: Callable[[_Compared], Array]) -> Array:
         parts = [of(one).ravel()[pixels] for one, pixels in zip(stations, drawn, strict=True)]
         return np.concatenate(parts).astype(float) if parts else np.zeros(0)
 
     sizes = [len(pixels) for pixels in drawn]
-    settings = [one.station.settings.integration_time for one in kept]
+    settings = [one.settings.integration_time for one in kept]
     names = stations[0].parts if stations else {}
     weight = together(lambda one: one.sigma) ** -2
 
@@ -302,7 +307,7 @@ def _samples(
     )
 
 
-def _image(stations: Sequence[_Station], kept: Sequence[Prediction]) -> PoseImage | None:
+def _image(stations: Sequence[_Compared], kept: Sequence[Station]) -> PoseImage | None:
     """Return the station at which the effects stand out most from pixel to pixel."""
     best: tuple[float, int] | None = None
     for number, one in enumerate(stations):
@@ -314,7 +319,7 @@ def _image(stations: Sequence[_Station], kept: Sequence[Prediction]) -> PoseImag
                 best = (energy, number)
     if best is None:
         return None
-    one, station = stations[best[1]], kept[best[1]].station
+    one, station = stations[best[1]], kept[best[1]]
     part = _found(one)
     amplitude = np.where(station.count > 0, station.amplitude, np.nan)
     without, after = (one.after + part) / one.sigma, one.after / one.sigma

@@ -12,6 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import Fit, Problem
+from rim_camera_ros.calibrate.coarser import (
+    coarseness,
+    coarser_camera,
+    coarser_dataset,
+    finer_camera,
+    finer_image,
+)
 from rim_camera_ros.calibrate.library import LINEAR, Facts, added
 from rim_camera_ros.calibrate.nulls import null_scores
 from rim_camera_ros.calibrate.prediction import Forward
@@ -45,8 +52,6 @@ DOUBT = 0.15
 #: A term outside the vocabulary must gain this share more than the named ones to take their place.
 BEYOND = 1.2
 _LEAST_UNKNOWN = 20.0
-#: Number of pixels from which sums per pixel are kept in single precision.
-_LARGE = 60_000
 #: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
 _COMMON_LIGHT = 0.1
 
@@ -113,11 +118,39 @@ def diagnose(
 ) -> Diagnosis:
     """Compare a recording with what the camera and scene files say of it.
 
-    ``against`` is a recording of the simulation, with the same stations, which is then compared with.
+    ``against`` is a recording of the simulation, with the same stations, which is then compared with. Of a
+    large sensor every k-th pixel is looked at.
 
     Raises `InputError` where no pixel can be compared.
     """
     say = progress if progress is not None else _silent
+    step = coarseness(camera)
+    if step == 1:
+        return _diagnose(dataset, scene, camera, against, seed, say)
+    small = coarser_camera(camera, step)
+    result = _diagnose(
+        coarser_dataset(dataset, step),
+        scene,
+        small,
+        None if against is None else coarser_dataset(against, step),
+        seed,
+        say,
+    )
+    result.camera = finer_camera(result.camera, camera, step)
+    pixels = finer_image(result.where.pixels, camera.shape, step)
+    result.where = replace(result.where, pixels=pixels)
+    result.notes.append(f"every {step}th pixel of every {step}th row was looked at")
+    return result
+
+
+def _diagnose(
+    dataset: Dataset,
+    scene: Scene,
+    camera: Camera,
+    against: Dataset | None,
+    seed: int,
+    say: Callable[[str], None],
+) -> Diagnosis:
     moves = scene.camera_motion.moves
     facts = Facts.of(dataset, moves=moves, surfaces=len(scene.surfaces), camera=camera)
     shifts = None
@@ -128,8 +161,7 @@ def diagnose(
     forward.estimate_amplitudes()
     variance = examine_variance(forward)
     light = _COMMON_LIGHT * facts.amplitude if variance.pixels_vary_together else 0.0
-    large = camera.sensor.width * camera.sensor.height > _LARGE
-    problem = Problem(dataset, scene, shifts=shifts, stray_light=light, single=large)
+    problem = Problem(dataset, scene, shifts=shifts, stray_light=light)
     samples = axes_of(forward, seed=seed)
     smooth = single_terms(samples)
     result = search(problem, camera, facts, further=smooth, seed=seed, progress=say)

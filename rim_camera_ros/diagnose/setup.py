@@ -136,8 +136,8 @@ def _few(poses: list[PoseCheck], factor: float) -> str | None:
     bad = [
         one
         for one in poses
-        if (one.error > factor * FAR and one.error > AGAINST_OTHERS * errors)
-        or (one.chi_square > factor * LARGE and one.chi_square > AGAINST_OTHERS * typical)
+        if (one.error > factor * FAR and one.error > factor * AGAINST_OTHERS * errors)
+        or (one.chi_square > factor * LARGE and one.chi_square > factor * AGAINST_OTHERS * typical)
     ]
     if not bad or len(bad) > max(1.0, FEW * len(poses)):
         return None

@@ -1,0 +1,129 @@
+"""Large sensors through a coarser grid of their pixels: every k-th of them, with what is stated in pixels scaled.
+
+Pixels are picked, not averaged, so that no edge is mixed and the noise stays what it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.library import added
+from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.effects.base import Effect
+from rim_camera_ros.effects.cyclic_error import CyclicError
+from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
+from rim_camera_ros.effects.mixed_pixels import MixedPixels
+from rim_camera_ros.effects.scattering import Ghost, Kernel, Scattering
+from rim_camera_ros.parameters import ArrayFile
+
+Array = NDArray[Any]
+
+#: Number of pixels from which a coarser grid is looked at, and how many it has at most.
+MANY_PIXELS = 60_000
+_COARSE_PIXELS = 30_000
+_BY_POSITION = ("integral_table", "empirical", "reference_path")
+
+
+def coarseness(camera: Camera) -> int:
+    """Return the step of the coarser grid in pixels, 1 where all pixels are looked at."""
+    pixels = camera.sensor.width * camera.sensor.height
+    if pixels <= MANY_PIXELS or any(name in camera.effects for name in _BY_POSITION):
+        return 1
+    return int(np.ceil(np.sqrt(pixels / _COARSE_PIXELS)))
+
+
+def coarser_camera(camera: Camera, step: int) -> Camera:
+    """Return the camera that has every ``step``-th pixel, from pixel ``step // 2`` on."""
+    first = step // 2
+    width, height = (len(range(first, n, step)) for n in (camera.sensor.width, camera.sensor.height))
+    optics = camera.optics
+    small = replace(
+        camera,
+        effects={},
+        sensor=replace(
+            camera.sensor,
+            width=width,
+            height=height,
+            pixel_pitch=(camera.sensor.pixel_pitch[0] * step, camera.sensor.pixel_pitch[1] * step),
+        ),
+        optics=replace(
+            optics,
+            fx=optics.fx / step,
+            fy=optics.fy / step,
+            cx=(optics.cx - first) / step,
+            cy=(optics.cy - first) / step,
+        ),
+        covariance=None,
+    )
+    return with_effects(small, {name: _scaled(one, 1.0 / step, step) for name, one in camera.effects.items()})
+
+
+def coarser_dataset(dataset: Dataset, step: int) -> Dataset:
+    """Return the stations on the coarser grid."""
+    pick = (slice(step // 2, None, step), slice(step // 2, None, step))
+    names = ("distance", "amplitude", "distance_variance", "amplitude_variance", "count", "saturated")
+    stations = [
+        replace(one, **{name: np.ascontiguousarray(getattr(one, name)[pick]) for name in names})
+        for one in dataset.stations
+    ]
+    return replace(dataset, stations=stations)
+
+
+def finer_camera(small: Camera, camera: Camera, step: int) -> Camera:
+    """Return the full camera with the effects, optics, noise and gain that a coarser one came to have."""
+    optics = small.optics
+    first = step // 2
+    result = replace(
+        camera,
+        effects={},
+        radiometry=small.radiometry,
+        noise=small.noise,
+        optics=replace(
+            optics,
+            fx=optics.fx * step,
+            fy=optics.fy * step,
+            cx=optics.cx * step + first,
+            cy=optics.cy * step + first,
+        ),
+    )
+    for name, one in small.effects.items():
+        own = camera.effects.get(name)
+        result = added(
+            result, own if isinstance(own, FixedPatternOffset) else _scaled(one, float(step), None)
+        )
+    return result
+
+
+def finer_image(image: Array, shape: tuple[int, int], step: int) -> Array:
+    """Return an image of the coarser grid on all pixels, each with the value of the nearest."""
+    rows, columns = (
+        np.clip(np.round((np.arange(n) - step // 2) / step).astype(int), 0, m - 1)
+        for n, m in zip(shape, image.shape, strict=True)
+    )
+    return np.asarray(image[np.ix_(rows, columns)])
+
+
+def _scaled(effect: Effect, factor: float, step: int | None) -> Effect:
+    """Scale what an effect states in pixels; a map is thinned out where a ``step`` is given."""
+    if isinstance(effect, Scattering):
+        kernels = tuple(
+            Kernel(one.weight, (one.sigma[0] * factor, one.sigma[1] * factor)) for one in effect.kernels
+        )
+        ghost = effect.ghost
+        if ghost is not None:
+            ghost = Ghost(ghost.weight, (ghost.shift[0] * factor, ghost.shift[1] * factor))
+        return Scattering(kernels=kernels, ghost=ghost)
+    if isinstance(effect, MixedPixels):
+        return MixedPixels(blur=effect.blur * factor)
+    if isinstance(effect, CyclicError):
+        return replace(effect, gradient=(effect.gradient[0] / factor, effect.gradient[1] / factor))
+    if isinstance(effect, FixedPatternOffset) and step is not None:
+        picked = effect.map.values[step // 2 :: step, step // 2 :: step]
+        return FixedPatternOffset(map=ArrayFile(effect.map.file, np.ascontiguousarray(picked)))
+    return effect
