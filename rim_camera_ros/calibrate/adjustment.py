@@ -128,7 +128,7 @@ def fit(
     last_step: dict[str, float] = {}
     numbers = camera_numbers(camera)
     lows, highs = _bounds(camera)
-    converged = False
+    converged = stuck = False
     for count in range(iterations + 1):
         forward = Forward(problem.dataset, scene, camera, views=None if moved else views)
         views = forward.views
@@ -213,15 +213,21 @@ def fit(
         converged |= count >= _SETTLED and abs(previous - here) < _LEVEL
         previous = here
         changes = dict(zip((one.label for one in regressors), step.tolist(), strict=True))
-        camera, offsets = _stepped(start, offsets, changes, lows, highs, numbers)
+        try:
+            camera, offsets = _stepped(start, offsets, changes, lows, highs, numbers)
+        except (InputError, ValueError):
+            stuck = converged = True
+            continue
         for path in changes:
             if path in numbers and path != _GAIN:
                 offsets[path] = camera_numbers(camera)[path] - numbers[path]
         scene, moved = _moved_scene(problem.scene, offsets)
         last_step = changes
     assert best is not None
-    best.converged = converged
-    if not converged:
+    best.converged = converged and not stuck
+    if stuck:
+        best.notes.append("the adjustment stopped where no step leads to a possible camera")
+    if not converged and last_step:
         worst = max(last_step, key=lambda path: abs(last_step[path]) / max(best.sigma.get(path, 1.0), 1e-300))
         best.notes.append(f"not converged after {iterations} iterations: {worst} still moves")
     return best

@@ -5,6 +5,7 @@ Pixels are picked, not averaged, so that no edge is mixed and the noise stays wh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.library import added
-from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects.base import Effect
@@ -68,11 +69,12 @@ def coarser_dataset(dataset: Dataset, step: int) -> Dataset:
     """Return the stations on the coarser grid."""
     pick = (slice(step // 2, None, step), slice(step // 2, None, step))
     names = ("distance", "amplitude", "distance_variance", "amplitude_variance", "count", "saturated")
-    stations = [
-        replace(one, **{name: np.ascontiguousarray(getattr(one, name)[pick]) for name in names})
-        for one in dataset.stations
-    ]
+    stations = [replace(one, **_picked(one, pick, names)) for one in dataset.stations]
     return replace(dataset, stations=stations)
+
+
+def _picked(station: Station, pick: tuple[slice, slice], names: Sequence[str]) -> dict[str, Any]:
+    return {name: np.ascontiguousarray(getattr(station, name)[pick]) for name in names}
 
 
 def finer_camera(small: Camera, camera: Camera, step: int) -> Camera:

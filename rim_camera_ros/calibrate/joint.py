@@ -86,7 +86,9 @@ def by_search(problem: Problem, camera: Camera, facts: Facts, *, say: Say, seed:
     return Outcome(solution, tell, [name for name in joined if name not in LINEAR], notes)
 
 
-def exactly(problem: Problem, camera: Camera, facts: Facts, words: Sequence[str], *, say: Say) -> Outcome:
+def exactly(
+    problem: Problem, camera: Camera, facts: Facts, words: Sequence[str], *, views: Views, say: Say
+) -> Outcome:
     """Fit exactly the effects that are named; those absent start from the library's best variant.
 
     Raises `InputError` for unknown names, and where the recordings determine none of them.

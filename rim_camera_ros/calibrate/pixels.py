@@ -29,7 +29,7 @@ LEAST_LEFT = 0.15
 
 
 def usable_pixels(forward: Forward) -> tuple[Masks, int]:
-    """Return the pixels of each station for both channels, (H, W) each, and how many gross outliers they lack.
+    """Return the pixels of each station for both channels, (H, W) each, and the number of gross outliers.
 
     One of them among thousands, metres off, would rule the first steps of an adjustment.
     """
@@ -55,7 +55,7 @@ def beside_edges(geometry: Geometry) -> NDArray[np.bool_]:
     surface = geometry.surface
     same = minimum_filter(bright, size) == maximum_filter(bright, size)
     same &= minimum_filter(surface, size) == maximum_filter(surface, size)
-    return ~same
+    return np.asarray(~same)
 
 
 def without_edges(fitted: Fit, masks: Sequence[tuple[Array, Array]]) -> tuple[Masks, str] | None:

@@ -187,7 +187,10 @@ def calibrate(
             "again, with "
             + " and ".join(["other pixels"] * (inner is not None) + ["wider poses"] * (wider is not None))
         )
-        problem = replace(problem, masks=masks, scene=problem.scene if wider is None else wider)
+        problem = replace(problem, masks=masks)
+        if wider is not None:
+            problem = replace(problem, scene=wider)
+            forward = Forward(dataset, wider, camera)
     if problem.scene is not scene:
         notes.append(wider_poses_note(scene, problem.scene))
     notes += [*outcome.notes, *outcome.solution.notes]

@@ -51,7 +51,8 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Any = None)
         shifts=problem.shifts,
     )
     before = fit(frozen, camera, fold_of=result.folds, iterations=1, views=views)
-    if model.effects == camera.effects and model.optics == camera.optics:
+    same_noise = model.noise == camera.noise
+    if model.effects == camera.effects and model.optics == camera.optics and same_noise:
         after = before
     else:
         own = Problem(

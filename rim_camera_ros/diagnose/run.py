@@ -40,9 +40,10 @@ from rim_camera_ros.diagnose.unknown import (
     with_table,
 )
 from rim_camera_ros.diagnose.variance import Variance, examine_variance
-from rim_camera_ros.diagnose.where import Where, nowhere, of_residuals, of_terms
+from rim_camera_ros.diagnose.where import OF_AMPLITUDE, Where, nowhere, of_change, of_residuals, of_terms
 from rim_camera_ros.effects import registry
 from rim_camera_ros.effects.background_light import BackgroundLight
+from rim_camera_ros.errors import RimError
 from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]
@@ -164,7 +165,10 @@ def _diagnose(
     problem = Problem(dataset, scene, shifts=shifts, stray_light=light)
     samples = axes_of(forward, seed=seed)
     smooth = single_terms(samples)
-    result = search(problem, camera, facts, further=smooth, seed=seed, progress=say)
+    try:
+        result = search(problem, camera, facts, further=smooth, seed=seed, progress=say)
+    except (RimError, np.linalg.LinAlgError):
+        return _hopeless(problem, camera, variance, seed)
     baseline, final = result.explorations[0], result.explorations[-1]
     say("looking for what no named effect explains")
     unknown = _unknown(result, samples, problem, seed)
@@ -194,6 +198,41 @@ def _diagnose(
         codes=codes,
         reason=reason,
         seed=seed,
+    )
+
+
+def _hopeless(problem: Problem, camera: Camera, variance: Variance, seed: int) -> Diagnosis:
+    """Return the diagnosis of a recording for which no parameters can be found: the setup is another.
+
+    Raises `InputError` where not one pixel can be compared.
+    """
+    frozen = replace(problem, effects=(), gain=False, robust=False)
+    folds = folds_of(problem.dataset)
+    step = explore(frozen, camera, [], folds, replicates=0, iterations=0, seed=seed)
+    setup = check_setup(step.fit)
+    reason = setup.reason or (
+        "no parameters of the camera bring recording and scene together: another scene, a board swapped or "
+        "turned, or poses of another recording"
+    )
+    likelihood = step.scores.log_likelihood()
+    result = Result(camera, [], [step], likelihood, likelihood, frozen, folds)
+    return Diagnosis(
+        verdict="inconsistent_setup",
+        missing=[],
+        adjusted=[],
+        ranking=[],
+        indistinguishable=[],
+        where=of_residuals(step.fit),
+        before=of_residuals(step.fit),
+        accuracy=accuracy(camera, camera, result),
+        variance=variance,
+        camera=camera,
+        baseline=step,
+        final=step,
+        found=[],
+        next_recording=None,
+        reason=reason,
+        notes=list(problem.dataset.notes),
     )
 
 
@@ -301,6 +340,9 @@ def _verdict(
         intervals = intervals_of(final, seed=seed)
         for one in result.found:
             share = sum(probabilities.get(name, 0.0) for name in {one.effect, *one.ties})
+            if one is not result.found[0]:
+                # given those before it, against nothing more being missing
+                share = float(1 / (1 + np.exp(-min(one.gain, 500.0))))
             missing.append(_missing(one.effect, fitted, intervals, min(max(share, 0.0), 1.0)))
         where = of_terms(fitted, [one.effect for one in result.found], origin)
     else:
@@ -309,7 +351,7 @@ def _verdict(
     if verdict == "consistent":
         if adjusted and _parameters_matter(camera, result):
             verdict = "wrong_parameters"
-            where = of_residuals(fitted) if not where.covariates else where
+            where = of_change(fitted, camera)
         else:
             adjusted = []
             model = camera
@@ -435,9 +477,9 @@ def _missing(
             for path, v in camera_numbers(camera).items()
             if path.startswith(prefix)
         }
-    size = _size(fitted, name)
+    size = None if name in OF_AMPLITUDE else _size(fitted, name)
     if size is not None:
-        sentence += f"; it moves distances by up to {size * 1e3:.2g} mm in this recording"
+        sentence += f"; it moves distances by up to {size * 1e3:.3g} mm in this recording"
     return Missing(
         effect=name,
         probability=probability,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import Fit, after_nuisances
-from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.prediction import Forward, Prediction
 from rim_camera_ros.calibrate.search import contribution
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.smooth import values_of
@@ -19,7 +19,7 @@ from rim_camera_ros.effects.covariates import COVARIATES
 Array = NDArray[Any]
 
 #: Effects that change the amplitude and the distance only by way of it.
-_OF_AMPLITUDE = frozenset({"emission_pattern", "amplitude_nonlinearity", "radiometry"})
+OF_AMPLITUDE = frozenset({"emission_pattern", "amplitude_nonlinearity", "radiometry"})
 _LEAST_SHARE = 0.03
 _MOST_COVARIATES = 4
 
@@ -44,11 +44,24 @@ def of_terms(fitted: Fit, names: Sequence[str], origin: Camera) -> Where:
         total: Any = np.zeros(one.used.shape)
         for name in names:
             total = total + contribution(one, name, origin)
-        if names and set(names) <= _OF_AMPLITUDE:
+        if names and set(names) <= OF_AMPLITUDE:
             scale = one.amplitude_sigma * np.sqrt(np.maximum(one.station.count, 1))
             relative = total / 0.1
             return np.asarray(relative * one.amplitude / scale * _sigma(one))
         return np.asarray(total)
+
+    return _locate(fitted, value, centred=list(names) == ["empirical"])
+
+
+def of_change(fitted: Fit, camera: Camera) -> Where:
+    """Locate how a fit changes the distances that a camera file predicts, without each station's mean."""
+    before = Forward(fitted.forward.dataset, fitted.scene, camera, views=fitted.forward.views)
+    before.amplitude_model = fitted.forward.amplitude_model
+    stations = before.predictions(slopes=False)
+
+    def value(one: Prediction) -> Array:
+        change = one.distance - next(stations).distance
+        return np.asarray(change - np.nanmean(change[one.used])) if one.used.any() else change
 
     return _locate(fitted, value)
 
@@ -72,7 +85,7 @@ def _sigma(one: Prediction) -> Array:
     return one.sigma * np.sqrt(np.maximum(one.station.count, 1))
 
 
-def _locate(fitted: Fit, value: Any) -> Where:
+def _locate(fitted: Fit, value: Any, *, centred: bool = False) -> Where:
     shape = fitted.camera.shape
     total, count = np.zeros(shape), np.zeros(shape)
     rng = np.random.default_rng(7)
@@ -81,10 +94,15 @@ def _locate(fitted: Fit, value: Any) -> Where:
     weights: list[Array] = []
     covariates: dict[str, list[Array]] = {name: [] for name in COVARIATES}
     missing: set[str] = set()
+    middle = 0.0
+    if centred:
+        # the constant of a table belongs to the fixed pattern: its middle is the least that could be
+        parts = [np.broadcast_to(value(one), shape)[one.used] for one in fitted.forward.predictions()]
+        middle = float(np.median(np.concatenate(parts)))
     for one in fitted.forward.predictions():
+        image = np.broadcast_to(value(one), shape) - middle
         if not one.used.any():
             continue
-        image = np.broadcast_to(value(one), shape)
         sigma = _sigma(one)
         # also beside edges, which the fit leaves out
         valid = one.view.geometry.hit & (one.station.count > 0) & np.isfinite(image) & (sigma > 0)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 _STYLE = """
-:root { --ink: #1d2733; --soft: #5b6878; --line: #dde3ea; --panel: #f6f8fa; --accent: #1f6f8b; 
+:root { --ink: #1d2733; --soft: #5b6878; --line: #dde3ea; --panel: #f6f8fa; --accent: #1f6f8b;
   --good: #2e7d4f; --warn: #b3541e; }
 * { box-sizing: border-box; }
 body { font: 15px/1.5 system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; color: var(--ink); margin: 0;
