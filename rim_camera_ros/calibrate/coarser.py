@@ -1,4 +1,4 @@
-"""Large sensors through a coarser grid of their pixels: every k-th of them, with what is stated in pixels scaled.
+"""Large sensors through a coarser grid: every k-th of their pixels, with what is stated in pixels scaled.
 
 Pixels are picked, not averaged, so that no edge is mixed and the noise stays what it is.
 """

@@ -215,7 +215,7 @@ def _posterior(scores: Scores, span: Array) -> Array:
     columns = scores.columns(span.tolist())
     place = np.searchsorted(columns, span)
     try:
-        return scores.covariance(columns)[np.ix_(place, place)]
+        return np.asarray(scores.covariance(columns)[np.ix_(place, place)])
     except linalg.LinAlgError:
         return np.diag(scores.prior[span] ** 2)
 

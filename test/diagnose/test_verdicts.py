@@ -1,0 +1,132 @@
+"""Verdicts: nulls first, then what is wrong with the setup, the parameters, the noise, the physics."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rim_camera_ros.calibrate.stations import reduce_recording
+from rim_camera_ros.camera_file import load_camera, with_numbers
+from rim_camera_ros.cli import main
+from rim_camera_ros.diagnose.codes import missing_codes
+from rim_camera_ros.diagnose.report import as_json
+from rim_camera_ros.diagnose.run import diagnose
+from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
+from rim_camera_ros.effects.emission_pattern import EmissionPattern
+from rim_camera_ros.frame import Pose
+from rim_camera_ros.scene import load_scene
+
+from ..calibrate.helpers import camera, record, scene
+
+CASES = Path(__file__).resolve().parents[3] / "shared" / "cases"
+KNOWN = (EmissionPattern((-1.3, 0.7)), CyclicError((Harmonic(4, 0.011, 0.7),), (0.004, -0.002)))
+
+
+def test_consistent(tmp_path: Path) -> None:
+    truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
+    result = diagnose(record(truth, board, seed=21), board, truth)
+    assert result.verdict == "consistent"
+    assert result.missing == []
+    assert result.adjusted == []
+    assert result.accuracy.chi2_before == pytest.approx(1.0, abs=0.03)
+    assert result.camera == truth
+
+
+def test_wrong_parameters_are_not_called_missing_physics(tmp_path: Path) -> None:
+    truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
+    told = with_numbers(truth, {"effects.cyclic_error.harmonics.0.amplitude": 0.025})
+    result = diagnose(record(truth, board, seed=22), board, told)
+    assert result.verdict == "wrong_parameters"
+    assert [one.effect for one in result.adjusted] == ["cyclic_error"]
+    found = result.adjusted[0].after["harmonics.0.amplitude"]
+    assert found == pytest.approx(0.011, abs=0.001)
+    assert result.accuracy.chi2_after < result.accuracy.chi2_before - 0.1
+
+
+def test_a_pose_that_is_off_is_no_physics(tmp_path: Path) -> None:
+    truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
+    data = record(truth, board, seed=23)
+    for k in (4, 9):
+        one = data.stations[k]
+        x, y, z = one.truth["board"].position
+        moved = Pose((x, y, z + 0.05), one.truth["board"].orientation)
+        data.stations[k] = replace(one, truth={"board": moved})
+    result = diagnose(data, board, truth)
+    assert result.verdict == "inconsistent_setup"
+    assert result.missing == []
+    assert result.reason is not None
+    assert "2 of 24 poses" in result.reason
+    report = as_json(result)
+    assert report["reason"] == result.reason
+
+
+def test_noise_is_examined(tmp_path: Path) -> None:
+    truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
+    told = replace(truth, noise=replace(truth.noise, amplitude=0.7 * truth.noise.amplitude))
+    result = diagnose(record(truth, board, seed=24), board, told)
+    assert [one.effect for one in result.missing] == ["noise"]
+    assert result.variance.noise.amplitude == pytest.approx(truth.noise.amplitude, rel=0.05)
+
+
+def test_missing_codes() -> None:
+    """Every code occurs beside frequent ones, where the noise is wide; a staircase leaves codes out."""
+    rng = np.random.default_rng(3)
+    values = rng.normal(20_000, 40, 100_000)
+    smooth = np.bincount(np.rint(values).astype(int), minlength=65536)
+    steps = np.bincount((np.rint(values / 8) * 8).astype(int), minlength=65536)
+    assert missing_codes(smooth, noise=40.0) is None
+    found = missing_codes(steps, noise=40.0)
+    assert found is not None
+    assert found.step == 8
+    # a recording without noise is no staircase
+    assert missing_codes(steps, noise=1.0) is None
+
+
+def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    camera(tmp_path)
+    scene(tmp_path)
+    bag = tmp_path / "bag"
+    told = ["--camera", str(tmp_path / "camera.yaml"), "--scene", str(tmp_path / "scene.yaml")]
+    assert main(["diagnose", str(bag), *told, "--out", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("rim: ")
+    assert "bag" in message
+    assert message.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(
+    not CASES.is_dir(), reason="the open cases are not beside this checkout (../shared/cases)"
+)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "nothing_missing",
+        "amplitude_offset",
+        pytest.param("scattering", marks=pytest.mark.slow),
+        pytest.param("cancelled_pair", marks=pytest.mark.slow),
+        pytest.param("incidence_angle_concealed", marks=pytest.mark.slow),
+        pytest.param("warm_up_in_a_sweep", marks=pytest.mark.slow),
+        pytest.param("unknown", marks=pytest.mark.slow),
+    ],
+)
+def test_open_cases(name: str) -> None:
+    """Seven recordings of a program that is independent of this one, with functional forms of its own."""
+    folder = CASES / name
+    told, setting = load_camera(folder / "camera.yaml"), load_scene(folder / "scene.yaml")
+    data = reduce_recording(folder / "recording", told)
+    data.with_poses(setting)
+    result = diagnose(data, setting, told)
+    truth = json.loads((folder / "truth.json").read_text())["effects"]
+    named = {one.effect for one in result.missing}
+    if truth and truth[0].startswith("unknown"):
+        assert result.verdict == "unknown_physics"
+        assert result.missing[0].covariates == ("height",)
+    else:
+        assert named == set(truth)
+        assert result.verdict == ("missing_physics" if truth else "consistent")
+    assert result.accuracy.chi2_after == pytest.approx(1.0, abs=0.02)
