@@ -28,7 +28,7 @@ _PATIENCE = 3.0
 
 def command_modules() -> dict[str, ModuleType]:
     """Return the modules of the commands by name."""
-    from rim_camera_ros.commands import calibrate, correct, diagnose, info, record, simulate
+    from rim_camera_ros.commands import calibrate, correct, diagnose, info, plan, record, simulate
 
     return {
         "simulate": simulate,
@@ -36,6 +36,7 @@ def command_modules() -> dict[str, ModuleType]:
         "correct": correct,
         "calibrate": calibrate,
         "diagnose": diagnose,
+        "plan": plan,
         "info": info,
     }
 

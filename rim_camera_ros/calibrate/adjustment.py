@@ -24,6 +24,7 @@ from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
+from rim_camera_ros.effects.base import row_name
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.scene import Scene, ScenePose, quaternion, rotation_matrix
 
@@ -33,6 +34,8 @@ Array = NDArray[Any]
 ROBUST_LIMIT = 4.0
 _OPTICAL = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
 _GAIN = "radiometry.gain"
+#: Share of a station's values below whose amplitude a pole of a term may lie.
+_DARKEST = 0.01
 
 #: How well amplitudes are predicted is estimated anew in this many iterations, then kept.
 _SETTLED = 3
@@ -128,6 +131,7 @@ def fit(
     last_step: dict[str, float] = {}
     numbers = camera_numbers(camera)
     lows, highs = _bounds(camera)
+    highs |= _poles(problem, camera)
     converged = stuck = False
     for count in range(iterations + 1):
         forward = Forward(problem.dataset, scene, camera, views=None if moved else views)
@@ -285,6 +289,25 @@ def _bounds(camera: Camera) -> tuple[dict[str, float], dict[str, float]]:
         for path, (low, high) in effect.bounds().items():
             lows[f"effects.{name}.{path}"], highs[f"effects.{name}.{path}"] = low, high
     return lows, highs
+
+
+def _poles(problem: Problem, camera: Camera) -> dict[str, float]:
+    """Return the greatest b of each row of a / (A - b): its pole must lie below the amplitudes in use."""
+    effect: Any = camera.effects.get("amplitude_offset")
+    if effect is None or problem.masks is None:
+        return {}
+    lowest: dict[float, float] = {}
+    for station, (used, _) in zip(problem.dataset.stations, problem.masks, strict=True):
+        if used.any():
+            t = camera.integration_time(station.settings)
+            key = min(effect.hyperbola, key=lambda row: abs(row - t))
+            lowest[key] = min(lowest.get(key, np.inf), float(np.quantile(station.amplitude[used], _DARKEST)))
+    return {
+        f"effects.amplitude_offset.hyperbola.{row_name(key)}.b": max(
+            0.9 * level, effect.hyperbola[key].b, -effect.hyperbola[key].b
+        )
+        for key, level in lowest.items()
+    }
 
 
 def _value(path: str, camera: Camera, offsets: Mapping[str, float]) -> float:

@@ -222,8 +222,8 @@ def _posterior(scores: Scores, span: Array) -> Array:
 
 def _bound(size: Array, values: Array, posterior: Array) -> float:
     """Return the 95 % limit of an RMS: that of the estimate plus 1.96 times that of its uncertainty."""
-    centre = float(np.sqrt(max(values @ size @ values, 0.0)))
-    return centre + 1.96 * float(np.sqrt(max(np.sum(size * posterior), 0.0)))
+    centre = float(np.sqrt(max(float(values @ size @ values), 0.0)))
+    return centre + 1.96 * float(np.sqrt(max(float(np.sum(size * posterior)), 0.0)))
 
 
 def _missing(name: str, facts: Facts) -> str:

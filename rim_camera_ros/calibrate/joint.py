@@ -87,9 +87,18 @@ def by_search(problem: Problem, camera: Camera, facts: Facts, *, say: Say, seed:
 
 
 def exactly(
-    problem: Problem, camera: Camera, facts: Facts, words: Sequence[str], *, views: Views, say: Say
+    problem: Problem,
+    camera: Camera,
+    facts: Facts,
+    words: Sequence[str],
+    *,
+    views: Views,
+    say: Say,
+    begin: Camera | None = None,
 ) -> Outcome:
     """Fit exactly the effects that are named; those absent start from the library's best variant.
+
+    ``begin`` is a camera of an earlier fit of them, from which to go on.
 
     Raises `InputError` for unknown names, and where the recordings determine none of them.
     """
@@ -99,7 +108,9 @@ def exactly(
     problem = replace(problem, effects=tuple(names), geometry=geometry)
     notes: list[str] = []
     camera_start = camera
-    camera, unseen = _with_absent(problem, camera, facts, names, folds, views, say)
+    camera, unseen = _with_absent(
+        problem, camera if begin is None else begin, facts, names, folds, views, say
+    )
     kept = {name: _KEPT_UNASKED for name in camera.effects if name not in names and name not in UNFITTED}
     pool = [one for one in candidates(camera, facts) if one.effect not in (*geometry, *unseen)]
     if "empirical" in names and covariates is not None:

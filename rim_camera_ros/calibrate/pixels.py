@@ -79,6 +79,7 @@ def without_edges(fitted: Fit, masks: Sequence[tuple[Array, Array]]) -> tuple[Ma
         return None
     return left, (
         f"left out: {int(totals[1, 1])} distances within {BESIDE} px of edges of brightness or surfaces, "
-        f"which disagree with the others (chi-square per value {chi_square[1]:.1f} against {chi_square[0]:.1f}): "
+        f"which disagree with the others (chi-square per value {chi_square[1]:.1f} against "
+        f"{chi_square[0]:.1f}): "
         "stray light or blur that these recordings do not resolve"
     )

@@ -42,8 +42,8 @@ GEOMETRY = ("camera_constant", "lens_distortion")
 _INTEGRAL = "integral_table"
 #: Pixels of the sensor from which on sums per pixel are kept in single precision.
 _MANY_PIXELS = 20_000
-#: Rounds in which the errors of poses are taken as large as they turn out.
-_ROUNDS = 4
+#: Rounds in which pixels beside edges go and errors of poses are taken as large as they turn out.
+_ROUNDS = 5
 #: Common variation of frames beyond which something changes all pixels from frame to frame.
 _COMMON = 3.0
 
@@ -169,28 +169,27 @@ def calibrate(
         notes.append(f"left out: {gross} distances that are far from any surface of the scene")
     problem = replace(problem, masks=masks)
     all_pixels = True
-    for _ in range(_ROUNDS):
+    begin: Camera | None = None
+    for remaining in reversed(range(_ROUNDS)):
         if words is None:
             outcome = by_search(problem, camera, facts, say=watch.say, seed=request.seed)
         else:
-            outcome = exactly(problem, camera, facts, words, views=forward.views, say=watch.say)
+            outcome = exactly(problem, camera, facts, words, views=forward.views, say=watch.say, begin=begin)
         fitted = outcome.solution.fit
-        inner = without_edges(fitted, masks) if all_pixels else None
+        begin = fitted.camera
+        inner = without_edges(fitted, masks) if all_pixels and remaining else None
+        wider = with_wider_poses(problem.scene, fitted) if inner is None and remaining else None
         if inner is not None:
             masks, note = inner
             notes.append(note)
             all_pixels = False
-        wider = with_wider_poses(problem.scene, fitted)
-        if inner is None and wider is None:
-            break
-        watch.say(
-            "again, with "
-            + " and ".join(["other pixels"] * (inner is not None) + ["wider poses"] * (wider is not None))
-        )
-        problem = replace(problem, masks=masks)
-        if wider is not None:
+            problem = replace(problem, masks=masks)
+        elif wider is not None:
             problem = replace(problem, scene=wider)
             forward = Forward(dataset, wider, camera)
+        else:
+            break
+        watch.say("again, with " + ("fewer pixels" if wider is None else "wider errors of poses"))
     if problem.scene is not scene:
         notes.append(wider_poses_note(scene, problem.scene))
     notes += [*outcome.notes, *outcome.solution.notes]

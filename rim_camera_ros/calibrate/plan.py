@@ -1,0 +1,176 @@
+"""The shortest set of experiments that determines everything: identifiability before any data are taken."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from itertools import combinations, groupby
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.coarser import coarser_camera
+from rim_camera_ros.calibrate.library import Candidate, Facts, candidates, present_blocks
+from rim_camera_ros.calibrate.normal_equations import Regressor, accumulate, gain_block
+from rim_camera_ros.calibrate.prediction import Forward
+from rim_camera_ros.calibrate.stations import Dataset, Station
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.devices.timeline import Timeline
+from rim_camera_ros.frame import NANOSECONDS
+from rim_camera_ros.scene import Scene
+
+Array = NDArray[Any]
+
+#: An effect is determined where the data narrow its parameters by this factor (geometric mean).
+NARROWED = 5.0
+#: Columns of the coarse sensor that is looked through, stations of an experiment, experiments of a plan.
+_COLUMNS = 44
+_STATIONS = 40
+_MOST_EXPERIMENTS = 4
+#: Effects that no mean of a recording determines, or that belong to the camera geometry.
+_LEFT_OUT = frozenset({"radiometry", "multipath", "motion", "saturation_bleed"})
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What an experiment tells: its duration [min] and the equations of all parameters (K, K)."""
+
+    name: str
+    minutes: float
+    gram: Array
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The experiments with what each determines alone, and the shortest set with what it determines.
+
+    ``determined`` maps effects to the factor by which the set narrows their parameters.
+    """
+
+    alone: Mapping[str, Mapping[str, float]]
+    minutes: Mapping[str, float]
+    chosen: tuple[str, ...]
+    determined: Mapping[str, float]
+    open: tuple[str, ...]
+
+
+def plan(
+    camera: Camera, scenes: Mapping[str, Scene], *, progress: Callable[[str], None] | None = None
+) -> Plan:
+    """Find the shortest set of experiments that determines as many effects as all of them together.
+
+    All effects are unknown at once: those of the camera file about their values, the others about zero.
+    Errors of poses and powers and an offset per pixel are unknown in every experiment.
+    """
+    step = max(1, round(camera.sensor.width / _COLUMNS))
+    small = coarser_camera(camera, step) if step > 1 else camera
+    built = {name: _dataset(scene, small) for name, scene in scenes.items()}
+    regressors, experiments = _equations(small, scenes, built, progress)
+    owners = [one.owner for one in regressors]
+    prior = np.array([one.prior for one in regressors])
+    effects = [name for name in dict.fromkeys(owners) if name not in ("radiometry", "pattern")]
+
+    def told(chosen: Iterable[Experiment]) -> dict[str, float]:
+        gram = sum((one.gram for one in chosen), np.zeros((len(prior), len(prior))))
+        matrix = gram * prior[:, None] * prior[None, :] + np.eye(len(prior))
+        covariance = np.linalg.inv(matrix)
+        result = {}
+        for name in effects:
+            own = [i for i, owner in enumerate(owners) if owner == name]
+            log_det = np.linalg.slogdet(covariance[np.ix_(own, own)])[1]
+            result[name] = float(np.exp(-0.5 * log_det / len(own)))
+        return result
+
+    everything = told(experiments)
+    wanted = {name for name, factor in everything.items() if factor >= NARROWED}
+    best: tuple[int, float, tuple[Experiment, ...]] | None = None
+    for size in range(1, _MOST_EXPERIMENTS + 1):
+        for subset in combinations(experiments, size):
+            got = {name for name, factor in told(subset).items() if factor >= NARROWED}
+            entry = (len(got & wanted), -sum(one.minutes for one in subset), subset)
+            if best is None or entry[:2] > best[:2]:
+                best = entry
+    assert best is not None
+    chosen = best[2]
+    final = told(chosen)
+    return Plan(
+        alone={one.name: told([one]) for one in experiments},
+        minutes={one.name: one.minutes for one in experiments},
+        chosen=tuple(one.name for one in chosen),
+        determined={name: f for name, f in final.items() if f >= NARROWED},
+        open=tuple(name for name, f in final.items() if f < NARROWED),
+    )
+
+
+def _equations(
+    camera: Camera,
+    scenes: Mapping[str, Scene],
+    built: Mapping[str, tuple[Dataset, float]],
+    progress: Callable[[str], None] | None,
+) -> tuple[list[Regressor], list[Experiment]]:
+    stations = [one for dataset, _ in built.values() for one in dataset.stations]
+    facts = Facts.of(Dataset(stations), moves=False, surfaces=1, camera=camera)
+    variants: dict[str, list[Candidate]] = {}
+    for one in candidates(camera, facts):
+        if one.effect not in _LEFT_OUT:
+            variants.setdefault(one.effect, []).append(one)
+    # the middle of each family of variants stands for it
+    blocks = [*present_blocks(camera), gain_block()]
+    blocks += [found[len(found) // 2].block for found in variants.values()]
+    experiments = []
+    regressors: list[Regressor] = []
+    for name, (dataset, minutes) in built.items():
+        if progress is not None:
+            progress(name)
+        forward = Forward(dataset, scenes[name], camera)
+        equations = accumulate(forward, blocks)
+        regressors = equations.regressors
+        experiments.append(Experiment(name, minutes, equations.reduced().gram))
+    return regressors, experiments
+
+
+def _dataset(scene: Scene, camera: Camera) -> tuple[Dataset, float]:
+    """Return the stations of a schedule as if they had been recorded, and its duration in minutes."""
+    groups = [list(group) for _, group in groupby(Timeline(scene, camera), key=lambda one: one.station)]
+    start, end = groups[0][0].stamp, groups[-1][-1].stamp
+    thinned = max(1, len(groups) // _STATIONS)
+    stations = []
+    for number, group in enumerate(groups[::thinned]):
+        middle = group[len(group) // 2]
+        frames = len(group) * thinned
+        shape = camera.shape
+        stations.append(
+            Station(
+                recording=0,
+                pose=number,
+                frames=frames,
+                stamp=middle.stamp,
+                time=(middle.stamp - start) / NANOSECONDS,
+                settings=middle.settings,
+                truth=middle.poses,
+                distance=np.ones(shape),
+                amplitude=np.ones(shape, np.float32),
+                distance_variance=np.full(shape, np.nan, np.float32),
+                amplitude_variance=np.full(shape, np.nan, np.float32),
+                count=np.full(shape, frames, np.int32),
+                saturated=np.zeros(shape, np.uint16),
+            )
+        )
+    return Dataset(stations), (end - start) / NANOSECONDS / 60
+
+
+def table(result: Plan) -> str:
+    """Return the plan as text."""
+    lines = ["experiment                     minutes  determines by itself"]
+    for name, found in result.alone.items():
+        own = ", ".join(effect for effect, factor in found.items() if factor >= NARROWED) or "-"
+        lines.append(f"{name:<30} {result.minutes[name]:>7.0f}  {own}")
+    total = sum(result.minutes[name] for name in result.chosen)
+    lines += ["", f"shortest plan: {' + '.join(result.chosen)} ({total:.0f} min)"]
+    lines += [
+        f"  {name:<26} narrowed {factor:.0f} times" for name, factor in sorted(result.determined.items())
+    ]
+    if result.open:
+        lines.append(f"not determined by any of them: {', '.join(result.open)}")
+    return "\n".join(lines)
