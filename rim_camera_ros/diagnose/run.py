@@ -357,7 +357,8 @@ def _verdict(
             model = camera
     if verdict == "inconsistent_setup":
         adjusted = []
-    verdict, missing, model = _with_variance(verdict, missing, adjusted, model, variance, ties)
+    shifted = rest is not None or bool(missing)
+    verdict, missing, model = _with_variance(verdict, missing, adjusted, model, variance, ties, shifted)
     if codes is not None and verdict != "inconsistent_setup":
         verdict, missing = "unknown_physics", [_codes(codes, camera)]
         where = of_residuals(fitted)
@@ -609,8 +610,12 @@ def _with_variance(
     model: Camera,
     variance: Variance,
     ties: list[list[str]],
+    shifted: bool,
 ) -> tuple[str, list[Missing], Camera]:
-    """Add what repeated frames say: a second camera, or another noise than the file's."""
+    """Add what repeated frames say: a second camera, or another noise than the file's.
+
+    Unmodulated light shifts distances as well (``shifted``: something does); what only adds noise is noise.
+    """
     if verdict == "inconsistent_setup":
         return verdict, missing, model
     if variance.pixels_vary_together and "interference" not in model.effects:
@@ -622,7 +627,10 @@ def _with_variance(
         return ("missing_physics" if verdict != "unknown_physics" else verdict), missing, model
     if variance.noise_is_wrong:
         before, after = model.noise, variance.noise
-        if variance.background > 0 and "background_light" not in model.effects:
+        possible = variance.background > 0 and "background_light" not in model.effects
+        if possible:
+            ties.append(["background_light", "noise"])
+        if possible and shifted:
             level = variance.background
             sentence = (
                 f"background light: {level:.3g} counts of unmodulated light add photon noise; the "
@@ -630,7 +638,6 @@ def _with_variance(
                 f"repeated frames is {variance.ratio:.2f} times the model's, most where it is dark"
             )
             named = Missing("background_light", 0.7, {"level": level}, {}, sentence)
-            ties.append(["background_light", "noise"])
             model = added(model, BackgroundLight(level=level))
             if {one.effect for one in missing} <= {UNKNOWN} and all(
                 set(one.covariates) <= {"amplitude", "distance", "contrast"} for one in missing
