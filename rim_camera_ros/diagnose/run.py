@@ -22,11 +22,11 @@ from rim_camera_ros.calibrate.coarser import (
 from rim_camera_ros.calibrate.library import LINEAR, Facts, added
 from rim_camera_ros.calibrate.nulls import null_scores
 from rim_camera_ros.calibrate.prediction import Forward
-from rim_camera_ros.calibrate.search import Exploration, Found, Result, explore, search
+from rim_camera_ros.calibrate.search import OF_POSES, Exploration, Found, Result, explore, search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.camera_file import camera_numbers
+from rim_camera_ros.camera_file import camera_numbers, with_effects
 from rim_camera_ros.diagnose.accuracy import Accuracy, accuracy
 from rim_camera_ros.diagnose.adjusted import LEAST_GAIN, LEAST_TOTAL, Adjusted, adjusted_terms, total_change
 from rim_camera_ros.diagnose.codes import MissingCodes, missing_codes
@@ -170,6 +170,9 @@ def _diagnose(
     except (RimError, np.linalg.LinAlgError):
         return _hopeless(problem, camera, variance, seed)
     baseline, final = result.explorations[0], result.explorations[-1]
+    if variance.pixels_vary_together:
+        # the light of a second camera shifts whole poses at random, which a drift can imitate
+        result.found = [one for one in result.found if one.effect not in OF_POSES]
     say("looking for what no named effect explains")
     unknown = _unknown(result, samples, problem, seed)
     variance = examine_variance(final.fit.forward)
@@ -323,6 +326,10 @@ def _verdict(
     ties = [sorted({one.effect, *one.ties}) for one in result.found if one.ties]
     missing: list[Missing] = []
     model = fitted.camera
+    if variance.pixels_vary_together:
+        named = {one.effect for one in result.found}
+        dropped = {name for name in OF_POSES if name not in camera.effects and name not in named}
+        model = with_effects(model, {name: one for name, one in model.effects.items() if name not in dropped})
     origin = camera
     where = nowhere(fitted)
     if reason is not None:
