@@ -47,6 +47,8 @@ OF_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_
 #: A further effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
 LEAST_SIZE = 0.0005
 MOST_EFFECTS = 4
+#: Iterations from a solution to the same one, with which equations of more candidates are set up.
+_POLISH = 2
 #: Number of pixels from which fewer replicates are drawn, for the memory that they take.
 _MANY_PIXELS = 60_000
 
@@ -335,24 +337,47 @@ def _refined(
     for trial in trials[:3]:
         names = [step.candidates[k].effect for k in trial]
         say("fitting " + " and ".join(names))
-        left = [one for one in step.candidates[: step.named] if one.effect not in names]
         geometry = tuple(dict.fromkeys([*problem.geometry, *(n for n in names if n in GEOMETRY)]))
         own = replace(problem, geometry=geometry)
-        next_step = explore(
+        # first by itself: what loses need not be explored
+        alone = explore(
             own,
             step.camera_with(trial),
-            left,
+            [],
             folds,
-            further=further,
             kept=kept,
             views=step.fit.forward.views,
             seed=seed,
+            replicates=0,
         )
-        likelihood = next_step.scores.log_likelihood()
+        likelihood = alone.scores.log_likelihood()
         if best is None or likelihood > best[0]:
-            best = (likelihood, names, next_step, own)
+            best = (likelihood, names, alone, own)
     assert best is not None
-    return best[1], best[0], best[2], best[3]
+    likelihood, names, alone, own = best
+    left = [one for one in step.candidates[: step.named] if one.effect not in names]
+    final = explored(
+        further_equations(alone.fit, [*kept, *left, *further], folds, own),
+        left,
+        further=further,
+        kept=kept,
+        seed=seed,
+    )
+    return names, final.scores.log_likelihood(), final, own
+
+
+def further_equations(
+    fitted: Fit, found: Sequence[Candidate], folds: Mapping[tuple[int, int], int], problem: Problem
+) -> Fit:
+    """Return a fit with the equations of more candidates at its solution."""
+    return fit(
+        problem,
+        fitted.camera,
+        fold_of=folds,
+        further=[one.block for one in found],
+        views=fitted.forward.views,
+        iterations=_POLISH,
+    )
 
 
 def _rivals(step: Exploration, name: str, need: float) -> tuple[list[tuple[str, float]], list[str]]:
