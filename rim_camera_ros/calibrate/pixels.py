@@ -22,10 +22,12 @@ GROSS_SIGMAS = 10.0
 GROSS = 0.1
 #: Pixels nearer than this to an edge of brightness or of a surface [px] are beside it.
 BESIDE = 2
-#: Ratio of chi-square beside edges to that elsewhere from which on they are left out, and the share of the
-#: pixels that must be left then.
-DISAGREE = 1.5
-LEAST_LEFT = 0.15
+#: Where chi-square per value beside edges is more than the first number, and more than that elsewhere by this
+#: ratio, they are left out; and the share of the pixels that must be left then. The ratio is small because the
+#: fit is drawn towards both.
+POOR = 1.5
+DISAGREE = 1.1
+LEAST_LEFT = 0.1
 
 
 def usable_pixels(forward: Forward) -> tuple[Masks, int]:
@@ -75,7 +77,8 @@ def without_edges(fitted: Fit, masks: Sequence[tuple[Array, Array]]) -> tuple[Ma
             totals[i] += float(np.sum(z[pixels] ** 2)), float(pixels.sum())
         left.append((used & ~edge, lit & ~edge))
     chi_square = totals[:, 0] / np.maximum(totals[:, 1], 1)
-    if chi_square[1] < DISAGREE * max(chi_square[0], 0.5) or totals[0, 1] < LEAST_LEFT * totals[:, 1].sum():
+    few = totals[0, 1] < LEAST_LEFT * totals[:, 1].sum()
+    if few or chi_square[1] < POOR or chi_square[1] < DISAGREE * chi_square[0]:
         return None
     return left, (
         f"left out: {int(totals[1, 1])} distances within {BESIDE} px of edges of brightness or surfaces, "

@@ -133,6 +133,7 @@ def test_the_process_ends_with_its_supervisor(library: str, control: Control, fa
     """Even when the supervisor is killed while the library hangs, nothing is left that holds the camera."""
     script = (
         "import sys\n"
+        "sys.modules['usb'] = None  # the stand-in library has no camera on USB\n"
         "from rim_camera_ros.devices.sr3000 import SwissRanger\n"
         "device = SwissRanger(library=sys.argv[1], watchdog=60.0)\n"
         "device.open(); device.next_frame()\n"
