@@ -192,7 +192,6 @@ USAGE = {
     "camera of another sensor": (["info", "@bag", "--camera", "sr2"], r"bag: images of 12 x 9 px, but the camera file is for 160 x 124 \(give the camera file of this sensor\)"),
     "nearest shipped name": (["info", "sr300"], r"sr300: neither a file nor .* shipped .*\(did you mean 'sr3000'\?"),
     "nearest shipped scene": (["simulate", "rom", "--camera", "sr2", "--out", "x"], r"rom: no scene file of this name \(did you mean 'room'\?"),
-    "usb": (["info", "usb"], r"usb: neither a file nor the name of a shipped camera or scene \(cameras: .*sr3000"),
     "absent": (["info", "no/such.yaml"], r"no/such\.yaml: no such file"),
     "other YAML": (["info", "@yaml"], r"other\.yaml: neither a camera file nor a scene file: it states no format"),
 }  # fmt: skip
