@@ -22,8 +22,8 @@ GROSS_SIGMAS = 10.0
 GROSS = 0.1
 #: Pixels nearer than this to an edge of brightness or of a surface [px] are beside it.
 BESIDE = 2
-#: Where chi-square per value beside edges is more than the first number, and more than that elsewhere by this
-#: ratio, they are left out; and the share of the pixels that must be left then. The ratio is small because the
+#: Where chi-square per value beside edges exceeds the first number, and that elsewhere by the second as a
+#: ratio, they are left out, if the third is left as a share of all. The ratio is small because the
 #: fit is drawn towards both.
 POOR = 1.5
 DISAGREE = 1.1

@@ -34,7 +34,7 @@ _INDEPENDENT = 8
 #: A further effect must gain this share of what the effects before it gained: more where it is of the kind
 #: of one of them, whose form is never quite the true one and leaves such a rest.
 LEAST_SHARE = 0.0015
-LEAST_SHARE_OF_KIND = 0.02
+LEAST_SHARE_OF_KIND = 0.05
 _KINDS = (
     frozenset({"scattering", "mixed_pixels", "multipath", "saturation_bleed"}),
     frozenset({"emission_pattern", "amplitude_nonlinearity", "emitter_offset", "radiometry", "scattering"}),

@@ -44,7 +44,10 @@ def drawn_effects(rng: np.random.Generator) -> list[Effect]:
         ),
         AmplitudeOffset(
             MappingProxyType(
-                {t: Hyperbola(float(a), float(rng.uniform(0, 2))) for t, a in zip((16.0, 60.0, 100.0), sizes, strict=True)}
+                {
+                    t: Hyperbola(float(a), float(rng.uniform(0, 2)))
+                    for t, a in zip((16.0, 60.0, 100.0), sizes, strict=True)
+                }
             )
         ),
         FixedPatternOffset(ArrayFile("pattern.npy", pattern.astype(np.float32))),
