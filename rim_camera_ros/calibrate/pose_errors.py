@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from rim_camera_ros.calibrate.adjustment import Fit
+from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
 from rim_camera_ros.scene import Scene
 
 #: Errors found in this ratio to those stated count as larger, and poses that it takes to say so.
 WIDER = 1.5
 LEAST_POSES = 8
+_ROUNDS = 5
 _TILTS = ("tilt_x", "tilt_y")
 
 
@@ -51,6 +52,24 @@ def with_wider_poses(scene: Scene, fitted: Fit) -> Scene | None:
         sigma = (one.pose_sigma[0] * max(offset, 1.0), one.pose_sigma[1] * max(tilt, 1.0))
         surfaces.append(replace(one, pose_sigma=sigma))
     return replace(scene, surfaces=tuple(surfaces))
+
+
+def settled_poses(problem: Problem, fitted: Fit) -> Scene | None:
+    """Return the scene with errors of poses that agree with what a fit of all effects finds; None: as stated.
+
+    Errors that are held too small come out too small, and so it takes some rounds.
+    """
+    wider = with_wider_poses(problem.scene, fitted)
+    if wider is None:
+        return None
+    free = replace(problem, effects=None)
+    for _ in range(_ROUNDS):
+        again = fit(replace(free, scene=wider), fitted.camera, iterations=3)
+        further = with_wider_poses(wider, again)
+        if further is None:
+            break
+        wider = further
+    return wider
 
 
 def wider_poses_note(stated: Scene, found: Scene) -> str:

@@ -21,7 +21,7 @@ from rim_camera_ros.calibrate.joint import Outcome, by_search, exactly
 from rim_camera_ros.calibrate.library import Facts
 from rim_camera_ros.calibrate.noise_fit import POOR, NoiseFit, fit_noise
 from rim_camera_ros.calibrate.pixels import usable_pixels, without_edges
-from rim_camera_ros.calibrate.pose_errors import wider_poses_note, with_wider_poses
+from rim_camera_ros.calibrate.pose_errors import settled_poses, wider_poses_note
 from rim_camera_ros.calibrate.prediction import Forward
 from rim_camera_ros.calibrate.provenance import Source, checksum, provenance
 from rim_camera_ros.calibrate.solution import Solution, high_correlations, stated
@@ -42,8 +42,6 @@ GEOMETRY = ("camera_constant", "lens_distortion")
 _INTEGRAL = "integral_table"
 #: Pixels of the sensor from which on sums per pixel are kept in single precision.
 _MANY_PIXELS = 20_000
-#: Rounds in which pixels beside edges go and errors of poses are taken as large as they turn out.
-_ROUNDS = 5
 #: Common variation of frames beyond which something changes all pixels from frame to frame.
 _COMMON = 3.0
 
@@ -170,15 +168,15 @@ def calibrate(
     problem = replace(problem, masks=masks)
     all_pixels = True
     begin: Camera | None = None
-    for remaining in reversed(range(_ROUNDS)):
+    while True:
         if words is None:
             outcome = by_search(problem, camera, facts, say=watch.say, seed=request.seed)
         else:
             outcome = exactly(problem, camera, facts, words, views=forward.views, say=watch.say, begin=begin)
         fitted = outcome.solution.fit
         begin = fitted.camera
-        inner = without_edges(fitted, masks) if all_pixels and remaining else None
-        wider = with_wider_poses(problem.scene, fitted) if inner is None and remaining else None
+        inner = without_edges(fitted, masks) if all_pixels else None
+        wider = settled_poses(problem, fitted) if inner is None and problem.scene is scene else None
         if inner is not None:
             masks, note = inner
             notes.append(note)

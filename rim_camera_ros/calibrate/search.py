@@ -49,6 +49,7 @@ LEAST_SIZE = 0.0005
 MOST_EFFECTS = 4
 #: Iterations from a solution to the same one, with which equations of more candidates are set up.
 _POLISH = 2
+_POLISHED = 0.5
 #: Number of pixels from which fewer replicates are drawn, for the memory that they take.
 _MANY_PIXELS = 60_000
 
@@ -377,6 +378,7 @@ def further_equations(
         further=[one.block for one in found],
         views=fitted.forward.views,
         iterations=_POLISH,
+        tolerance=_POLISHED,
     )
 
 

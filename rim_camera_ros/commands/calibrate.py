@@ -6,9 +6,13 @@ import argparse
 import shlex
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
-from rim_camera_ros.calibrate.run import Calibration, Request, calibrate
+from rim_camera_ros.bags import Topics
+from rim_camera_ros.calibrate.run import Calibration, Reducer, Request, calibrate
+from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import save_camera_apart
 from rim_camera_ros.commands.common import (
     add_command,
@@ -62,6 +66,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--geometry", action="store_true", help="fit camera constant, principal point and distortion, too"
     )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Dask scheduler on whose workers the recordings are read, e.g. tcp://host:8786",
+    )
     parser.add_argument("--no-report", action="store_true", help="write no HTML report")
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated nulls (0)")
     add_topics(parser)
@@ -74,7 +83,7 @@ def run(given: argparse.Namespace) -> int:
     request, report = _checked(given)
     with _Line(quiet=given.quiet) as line:
         try:
-            result = calibrate(request, progress=line.show)
+            result = calibrate(request, progress=line.show, reducer=_reducer(given.scheduler))
             page, notes = _page(result, given, line) if report is not None else (None, [])
         except KeyboardInterrupt:
             raise KeyboardInterrupt("nothing was written") from None
@@ -84,6 +93,17 @@ def run(given: argparse.Namespace) -> int:
         print(calibration_text(result))
         print(f"written: {given.out}" + (f", {report}" if page is not None else ""))
     return 0
+
+
+def _reducer(scheduler: str | None) -> Reducer | None:
+    if scheduler is None:
+        return None
+    from rim_camera_ros.calibrate.cluster import reduce_on_cluster
+
+    def reduce_all(paths: Sequence[Path], camera: Camera, topics: Topics | None) -> list[Dataset]:
+        return reduce_on_cluster(paths, camera, topics=topics, scheduler=scheduler)
+
+    return reduce_all
 
 
 def _checked(given: argparse.Namespace) -> tuple[Request, Path | None]:

@@ -6,6 +6,7 @@ Importing this needs matplotlib. Lengths are in mm here; callers convert.
 from __future__ import annotations
 
 import io
+import logging
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +19,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
+
+# fonts that it looks for and replaces are no concern of who reads the terminal
+logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
 
 #: Before, after, and further curves.
 BEFORE, AFTER = "#b9632f", "#1f6f8b"

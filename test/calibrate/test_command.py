@@ -202,7 +202,7 @@ def test_an_unfinished_recording_is_used_as_far_as_it_goes(
     cut.write_bytes(whole[: int(len(whole) * 0.8)])
     given = ["--camera", folder / "start.yaml", "--scene", folder / "scene.yaml", "--effects", "cyclic_error"]
     status, out, error = run(capsys, "calibrate", cut, *given, "--out", tmp_path / "c.yaml", "--no-report")
-    assert status == 0
+    assert status == 0, error
     assert "note: " in error
     assert "only what could be read is used" in error
     assert any(
