@@ -20,8 +20,12 @@ Array = NDArray[Any]
 CLASSES = 32
 LEAST_VALUES = 200
 LEAST_CLASSES = 4
+#: Amplitude over its own noise from which on the noise of the distance is a normal one.
+LEAST_RATIO = 8.0
 #: Above this relative RMS of the classes about the model the model's form is doubted.
 POOR = 0.10
+#: Below this one the model of the file is as good as any.
+CLOSE = 0.015
 
 
 @dataclass(frozen=True)
@@ -73,9 +77,9 @@ def fit_noise(dataset: Dataset, camera: Camera) -> NoiseFit | None:
         mine = number == k
         if mine.sum() < LEAST_VALUES:
             continue
-        values = variance[mine] / _medians(freedom[mine])
-        level = float(np.median(values)) - rounding
-        error = level * 1.25 * float(np.sqrt(np.mean(2 / freedom[mine]) / mine.sum()))
+        medians, errors = _medians(freedom[mine])
+        level = float(np.median(variance[mine] / medians)) - rounding
+        error = level * float(np.sqrt(np.mean(errors**2) / mine.sum()))
         found.append((float(np.exp(np.mean(np.log(amplitude[mine])))), level, error, int(mine.sum())))
     found = [one for one in found if one[1] > 0]
     if len(found) < LEAST_CLASSES:
@@ -83,7 +87,8 @@ def fit_noise(dataset: Dataset, camera: Camera) -> NoiseFit | None:
     a, level, error = np.array([one[:3] for one in found]).T
     old = camera.noise.sigma_distance(a, background=camera.background) ** 2
     deviation = float(np.sum(((level - old) / error) ** 2))
-    confirmed = deviation < len(a) + 3 * float(np.sqrt(2 * len(a)))
+    departs = float(np.sqrt(np.mean((np.sqrt(level / old) - 1) ** 2)))
+    confirmed = deviation < len(a) + 3 * float(np.sqrt(2 * len(a))) or departs < CLOSE
     noise = camera.noise if confirmed else _fitted(a, level, error, camera)
     model = noise.sigma_distance(a, background=camera.background) ** 2
     common = [one.common for one in dataset.stations if one.common is not None]
@@ -111,7 +116,7 @@ def _variances(dataset: Dataset, camera: Camera) -> tuple[Array, Array, Array]:
         good = (one.count == one.frames) & (one.saturated == 0) & np.isfinite(one.distance_variance)
         level = one.amplitude.astype(float)
         spread = np.sqrt(np.maximum(one.amplitude_variance, 0))
-        good &= (level > 0) & (level > threshold + 4 * np.nan_to_num(spread))
+        good &= (level > 0) & (level > threshold + LEAST_RATIO * np.nan_to_num(spread))
         if response is not None:
             level = np.asarray(response.expanded(level))
         parts.append((level[good], one.distance_variance[good].astype(float), (one.count[good] - 1.0)))
@@ -121,10 +126,14 @@ def _variances(dataset: Dataset, camera: Camera) -> tuple[Array, Array, Array]:
     return amplitude, variance, freedom
 
 
-def _medians(freedom: Array) -> Array:
-    """Return the median of chi-square over its degrees of freedom."""
+def _medians(freedom: Array) -> tuple[Array, Array]:
+    """Return the median of chi-square over its degrees of freedom, and a sample median's relative error.
+
+    The latter for a sample of one, by 1 / (2 f(m) m) with the density f at the median m.
+    """
     kinds, place = np.unique(freedom, return_inverse=True)
-    return np.asarray((chi2.median(kinds) / kinds)[place])
+    median = chi2.median(kinds)
+    return (median / kinds)[place], (0.5 / (chi2.pdf(median, kinds) * median))[place]
 
 
 def _fitted(amplitude: Array, level: Array, error: Array, camera: Camera) -> Noise:

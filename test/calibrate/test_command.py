@@ -91,7 +91,9 @@ def test_the_camera_file_states_all(folder: Path, written: tuple[Path, str]) -> 
     assert said["fitted"] == ["cyclic_error", "radiometry"]
     assert "no pixel of the recordings is saturated" in said["left_out"]["saturation_bleed"]
     assert said["accuracy"]["held_out_poses"] == 15
-    assert 0 < said["accuracy"]["systematic_m"] < said["accuracy"]["rms_m"] < said["accuracy"]["rms_before_m"]
+    assert (
+        0 <= said["accuracy"]["systematic_m"] < said["accuracy"]["rms_m"] < said["accuracy"]["rms_before_m"]
+    )
     # what draws cameras from their covariance takes it
     drawn = draw_parameters(found, np.random.default_rng(1))
     assert drawn.effects["cyclic_error"] != found.effects["cyclic_error"]
@@ -194,25 +196,26 @@ def test_bad_files_are_one_line(folder: Path, capsys: pytest.CaptureFixture[str]
     assert "no such file or folder" in fails(folder / "nobag", *given, "--out", out).lower()
 
 
-def test_an_unfinished_recording_is_used_as_far_as_it_goes(
+def test_an_unfinished_recording_is_named(
     folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     cut = tmp_path / "cut.mcap"
     whole = next((folder / "bag").glob("*.mcap")).read_bytes()
-    cut.write_bytes(whole[: int(len(whole) * 0.8)])
-    given = ["--camera", folder / "start.yaml", "--scene", folder / "scene.yaml", "--effects", "cyclic_error"]
-    status, out, error = run(capsys, "calibrate", cut, *given, "--out", tmp_path / "c.yaml", "--no-report")
-    assert status == 0, error
-    assert "note: " in error
-    assert "only what could be read is used" in error
-    assert any(
-        "only what could be read" in one for one in load_camera(tmp_path / "c.yaml").provenance["notes"]
-    )
-    cut.write_bytes(whole[:3000])
-    status, out, error = run(capsys, "calibrate", cut, *given, "--out", tmp_path / "d.yaml")
-    assert (status, out) == (2, "")
-    assert error.count("\n") == 1
-    assert not (tmp_path / "d.yaml").exists()
+    given = [
+        "--camera",
+        folder / "start.yaml",
+        "--scene",
+        folder / "scene.yaml",
+        "--out",
+        tmp_path / "c.yaml",
+    ]
+    for share, match in ((0.8, "the recording ends in the middle"), (0.01, "cut.mcap: ")):
+        cut.write_bytes(whole[: int(len(whole) * share)])
+        status, out, error = run(capsys, "calibrate", cut, *given)
+        assert (status, out) == (2, "")
+        assert match in error
+        assert error.count("\n") == 1
+        assert not (tmp_path / "c.yaml").exists()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")

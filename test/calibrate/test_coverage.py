@@ -39,7 +39,7 @@ def drawn_effects(rng: np.random.Generator) -> list[Effect]:
             (Kernel(float(rng.uniform(0.03, 0.12)), (float(rng.uniform(6, 12)), float(rng.uniform(6, 12)))),)
         ),
         CyclicError(
-            (Harmonic(4, float(rng.uniform(0.006, 0.02)), float(rng.uniform(-2, 2))),),
+            (Harmonic(4, float(rng.uniform(0.006, 0.02)), float(rng.uniform(-0.7, 0.7))),),
             (float(rng.uniform(-0.004, 0.004)), float(rng.uniform(-0.004, 0.004))),
         ),
         AmplitudeOffset(
