@@ -132,7 +132,7 @@ def _medians(freedom: Array) -> tuple[Array, Array]:
     The latter for a sample of one, by 1 / (2 f(m) m) with the density f at the median m.
     """
     kinds, place = np.unique(freedom, return_inverse=True)
-    median = chi2.median(kinds)
+    median = np.asarray(chi2.median(kinds), float)
     return (median / kinds)[place], (0.5 / (chi2.pdf(median, kinds) * median))[place]
 
 

@@ -20,6 +20,8 @@ Masks = list[tuple[Array, Array]]
 #: `GROSS` [m], is no measurement of the scene.
 GROSS_SIGMAS = 10.0
 GROSS = 0.1
+#: Noise of a single distance, as a share of the ambiguity range, above which it is no normal one any more.
+NOISIEST = 0.025
 #: Pixels nearer than this to an edge of brightness or of a surface [px] are beside it.
 BESIDE = 2
 #: Where chi-square per value beside edges exceeds the first number, and that elsewhere by the second as a
@@ -33,12 +35,15 @@ LEAST_LEFT = 0.1
 def usable_pixels(forward: Forward) -> tuple[Masks, int]:
     """Return the pixels of each station for both channels, (H, W) each, and the number of gross outliers.
 
-    One of them among thousands, metres off, would rule the first steps of an adjustment.
+    One of them among thousands, metres off, would rule the first steps of an adjustment. Pixels so dark that
+    their noise wraps, and terms of the amplitude are steep, take no part.
     """
     masks: Masks = []
     gross = 0
+    darkest = NOISIEST * forward.camera.sensor.ambiguity
     for one in forward.predictions(slopes=False):
-        used = one.used
+        # by the predicted amplitude: picking by the measured one would pick the bright half of the noise
+        used = one.used & (one.sigma * np.sqrt(np.maximum(one.station.count, 1)) < darkest)
         if used.any():
             centre = np.median(one.residual[used])
             away = np.abs(one.residual - centre)
