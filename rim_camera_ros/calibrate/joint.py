@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rim_camera_ros.calibrate.adjustment import ROBUST_LIMIT, Fit, Problem, fit
+from rim_camera_ros.calibrate.clusters import widening
 from rim_camera_ros.calibrate.determined import (
     EffectStatus,
     statuses,
@@ -16,7 +17,16 @@ from rim_camera_ros.calibrate.determined import (
     undetermined_effects,
 )
 from rim_camera_ros.calibrate.empirical_fit import empirical_block, empirical_covariates, empirical_start
-from rim_camera_ros.calibrate.library import GEOMETRY, LINEAR, UNFITTED, Facts, candidates
+from rim_camera_ros.calibrate.library import (
+    GEOMETRY,
+    LINEAR,
+    UNFITTED,
+    Facts,
+    candidates,
+    optics_block,
+    present_blocks,
+)
+from rim_camera_ros.calibrate.normal_equations import gain_block
 from rim_camera_ros.calibrate.prediction import Forward
 from rim_camera_ros.calibrate.search import LEAST_THRESHOLD, explore, search
 from rim_camera_ros.calibrate.selection import Scores, folds_of
@@ -64,7 +74,7 @@ def by_search(problem: Problem, camera: Camera, facts: Facts, *, say: Say, seed:
     asked += sorted(LINEAR)
     result = search(free, camera, facts, effects=asked, seed=seed, progress=say)
     last = result.explorations[-1]
-    solution = _solved(last.fit, last.scores, result.folds, camera)
+    solution = _solved(last.fit, last.scores, result.folds, camera, result.problem)
     named = list(last.candidates)[: len(last.spans)]
     ties = {one.effect: one.ties for one in result.found}
 
@@ -125,13 +135,13 @@ def exactly(
         notes.append(f"{name} cannot be determined from these recordings: {undeterminable(name, facts)}")
     if names and set(names) - {"fixed_pattern_offset"} <= {*unseen, *untold}:
         raise InputError(notes[0], place="--effects", remedy="without --effects those are fitted that can be")
-    solution = _solved(fitted, scores, folds, camera_start)
+    solution = _solved(fitted, scores, folds, camera_start, problem)
     if untold:
         remaining = tuple(n for n in names if n not in untold)
         camera = _restored(fitted.camera, camera_start, untold)
         again = replace(problem, effects=remaining)
         step = explore(again, camera, [], folds, views=views, replicates=0, progress=say)
-        solution = _solved(step.fit, step.scores, folds, camera_start)
+        solution = _solved(step.fit, step.scores, folds, camera_start, again)
         fitted = step.fit
         problem = again
         kept |= {name: _KEPT_UNTOLD for name in untold if name in camera_start.effects}
@@ -277,6 +287,24 @@ def _restored(camera: Camera, before: Camera, names: Sequence[str]) -> Camera:
     return with_effects(camera, effects)
 
 
-def _solved(fitted: Fit, scores: Scores, folds: Mapping[Key, int], start: Camera) -> Solution:
+def _solved(
+    fitted: Fit, scores: Scores, folds: Mapping[Key, int], start: Camera, problem: Problem
+) -> Solution:
     outliers, values = count_outliers(fitted, limit=ROBUST_LIMIT)
-    return Solution(fitted, scores, folds, start, outliers, values, list(fitted.notes))
+    blocks = present_blocks(fitted.camera, effects=problem.effects)
+    if problem.gain:
+        blocks.append(gain_block())
+    blocks += [optics_block(fitted.camera, name) for name in problem.geometry]
+    empirical: Any = fitted.camera.effects.get("empirical")
+    if empirical is not None:
+        blocks.append(empirical_block(empirical))
+    return Solution(
+        fitted,
+        scores,
+        folds,
+        start,
+        outliers,
+        values,
+        list(fitted.notes),
+        widening(fitted, scores, blocks),
+    )

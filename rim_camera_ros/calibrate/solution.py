@@ -34,8 +34,9 @@ _EMPIRICAL = "effects.empirical.values."
 class Solution:
     """The fit, its scores (base: all that is fitted), the folds of poses, chi-square per value held out.
 
-    ``factor`` is the variance factor a posteriori, at least 1: by it the covariance is scaled. ``outliers``
-    is the number of distances beyond the robust limit among ``values``.
+    ``factor`` is the variance factor a posteriori, at least 1: by it the covariance is scaled, and by
+    ``widened`` that of the parameters of each effect (`clusters.widening`). ``outliers`` is the number of
+    distances beyond the robust limit among ``values``.
     """
 
     fit: Fit
@@ -45,6 +46,7 @@ class Solution:
     outliers: int = 0
     values: int = 0
     notes: list[str] = field(default_factory=list)
+    widened: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def labels(self) -> list[str]:
@@ -96,9 +98,10 @@ class Solution:
         """Return the paths and the covariance of those parameters of which the data say something."""
         scale = np.array([self._unit(label) for label in self.labels])
         matrix = self.scores.covariance(self.scores.base) * self.factor
-        matrix = matrix * scale[:, None] * scale[None, :]
-        prior = self.scores.prior[self.scores.base] * scale
-        told = np.sqrt(np.diag(matrix)) < UNTOLD * prior * np.sqrt(self.factor)
+        owners = [self.scores.regressors[int(i)].owner for i in self.scores.base]
+        wider = scale * np.sqrt([self.widened.get(owner, 1.0) for owner in owners])
+        told = np.sqrt(np.diag(matrix)) < UNTOLD * self.scores.prior[self.scores.base] * np.sqrt(self.factor)
+        matrix = matrix * wider[:, None] * wider[None, :]
         keep = np.flatnonzero(told)
         return [self.labels[i] for i in keep], np.asarray(matrix[np.ix_(keep, keep)])
 

@@ -9,6 +9,7 @@ with World(tmp_path) as world:
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import signal
@@ -190,7 +191,13 @@ class World:
         return self
 
     def __exit__(self, *_: object) -> None:
+        for one in self._processes:  # killed at once, they would leave their shared memory behind
+            if one.running:
+                one.send(signal.SIGINT)
+        end = time.monotonic() + 3.0
         for one in self._processes:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                one.wait(max(0.01, end - time.monotonic()))
             one.kill()
         # the node leaves the executor before anything is destroyed: in the other order rclpy has crashed
         self._executor.remove_node(self.node)
