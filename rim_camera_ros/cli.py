@@ -11,6 +11,7 @@ import time
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from types import FrameType, ModuleType
 
 from rim_camera_ros import __version__
@@ -26,23 +27,17 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PATIENCE = 3.0
 
 
-def command_modules() -> dict[str, ModuleType]:
-    """Return the modules of the commands by name."""
-    from rim_camera_ros.commands import calibrate, correct, diagnose, info, plan, record, simulate
-
-    return {
-        "simulate": simulate,
-        "record": record,
-        "correct": correct,
-        "calibrate": calibrate,
-        "diagnose": diagnose,
-        "plan": plan,
-        "info": info,
-    }
+#: The commands: modules of `rim_camera_ros.commands`, in the order in which the help lists them.
+COMMANDS = ("simulate", "record", "correct", "calibrate", "diagnose", "plan", "info")
 
 
-def parser() -> argparse.ArgumentParser:
-    """Return the parser of all commands; it raises `InputError` for bad usage."""
+def command_modules(names: Sequence[str] = COMMANDS) -> dict[str, ModuleType]:
+    """Return the modules of commands by name."""
+    return {name: import_module(f"rim_camera_ros.commands.{name}") for name in names}
+
+
+def parser(names: Sequence[str] = COMMANDS) -> argparse.ArgumentParser:
+    """Return the parser of commands; it raises `InputError` for bad usage."""
     from rim_camera_ros.commands.common import Parser
 
     result = Parser(
@@ -53,7 +48,7 @@ def parser() -> argparse.ArgumentParser:
     )
     result.add_argument("--version", action="version", version=f"rim {__version__}")
     commands = result.add_subparsers(metavar="COMMAND", required=True)
-    for module in command_modules().values():
+    for module in command_modules(names).values():
         module.add_parser(commands)
     return result
 
@@ -86,11 +81,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(argv: list[str]) -> int:
-    names = command_modules()
-    if argv and not argv[0].startswith("-") and argv[0] not in names:
-        raise InputError(f"no command '{argv[0]}'", remedy=nearest_name(argv[0], names))
+    command = argv[0] if argv and not argv[0].startswith("-") else None
+    if command is not None and command not in COMMANDS:
+        raise InputError(f"no command '{command}'", remedy=nearest_name(command, COMMANDS))
     try:
-        given = parser().parse_args(argv)
+        # others are not imported: they would take a second
+        given = parser(COMMANDS if command is None else (command,)).parse_args(argv)
     except SystemExit as end:  # --help and --version
         sys.stdout.flush()
         return end.code if isinstance(end.code, int) else 2

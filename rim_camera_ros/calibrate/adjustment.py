@@ -39,6 +39,7 @@ _DARKEST = 0.01
 
 #: How well amplitudes are predicted is estimated anew in this many iterations, then kept.
 _SETTLED = 3
+_SETTLED_WARM = 1
 #: Change of chi-square between two iterations below which the adjustment has converged.
 _LEVEL = 0.5
 
@@ -110,12 +111,15 @@ def fit(
     iterations: int = 8,
     tolerance: float = 0.05,
     views: Views | None = None,
+    warm: Fit | None = None,
     progress: Progress | None = None,
 ) -> Fit:
     """Adjust a camera's parameters to the data.
 
     Steps end when no parameter moves by more than ``tolerance`` of its sigma. ``further`` blocks of
     regressors stand beside the parameters in the final equations without being fitted (candidates).
+    ``warm`` is a fit of the same data whose pattern, errors and powers are started from; with no
+    ``iterations`` the result is its own solution with the equations of the further blocks.
 
     Raises `RimError` where it does not converge to a finite solution, `InputError` without usable data.
     """
@@ -132,6 +136,15 @@ def fit(
     numbers = camera_numbers(camera)
     lows, highs = _bounds(camera)
     highs |= _poles(problem, camera)
+    settled = _SETTLED
+    if warm is not None and warm.forward.amplitude_model.gains:
+        model = warm.forward.amplitude_model
+        tau, pattern, settled = model.tau, warm.pattern, _SETTLED_WARM
+        gains = {
+            key: g * _factor(warm.nuisances.get(f"{key[0]}.{key[1]}.gain", 0.0))
+            for key, g in model.gains.items()
+        }
+        nuisances = {name: e for name, e in warm.nuisances.items() if not name.endswith(".gain")}
     converged = stuck = False
     for count in range(iterations + 1):
         forward = Forward(problem.dataset, scene, camera, views=None if moved else views)
@@ -147,13 +160,13 @@ def fit(
                 gains = dict.fromkeys(gains, 1.0)
                 forward = Forward(problem.dataset, scene, camera, views=forward.views)
                 forward.masks, forward.shifts = problem.masks, problem.shifts
-        elif count <= _SETTLED:
+        elif count <= settled and iterations:
             forward.amplitude_model = AmplitudeModel(dict(gains), tau)
             tau = amplitude_error(forward, nuisances)
         forward.amplitude_model = AmplitudeModel(dict(gains), tau)
         blocks = _blocks(problem, camera, scene)
         owned = sum(len(block.regressors) for block in blocks)
-        weigh = _huber(pattern, nuisances) if problem.robust and count > 0 else None
+        weigh = _huber(pattern, nuisances) if problem.robust and (count > 0 or warm is not None) else None
         final = count == iterations or converged
         equations = accumulate(
             forward,
@@ -214,7 +227,7 @@ def fit(
         nuisances = {name: e for name, e in nuisances.items() if not name.endswith(".gain")}
         converged = bool(np.all(np.abs(step) <= tolerance * sigma)) if owned else True
         # parameters that the data hardly tell apart wander along a valley whose floor is level
-        converged |= count >= _SETTLED and abs(previous - here) < _LEVEL
+        converged |= count >= settled and abs(previous - here) < _LEVEL
         previous = here
         changes = dict(zip((one.label for one in regressors), step.tolist(), strict=True))
         try:

@@ -47,9 +47,6 @@ OF_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_
 #: A further effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
 LEAST_SIZE = 0.0005
 MOST_EFFECTS = 4
-#: Iterations from a solution to the same one, with which equations of more candidates are set up.
-_POLISH = 2
-_POLISHED = 0.5
 #: Number of pixels from which fewer replicates are drawn, for the memory that they take.
 _MANY_PIXELS = 60_000
 
@@ -135,6 +132,7 @@ def explore(
     further: Sequence[Candidate] = (),
     kept: Sequence[Candidate] = (),
     views: Any = None,
+    warm: Fit | None = None,
     seed: int = 0,
     replicates: int = 200,
     iterations: int = 8,
@@ -143,7 +141,14 @@ def explore(
     """Fit the camera and score all candidates at the solution."""
     blocks: list[Block] = [one.block for one in (*kept, *found, *further)]
     fitted = fit(
-        problem, camera, fold_of=folds, further=blocks, views=views, iterations=iterations, progress=progress
+        problem,
+        camera,
+        fold_of=folds,
+        further=blocks,
+        views=views,
+        warm=warm,
+        iterations=iterations,
+        progress=progress,
     )
     return explored(fitted, found, further=further, kept=kept, seed=seed, replicates=replicates)
 
@@ -348,6 +353,7 @@ def _refined(
             folds,
             kept=kept,
             views=step.fit.forward.views,
+            warm=step.fit,
             seed=seed,
             replicates=0,
         )
@@ -377,8 +383,8 @@ def further_equations(
         fold_of=folds,
         further=[one.block for one in found],
         views=fitted.forward.views,
-        iterations=_POLISH,
-        tolerance=_POLISHED,
+        warm=fitted,
+        iterations=0,
     )
 
 
