@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,32 +11,39 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from rim_camera_ros.calibrate.library import optics_block, present_blocks
+from rim_camera_ros.calibrate.light_curves import RIPPLES, SURFACES
 from rim_camera_ros.calibrate.normal_equations import (
     Block,
     NormalEquations,
     Reduced,
     accumulate,
     gain_block,
+    light_block,
     pose_block,
 )
 from rim_camera_ros.calibrate.prediction import AmplitudeModel, Forward, Prediction, excess
 from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.calibrate.steps import (
+    GAIN,
+    bounds_of,
+    in_units,
+    moved_light,
+    moved_scene,
+    poles_of,
+    power_factor,
+    stepped,
+    value_of,
+)
 from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
-from rim_camera_ros.effects.base import row_name
 from rim_camera_ros.errors import InputError, RimError
-from rim_camera_ros.scene import Scene, ScenePose, quaternion, rotation_matrix
+from rim_camera_ros.scene import Scene, ScenePose
 
 Array = NDArray[Any]
 
 #: Residuals beyond this many sigma weigh less (Huber), the more the farther.
 ROBUST_LIMIT = 4.0
-_OPTICAL = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
-_GAIN = "radiometry.gain"
-#: Share of a station's values below whose amplitude a pole of a term may lie.
-_DARKEST = 0.01
-
 #: How well amplitudes are predicted is estimated anew in this many iterations, then kept.
 _SETTLED = 3
 _SETTLED_WARM = 1
@@ -53,7 +60,8 @@ class Problem:
     ``effects`` None frees all that the camera has; ``geometry`` names of `library.optics_block` to estimate;
     ``robust`` bounds the weight of outliers; ``pattern`` estimates an offset per pixel;
     ``masks`` restrict the pixels, ``shifts`` stand for another simulation (both as in `Forward`);
-    ``stray_light`` [counts] as in `accumulate`.
+    ``stray_light`` [counts] as in `accumulate`; ``reflectance`` estimates how surfaces reflect beside
+    Lambert's law.
     """
 
     dataset: Dataset
@@ -67,6 +75,7 @@ class Problem:
     masks: Sequence[tuple[Array, Array]] | None = None
     shifts: Sequence[tuple[Array, Array]] | None = None
     stray_light: float = 0.0
+    reflectance: bool = False
 
 
 @dataclass
@@ -134,32 +143,33 @@ def fit(
     previous = np.inf
     last_step: dict[str, float] = {}
     numbers = camera_numbers(camera)
-    lows, highs = _bounds(camera)
-    highs |= _poles(problem, camera)
+    lows, highs = bounds_of(camera)
+    highs |= poles_of(problem.dataset, problem.masks, camera)
     settled = _SETTLED
     if warm is not None and warm.forward.amplitude_model.gains:
         model = warm.forward.amplitude_model
         tau, pattern, settled = model.tau, warm.pattern, _SETTLED_WARM
         gains = {
-            key: g * _factor(warm.nuisances.get(f"{key[0]}.{key[1]}.gain", 0.0))
+            key: g * power_factor(warm.nuisances.get(f"{key[0]}.{key[1]}.gain", 0.0))
             for key, g in model.gains.items()
         }
         nuisances = {name: e for name, e in warm.nuisances.items() if not name.endswith(".gain")}
+        if warm.forward.light_curves is not None:
+            allowed = _light_labels(problem)
+            offsets.update({k: v for k, v in warm.forward.light_curves.values.items() if k in allowed})
     converged = stuck = False
     for count in range(iterations + 1):
-        forward = Forward(problem.dataset, scene, camera, views=None if moved else views)
+        forward = _forward(problem, scene, camera, None if moved else views, offsets)
         views = forward.views
-        forward.masks, forward.shifts = problem.masks, problem.shifts
         if gains is None:
             forward.estimate_amplitudes()
             tau = forward.amplitude_model.tau
             gains = forward.amplitude_model.gains
             if problem.gain and camera.radiometry.gain_sigma == 0 and gains:
-                camera = with_numbers(camera, {_GAIN: numbers[_GAIN] * next(iter(gains.values()))})
-                offsets[_GAIN] = float(np.log(camera.radiometry.gain / numbers[_GAIN]))
+                camera = with_numbers(camera, {GAIN: numbers[GAIN] * next(iter(gains.values()))})
+                offsets[GAIN] = float(np.log(camera.radiometry.gain / numbers[GAIN]))
                 gains = dict.fromkeys(gains, 1.0)
-                forward = Forward(problem.dataset, scene, camera, views=forward.views)
-                forward.masks, forward.shifts = problem.masks, problem.shifts
+                forward = _forward(problem, scene, camera, forward.views, offsets)
         elif count <= settled and iterations:
             forward.amplitude_model = AmplitudeModel(dict(gains), tau)
             tau = amplitude_error(forward, nuisances)
@@ -198,8 +208,8 @@ def fit(
             start=start,
             camera=camera,
             scene=scene,
-            parameters={one.label: _value(one.label, camera, offsets) for one in regressors},
-            covariance=_in_units(covariance, regressors, camera),
+            parameters={one.label: value_of(one.label, camera, offsets) for one in regressors},
+            covariance=in_units(covariance, regressors, camera),
             pattern=pattern,
             nuisances=nuisances,
             chi_square=float(reduced.square),
@@ -223,7 +233,9 @@ def fit(
         nuisances, flat = reduced.recover(np.concatenate([step, np.zeros(reduced.gram.shape[0] - owned)]))
         if problem.pattern:
             pattern = flat.reshape(camera.shape)
-        gains = {key: g * _factor(nuisances.get(f"{key[0]}.{key[1]}.gain", 0.0)) for key, g in gains.items()}
+        gains = {
+            key: g * power_factor(nuisances.get(f"{key[0]}.{key[1]}.gain", 0.0)) for key, g in gains.items()
+        }
         nuisances = {name: e for name, e in nuisances.items() if not name.endswith(".gain")}
         converged = bool(np.all(np.abs(step) <= tolerance * sigma)) if owned else True
         # parameters that the data hardly tell apart wander along a valley whose floor is level
@@ -231,14 +243,14 @@ def fit(
         previous = here
         changes = dict(zip((one.label for one in regressors), step.tolist(), strict=True))
         try:
-            camera, offsets = _stepped(start, offsets, changes, lows, highs, numbers)
+            camera, offsets = stepped(start, offsets, changes, lows, highs, numbers)
         except (InputError, ValueError):
             stuck = converged = True
             continue
         for path in changes:
-            if path in numbers and path != _GAIN:
+            if path in numbers and path != GAIN:
                 offsets[path] = camera_numbers(camera)[path] - numbers[path]
-        scene, moved = _moved_scene(problem.scene, offsets)
+        scene, moved = moved_scene(problem.scene, offsets)
         last_step = changes
     assert best is not None
     best.converged = converged and not stuck
@@ -250,11 +262,28 @@ def fit(
     return best
 
 
+def _forward(
+    problem: Problem, scene: Scene, camera: Camera, views: Views | None, offsets: Mapping[str, float]
+) -> Forward:
+    forward = Forward(problem.dataset, scene, camera, views=views)
+    forward.masks, forward.shifts = problem.masks, problem.shifts
+    forward.light_curves = moved_light(offsets)
+    return forward
+
+
+def _light_labels(problem: Problem) -> tuple[str, ...]:
+    ripples = RIPPLES if problem.gain else ()
+    return (*ripples, *SURFACES) if problem.reflectance else ripples
+
+
 def _blocks(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
     blocks = present_blocks(camera, effects=problem.effects)
     if problem.gain:
         blocks.append(gain_block())
     blocks += [optics_block(camera, name) for name in problem.geometry]
+    labels = _light_labels(problem)
+    if labels:
+        blocks += [light_block(part) for part in (RIPPLES, SURFACES) if part[0] in labels]
     free = [
         (f"scene.{one.name}.{axis}", 1.0 if axis in "xyz" else 0.3)
         for one in scene.surfaces
@@ -264,120 +293,6 @@ def _blocks(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
     if free:
         blocks.append(pose_block(free))
     return blocks
-
-
-def _stepped(
-    start: Camera,
-    offsets: Mapping[str, float],
-    changes: Mapping[str, float],
-    lows: Mapping[str, float],
-    highs: Mapping[str, float],
-    numbers: Mapping[str, float],
-) -> tuple[Camera, dict[str, float]]:
-    """Take a step, or so much of it as leads to a possible camera.
-
-    Raises `InputError` where not even a thousandth does.
-    """
-    share = 1.0
-    while True:
-        moved = dict(offsets)
-        for path, change in changes.items():
-            moved[path] = moved.get(path, 0.0) + share * change
-        try:
-            return _moved(start, moved, lows, highs, numbers), moved
-        except (InputError, ValueError):
-            share /= 2
-            if share < 1e-3:
-                raise
-
-
-def _factor(change: float) -> float:
-    return float(np.exp(np.clip(change, -1.0, 1.0)))
-
-
-def _bounds(camera: Camera) -> tuple[dict[str, float], dict[str, float]]:
-    lows: dict[str, float] = {}
-    highs: dict[str, float] = {}
-    for name, effect in camera.effects.items():
-        for path, (low, high) in effect.bounds().items():
-            lows[f"effects.{name}.{path}"], highs[f"effects.{name}.{path}"] = low, high
-    return lows, highs
-
-
-def _poles(problem: Problem, camera: Camera) -> dict[str, float]:
-    """Return the greatest b of each row of a / (A - b): its pole must lie below the amplitudes in use."""
-    effect: Any = camera.effects.get("amplitude_offset")
-    if effect is None or problem.masks is None:
-        return {}
-    lowest: dict[float, float] = {}
-    for station, (used, _) in zip(problem.dataset.stations, problem.masks, strict=True):
-        if used.any():
-            t = camera.integration_time(station.settings)
-            key = min(effect.hyperbola, key=lambda row: abs(row - t))
-            lowest[key] = min(lowest.get(key, np.inf), float(np.quantile(station.amplitude[used], _DARKEST)))
-    return {
-        f"effects.amplitude_offset.hyperbola.{row_name(key)}.b": max(
-            0.9 * level, effect.hyperbola[key].b, -effect.hyperbola[key].b
-        )
-        for key, level in lowest.items()
-    }
-
-
-def _value(path: str, camera: Camera, offsets: Mapping[str, float]) -> float:
-    return offsets.get(path, 0.0) if path.startswith("scene.") else camera_numbers(camera)[path]
-
-
-def _in_units(covariance: Array, regressors: Sequence[Any], camera: Camera) -> Array:
-    scale = np.array([camera.radiometry.gain if one.label == _GAIN else 1.0 for one in regressors])
-    return np.asarray(covariance * scale[:, None] * scale[None, :])
-
-
-def _moved(
-    camera: Camera,
-    offsets: Mapping[str, float],
-    lows: Mapping[str, float],
-    highs: Mapping[str, float],
-    numbers: Mapping[str, float],
-) -> Camera:
-    """Return the camera with its numbers moved, kept within their bounds and within reach."""
-    values: dict[str, float] = {}
-    for path, offset in offsets.items():
-        if path.startswith("scene."):
-            continue
-        value = (
-            numbers[path] * float(np.exp(np.clip(offset, -3, 3))) if path == _GAIN else numbers[path] + offset
-        )
-        low, high = lows.get(path, -np.inf), highs.get(path, np.inf)
-        if path.endswith(("time_constant", "blur")) or ".sigma." in path:
-            low = max(low, 0.2 * abs(numbers[path]))
-            high = min(high, 5.0 * abs(numbers[path]) + 1e-9)
-        if path.endswith(".b"):
-            limit = 10 * abs(numbers[path]) + 5.0
-            low, high = max(low, -limit), min(high, limit)
-        inside = 1e-9 * max(abs(value), 1.0)
-        values[path] = float(np.clip(value, low + inside if np.isfinite(low) and low > 0 else low, high))
-    return with_numbers(camera, values) if values else camera
-
-
-def _moved_scene(scene: Scene, offsets: Mapping[str, float]) -> tuple[Scene, bool]:
-    """Return the scene with its free poses moved."""
-    if not any(path.startswith("scene.") for path in offsets):
-        return scene, False
-    surfaces = []
-    for one in scene.surfaces:
-        pose = one.pose
-        if isinstance(pose, ScenePose) and pose.free:
-            shift = [offsets.get(f"scene.{one.name}.{axis}", 0.0) for axis in "xyz"]
-            rotation = rotation_matrix(pose.orientation)
-            for name, axis in _OPTICAL.items():
-                angle = offsets.get(f"scene.{one.name}.{name}", 0.0)
-                half = np.array(axis) * np.sin(angle / 2)
-                turn = rotation_matrix((half[0], half[1], half[2], float(np.cos(angle / 2))))
-                rotation = turn @ rotation
-            position = (pose.position[0] + shift[0], pose.position[1] + shift[1], pose.position[2] + shift[2])
-            pose = replace(pose, position=position, orientation=quaternion(rotation))
-        surfaces.append(replace(one, pose=pose))
-    return replace(scene, surfaces=tuple(surfaces)), True
 
 
 def _huber(pattern: Array, nuisances: Mapping[str, float]) -> Callable[[Prediction], tuple[Array, Array]]:

@@ -19,14 +19,15 @@ from rim_camera_ros.calibrate.determined import (
 from rim_camera_ros.calibrate.empirical_fit import empirical_block, empirical_covariates, empirical_start
 from rim_camera_ros.calibrate.library import (
     GEOMETRY,
-    LINEAR,
+    OF_SURFACES,
     UNFITTED,
     Facts,
     candidates,
     optics_block,
     present_blocks,
 )
-from rim_camera_ros.calibrate.normal_equations import gain_block
+from rim_camera_ros.calibrate.light_curves import SURFACES
+from rim_camera_ros.calibrate.normal_equations import gain_block, light_block
 from rim_camera_ros.calibrate.prediction import Forward
 from rim_camera_ros.calibrate.search import LEAST_THRESHOLD, explore, search
 from rim_camera_ros.calibrate.selection import Scores, folds_of
@@ -71,7 +72,7 @@ def by_search(problem: Problem, camera: Camera, facts: Facts, *, say: Say, seed:
     free = replace(problem, effects=tuple(names))
     asked = [name for name in names if name not in camera.effects and name not in problem.geometry]
     # surfaces that do not reflect as Lambert says would lend their light to other effects
-    asked += sorted(LINEAR)
+    asked += sorted(OF_SURFACES)
     result = search(free, camera, facts, effects=asked, seed=seed, progress=say)
     last = result.explorations[-1]
     solution = _solved(last.fit, last.scores, result.folds, camera, result.problem)
@@ -92,8 +93,8 @@ def by_search(problem: Problem, camera: Camera, facts: Facts, *, say: Say, seed:
         )
 
     joined = [one.effect for one in result.found]
-    notes = [_LAMBERT] if set(joined) & LINEAR else []
-    return Outcome(solution, tell, [name for name in joined if name not in LINEAR], notes)
+    notes = [_LAMBERT] if set(joined) & OF_SURFACES else []
+    return Outcome(solution, tell, [name for name in joined if name not in OF_SURFACES], notes)
 
 
 def exactly(
@@ -295,6 +296,8 @@ def _solved(
     if problem.gain:
         blocks.append(gain_block())
     blocks += [optics_block(fitted.camera, name) for name in problem.geometry]
+    if problem.reflectance:
+        blocks.append(light_block(SURFACES))
     empirical: Any = fitted.camera.effects.get("empirical")
     if empirical is not None:
         blocks.append(empirical_block(empirical))

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from rim_camera_ros.calibrate.normal_equations import Block, Regressor, effect_block
+from rim_camera_ros.calibrate.light_curves import SURFACES
+from rim_camera_ros.calibrate.normal_equations import Block, Regressor, effect_block, light_block
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
@@ -54,13 +55,15 @@ class Candidate:
     """One variant of an effect that a camera file lacks.
 
     ``effect`` is its name in the vocabulary, ``variant`` tells variants apart; ``build`` makes the camera
-    with it from the coefficients by label.
+    with it from the coefficients by label. ``positive`` coefficients by
+    label: light that is added cannot be negative, which speaks for something else.
     """
 
     effect: str
     variant: str
     block: Block
     build: Callable[[Camera, Coefficients], Camera]
+    positive: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -195,7 +198,8 @@ def _linear(effect: Effect, priors: Mapping[str, float], variant: str = "") -> C
         clipped = {path: float(np.clip(v, *bounds.get(path, (-np.inf, np.inf)))) for path, v in own.items()}
         return added(camera, with_values(effect, clipped))
 
-    return Candidate(effect.name, variant, block, build)
+    positive = tuple(label for path, label in labels.items() if effect.bounds().get(path, (-1.0,))[0] == 0.0)
+    return Candidate(effect.name, variant, block, build, positive)
 
 
 def _large(camera: Camera) -> bool:
@@ -370,7 +374,7 @@ def _blurred(blur: float) -> Candidate:
         share = float(np.clip(values[label], 0.01, 4.0))
         return added(camera, MixedPixels(blur=_blur_of_variance(share * _variance_of_blur(blur))))
 
-    return Candidate("mixed_pixels", f"{blur:g} px", block, build)
+    return Candidate("mixed_pixels", f"{blur:g} px", block, build, positive=(label,))
 
 
 def _variance_of_blur(blur: float) -> float:
@@ -475,23 +479,12 @@ def _geometry(name: str) -> Callable[[Camera, Facts], list[Candidate]]:
 
 
 def _radiometry(camera: Camera, facts: Facts) -> list[Candidate]:
-    """A surface that does not reflect as Lambert says: a curve of the light over the angle of incidence."""
-    knots = np.radians([0.0, 15.0, 30.0, 45.0, 60.0, 75.0])
-    regressors = tuple(
-        Regressor(f"radiometry.incidence.{np.degrees(k):.0f}", "radiometry", 0.1) for k in knots[1:]
-    )
-
-    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
-        distance, amplitude = prediction.gain_column()
-        angle = np.nan_to_num(prediction.view.geometry.incidence)
-        weights = [np.interp(angle, knots, row) for row in np.eye(len(knots))[1:]]
-        return [(distance * w, amplitude * w) for w in weights]
-
-    return [Candidate("radiometry", "incidence", Block(regressors, columns), lambda one, values: one)]
+    """Surfaces that do not reflect as Lambert says: their fit frees `Problem.light_curves`."""
+    return [Candidate("radiometry", "incidence", light_block(SURFACES), lambda one, values: one)]
 
 
-#: Names of the vocabulary that no parameter of a camera file describes: found, they stay linear curves.
-LINEAR = frozenset({"radiometry"})
+#: Names of the vocabulary that no parameter of a camera file describes: they belong to the scene.
+OF_SURFACES = frozenset({"radiometry"})
 
 _MAKERS: dict[str, Callable[[Camera, Facts], list[Candidate]]] = {
     "cyclic_error": _cyclic,

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from rim_camera_ros.calibrate.light_curves import RIPPLES
 from rim_camera_ros.calibrate.prediction import Forward, Prediction
 from rim_camera_ros.effects.base import Effect
 
@@ -23,6 +24,10 @@ Array = NDArray[Any]
 
 #: 1-sigma of the fixed pattern's prior [m]: as good as unknown.
 PATTERN_PRIOR = 0.05
+#: 1-sigma of the relative change of a surface's light at an angle of incidence.
+_REFLECTANCE_PRIOR = 0.2
+#: ... and of its ripples over the phase.
+_RIPPLE_PRIOR = 0.03
 _EFFECTS_WITHOUT_AMPLITUDE = frozenset(
     {
         "cyclic_error",
@@ -79,6 +84,13 @@ def effect_block(
     name = effect.name if owner is None else owner
     regressors = tuple(Regressor(f"effects.{effect.name}.{p}{label}", name, priors[p]) for p in paths)
     return Block(regressors, columns)
+
+
+def light_block(labels: Sequence[str]) -> Block:
+    """Return the regressors of curves of the light: `light_curves.RIPPLES` or `light_curves.SURFACES`."""
+    prior = _RIPPLE_PRIOR if labels[0] in RIPPLES else _REFLECTANCE_PRIOR
+    regressors = tuple(Regressor(label, "radiometry", prior) for label in labels)
+    return Block(regressors, lambda prediction: prediction.curve_columns(labels))
 
 
 @dataclass

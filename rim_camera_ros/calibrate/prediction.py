@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from rim_camera_ros.calibrate.light_curves import LightCurves
 from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.calibrate.views import PoseColumn, View, Views
 from rim_camera_ros.camera import Camera
@@ -67,6 +68,7 @@ class Prediction:
     model_amplitude: Array
     gain: float
     spread: list[Effect] = field(default_factory=list)
+    light_curves: LightCurves | None = None
 
     def light_change(self, after: str | None, change: Array) -> tuple[Array, Array]:
         """Carry a relative change of the complex image through the optics that follow an effect.
@@ -132,6 +134,14 @@ class Prediction:
         """Return the derivatives by the relative power of the emitter."""
         return self.reading_change(0.0, np.ones(self.distance.shape))
 
+    def curve_columns(self, labels: Sequence[str]) -> list[tuple[Array, Array]]:
+        """Return the derivatives by curves of the light, in the order of their labels."""
+        curves = self.light_curves or LightCurves()
+        changes = curves.columns(self.view.geometry, self.context.ambiguity, labels)
+        if not self.spread:
+            return [self.reading_change(0.0, one) for one in changes]
+        return [self.light_change(None, one + 0j) for one in changes]
+
     def light_columns(self) -> list[tuple[Array, Array]]:
         """Return the derivatives by light that all pixels share [counts], its real and imaginary part."""
         level = to_phasor(self.delivered.distance, self.amplitude, self.context.ambiguity)
@@ -162,7 +172,8 @@ class Forward:
 
     ``masks`` of each station and channel, where given, restrict the pixels that are used, so that fits by
     different cameras can be compared. ``shifts`` of each station and channel are what another simulation
-    says beyond this one's prediction at the start.
+    says beyond this one's prediction at the start. ``light_curves`` change the light beside
+    the camera file's effects.
     """
 
     def __init__(self, dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None) -> None:
@@ -172,6 +183,7 @@ class Forward:
         self.amplitude_model = AmplitudeModel()
         self.masks: Sequence[tuple[Array, Array]] | None = None
         self.shifts: Sequence[tuple[Array, Array]] | None = None
+        self.light_curves: LightCurves | None = None
         self._order = {name: i for i, name in enumerate(registry())}
 
     def estimate_amplitudes(self, gains: Mapping[tuple[int, int], float] | None = None) -> AmplitudeModel:
@@ -276,6 +288,8 @@ class Forward:
                 * geometry.cos_incidence
                 / geometry.distance**2
             )
+        if self.light_curves is not None:
+            ideal = ideal * self.light_curves.factor(geometry, camera.sensor.ambiguity)
         ideal = np.where(geometry.hit, ideal, 0.0)
         motion = self.scene.camera_motion
 
@@ -293,6 +307,8 @@ class Forward:
                     * there.cos_incidence
                     / there.distance**2
                 )
+            if self.light_curves is not None:
+                light = light * self.light_curves.factor(there, camera.sensor.ambiguity)
             return there, np.where(there.hit, light, 0.0)
 
         for name in _KEPT:
@@ -417,6 +433,7 @@ class Forward:
             model_amplitude=safe,
             gain=gain,
             spread=spread,
+            light_curves=self.light_curves,
         )
 
     def _variances(self, amplitude: Array, context: Context) -> tuple[Array, Array]:

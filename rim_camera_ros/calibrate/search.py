@@ -7,7 +7,7 @@ forward chain, and the best of them joins the camera; then everything is looked 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
-from rim_camera_ros.calibrate.library import GEOMETRY, LINEAR, Candidate, Facts, candidates, optics_block
+from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, Candidate, Facts, candidates, optics_block
 from rim_camera_ros.calibrate.normal_equations import Block
 from rim_camera_ros.calibrate.nulls import null_scores
 from rim_camera_ros.calibrate.prediction import Prediction
@@ -35,18 +35,29 @@ _INDEPENDENT = 8
 #: of one of them, whose form is never quite the true one and leaves such a rest.
 LEAST_SHARE = 0.0015
 LEAST_SHARE_OF_KIND = 0.05
+_BESIDE_MULTIPATH = frozenset(
+    {"multipath", "emitter_offset", "camera_constant", "lens_distortion", "distance_scale", "radiometry"}
+)
 _KINDS = (
     frozenset({"scattering", "mixed_pixels", "multipath", "saturation_bleed"}),
     frozenset({"emission_pattern", "amplitude_nonlinearity", "emitter_offset", "radiometry", "scattering"}),
     frozenset({"cyclic_error", "distance_scale", "camera_constant", "lens_distortion", "emitter_offset"}),
-    frozenset({"warm_up_drift", "ambient_temperature", "distance_scale"}),
+    frozenset({"warm_up_drift", "ambient_temperature"}),
+    # surfaces outside of the view send light as well, which no model of the view knows
+    _BESIDE_MULTIPATH,
 )
 #: ... unless it changes whole poses, whose errors limit what it can gain.
 LEAST_SHARE_OF_POSES = 0.0005
 OF_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_offset"})
 #: A further effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
 LEAST_SIZE = 0.0005
+#: ... and this share of what one of its kind moves them: the rest that its form leaves.
+LEAST_SIZE_OF_KIND = 0.15
+#: Sigma beyond which light that is added is taken for negative, which none is.
+_NEGATIVE = 3.0
 MOST_EFFECTS = 4
+#: Leaders that may prove wrong when they are fitted, until the search ends.
+_MOST_FAILURES = 2
 #: Number of pixels from which fewer replicates are drawn, for the memory that they take.
 _MANY_PIXELS = 60_000
 
@@ -98,13 +109,17 @@ class Exploration:
         """Return the gain of several candidates together."""
         return float(self.scores.gain([i for k in numbers for i in self.spans[k]]))
 
-    def best_pair(self, most: int = 12) -> tuple[float, tuple[int, int]] | None:
+    def best_pair(
+        self, most: int = 12, *, without: Set[str] = frozenset()
+    ) -> tuple[float, tuple[int, int]] | None:
         """Return the best pair of different effects among the leading variants of every effect."""
-        leaders = list(self.best().values())[:most]
+        leaders = [k for effect, k in self.best().items() if effect not in without][:most]
         extra = [
             int(k)
             for k in np.argsort(-self.gains[: self.named])[: 2 * most]
-            if int(k) not in leaders and self.gains[int(k)] > 0.3 * self.gains[: self.named].max()
+            if int(k) not in leaders
+            and self.candidates[int(k)].effect not in without
+            and self.gains[int(k)] > 0.3 * self.gains[: self.named].max()
         ]
         pool = leaders + extra[:6]
         pairs = [
@@ -130,7 +145,6 @@ def explore(
     folds: Mapping[tuple[int, int], int],
     *,
     further: Sequence[Candidate] = (),
-    kept: Sequence[Candidate] = (),
     views: Any = None,
     warm: Fit | None = None,
     seed: int = 0,
@@ -139,7 +153,7 @@ def explore(
     progress: Callable[[str], None] | None = None,
 ) -> Exploration:
     """Fit the camera and score all candidates at the solution."""
-    blocks: list[Block] = [one.block for one in (*kept, *found, *further)]
+    blocks: list[Block] = [one.block for one in (*found, *further)]
     fitted = fit(
         problem,
         camera,
@@ -150,7 +164,7 @@ def explore(
         iterations=iterations,
         progress=progress,
     )
-    return explored(fitted, found, further=further, kept=kept, seed=seed, replicates=replicates)
+    return explored(fitted, found, further=further, seed=seed, replicates=replicates)
 
 
 def explored(
@@ -158,15 +172,11 @@ def explored(
     named: Sequence[Candidate],
     *,
     further: Sequence[Candidate] = (),
-    kept: Sequence[Candidate] = (),
     seed: int = 0,
     replicates: int = 200,
 ) -> Exploration:
-    """Score the candidates whose columns stand in a fit's equations after its parameters.
-
-    ``kept`` candidates are part of the base: curves that no parameter of a camera file describes.
-    """
-    count = len(fitted.parameters) + sum(len(one.block.regressors) for one in kept)
+    """Score the candidates whose columns stand in a fit's equations after its parameters."""
+    count = len(fitted.parameters)
     found = [*named, *further]
     spans: list[list[int]] = []
     start = count
@@ -178,7 +188,7 @@ def explored(
     # what no model explains makes every gain larger than the noise would: measure in its units
     chi_square, rows = scores.chi_square(held_out=True)
     temper = max(1.0, chi_square / max(rows, 1)) if rows else 1.0
-    gains = np.array([float(scores.gain(span)) for span in spans])
+    gains = np.array([_gain(scores, one, span) for one, span in zip(found, spans, strict=True)])
     maxima = np.zeros(0)
     thresholds = np.full(len(found), LEAST_THRESHOLD)
     if fitted.camera.sensor.width * fitted.camera.sensor.height > _MANY_PIXELS:
@@ -198,6 +208,18 @@ def explored(
         thresholds = np.array([max(LEAST_THRESHOLD, gumbel_quantile(one, 1 - rate)) for one in drawn])
         maxima = drawn[: len(named)].max(axis=0) if named else drawn.max(axis=0)
     return Exploration(fitted, found, scores, spans, gains, maxima, thresholds, len(named))
+
+
+def _gain(scores: Scores, candidate: Candidate, span: Sequence[int]) -> float:
+    gain = float(scores.gain(span))
+    if candidate.positive and gain > 0:
+        values = scores.values(span)
+        sigma = np.sqrt(np.diag(scores.covariance(scores.columns(span))))
+        labels = [scores.regressors[int(i)].label for i in scores.columns(span)]
+        limits = dict(zip(labels, -_NEGATIVE * sigma, strict=True))
+        if any(values[label] < limits[label] for label in candidate.positive):
+            return 0.0
+    return gain
 
 
 def gumbel_quantile(maxima: Array, probability: float) -> float:
@@ -260,29 +282,34 @@ def search(
     explorations = [first]
     start = first.scores.log_likelihood()
     found: list[Found] = []
-    kept: list[Candidate] = []
     step = first
-    while len(found) < most:
-        named = _named(step, found)
+    failed: set[str] = set()
+    while len(found) < most and len(failed) <= _MOST_FAILURES:
+        named = [one for one in _named(step, found) if step.candidates[one[0]].effect not in failed]
         if not named:
             break
         leader, gain = named[0]
         need = _needed(step, leader, found)
-        pair = step.best_pair() if gain > 0.5 * step.threshold else None
+        pair = step.best_pair(without=failed) if gain > 0.5 * step.threshold else None
+        both = 0.0 if pair is None else max(_needed(step, k, found) for k in pair[1])
         numbers: tuple[int, ...] = (leader,)
-        if pair is not None and leader not in pair[1] and pair[0] > gain + max(need, 0.25 * gain):
+        if pair is not None and leader not in pair[1] and pair[0] > gain + max(both, 0.25 * gain):
             numbers = pair[1]
         elif gain <= need:
-            if pair is None or pair[0] <= 1.5 * need:
+            if pair is None or pair[0] <= 1.5 * both:
                 break
             numbers = pair[1]
+        need = max(_needed(step, k, found) for k in numbers)
         chosen, likelihood, next_step, next_problem = _refined(
-            problem, step, numbers, folds, further, kept, seed, say
+            problem, step, numbers, folds, further, seed, say
         )
         before = step.scores.log_likelihood()
         gain = likelihood - before
-        if gain <= need or effect_size(next_step.fit, chosen, camera) < LEAST_SIZE:
-            break
+        if gain <= need or effect_size(next_step.fit, chosen, camera) < _least_size(next_step, chosen, found):
+            # what looked like it is something else: perhaps the next in line
+            failed |= {step.candidates[k].effect for k in numbers}
+            continue
+        failed.clear()
         for name in chosen:
             rivals, ties = _rivals(step, name, need)
             found.append(Found(name, gain, rivals, ties))
@@ -298,6 +325,18 @@ def search(
         problem=problem,
         folds=folds,
     )
+
+
+def _least_size(step: Exploration, chosen: Sequence[str], found: Sequence[Found]) -> float:
+    """Return how far further effects must move distances [m]: more beside others of their kind."""
+    rivals = [
+        one.effect
+        for one in found
+        for name in chosen
+        if any(name in kind and one.effect in kind for kind in _KINDS)
+    ]
+    sizes = [effect_size(step.fit, [name], step.fit.start) for name in rivals]
+    return max([LEAST_SIZE, *(LEAST_SIZE_OF_KIND * size for size in sizes)])
 
 
 def _silent(text: str) -> None:
@@ -327,7 +366,6 @@ def _refined(
     numbers: tuple[int, ...],
     folds: Mapping[tuple[int, int], int],
     further: Sequence[Candidate],
-    kept: Sequence[Candidate],
     seed: int,
     say: Callable[[str], None],
 ) -> tuple[list[str], float, Exploration, Problem]:
@@ -337,21 +375,21 @@ def _refined(
     if len(numbers) == 1:
         for effect, k in step.best().items():
             close = step.gains[k] > 0.6 * lead or lead - step.gains[k] < 2 * step.threshold
-            if effect != step.candidates[numbers[0]].effect and close and effect not in LINEAR:
+            if effect != step.candidates[numbers[0]].effect and close:
                 trials.append((k,))
     best: tuple[float, list[str], Exploration, Problem] | None = None
     for trial in trials[:3]:
         names = [step.candidates[k].effect for k in trial]
         say("fitting " + " and ".join(names))
         geometry = tuple(dict.fromkeys([*problem.geometry, *(n for n in names if n in GEOMETRY)]))
-        own = replace(problem, geometry=geometry)
+        reflectance = problem.reflectance or not OF_SURFACES.isdisjoint(names)
+        own = replace(problem, geometry=geometry, reflectance=reflectance)
         # first by itself: what loses need not be explored
         alone = explore(
             own,
             step.camera_with(trial),
             [],
             folds,
-            kept=kept,
             views=step.fit.forward.views,
             warm=step.fit,
             seed=seed,
@@ -364,10 +402,9 @@ def _refined(
     likelihood, names, alone, own = best
     left = [one for one in step.candidates[: step.named] if one.effect not in names]
     final = explored(
-        further_equations(alone.fit, [*kept, *left, *further], folds, own),
+        further_equations(alone.fit, [*left, *further], folds, own),
         left,
         further=further,
-        kept=kept,
         seed=seed,
     )
     return names, final.scores.log_likelihood(), final, own
@@ -432,8 +469,11 @@ def contribution(prediction: Prediction, name: str, start: Camera) -> Array:
     times 0.1 m; for the camera geometry, by the optics of ``start``.
     """
     camera = prediction.context.camera
-    if name in LINEAR:
-        return np.zeros(prediction.used.shape)
+    if name in OF_SURFACES:
+        curves = prediction.light_curves
+        if curves is None:
+            return np.zeros(prediction.used.shape)
+        return np.asarray(0.1 * np.log(curves.surfaces(prediction.view.geometry)))
     if name in GEOMETRY:
         return _geometry_contribution(prediction, name, start)
     effect = camera.effects[name]

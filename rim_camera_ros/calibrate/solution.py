@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from rim_camera_ros.calibrate.adjustment import Fit, after_nuisances
+from rim_camera_ros.calibrate.light_curves import of_light
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera, Covariance
 from rim_camera_ros.camera_file import camera_numbers, with_effects, with_numbers
@@ -102,13 +103,14 @@ class Solution:
         wider = scale * np.sqrt([self.widened.get(owner, 1.0) for owner in owners])
         told = np.sqrt(np.diag(matrix)) < UNTOLD * self.scores.prior[self.scores.base] * np.sqrt(self.factor)
         matrix = matrix * wider[:, None] * wider[None, :]
-        keep = np.flatnonzero(told)
+        # how surfaces reflect is no number of the camera file
+        keep = np.flatnonzero(told & [not of_light(label) for label in self.labels])
         return [self.labels[i] for i in keep], np.asarray(matrix[np.ix_(keep, keep)])
 
     def untold(self) -> list[str]:
         """Return the paths of fitted parameters of which the data say nothing: they stay as in the file."""
         told, _ = self.covariance()
-        return [label for label in self.labels if label not in set(told)]
+        return [label for label in self.labels if label not in set(told) and not of_light(label)]
 
     def _unit(self, label: str) -> float:
         return self.fit.camera.radiometry.gain if label == _GAIN else 1.0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.diagnose import page_pictures as pictures
 from rim_camera_ros.diagnose import page_words as words
 from rim_camera_ros.diagnose.page_evidence import OF_AMPLITUDE, evidence
-from rim_camera_ros.diagnose.run import Diagnosis, Missing
+from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.info.text import several
 from rim_camera_ros.parameters import write_whole

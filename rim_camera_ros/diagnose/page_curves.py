@@ -11,7 +11,7 @@ from rim_camera_ros.diagnose.page_classes import Bins, binned, explained
 from rim_camera_ros.diagnose.page_evidence import AXIS, OF_AMPLITUDE, Evidence
 from rim_camera_ros.diagnose.page_figures import Telling
 from rim_camera_ros.diagnose.page_words import axis_of, formula_curve, title_of
-from rim_camera_ros.diagnose.run import Diagnosis
+from rim_camera_ros.diagnose.result import Diagnosis
 
 Array = NDArray[Any]
 

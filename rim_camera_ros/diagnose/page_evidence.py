@@ -15,7 +15,7 @@ from rim_camera_ros.calibrate.prediction import Forward, Prediction
 from rim_camera_ros.calibrate.search import contribution
 from rim_camera_ros.calibrate.stations import Station
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.run import Diagnosis
+from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.smooth import UNKNOWN, values_of
 from rim_camera_ros.effects.covariates import COVARIATES
 

@@ -8,7 +8,7 @@ from rim_camera_ros.calibrate.search import ALARM_RATE, LEAST_SHARE, gumbel_quan
 from rim_camera_ros.diagnose import page_words as words
 from rim_camera_ros.diagnose.page_classes import region
 from rim_camera_ros.diagnose.page_evidence import Evidence
-from rim_camera_ros.diagnose.run import Diagnosis
+from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.info.text import several
 from rim_camera_ros.reports import html

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.page_evidence import AXIS
-from rim_camera_ros.diagnose.run import Diagnosis, Missing
+from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.effects import registry
 from rim_camera_ros.reports import html

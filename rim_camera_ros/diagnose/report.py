@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from rim_camera_ros.camera_file import save_camera
-from rim_camera_ros.diagnose.run import Diagnosis, Missing
+from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.parameters import encode, write_whole
 
 FORMAT = "rim_diagnosis/1"

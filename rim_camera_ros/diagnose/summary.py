@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rim_camera_ros.diagnose.run import Diagnosis
+from rim_camera_ros.diagnose.result import Diagnosis
 
 WORDS = {
     "consistent": "The simulation explains this recording.",

@@ -18,12 +18,14 @@ from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.cli import main
 from rim_camera_ros.diagnose import page_figures, page_maps
 from rim_camera_ros.diagnose import page_words as words
+from rim_camera_ros.diagnose.adjusted import Adjusted
 from rim_camera_ros.diagnose.page import page, write_page
 from rim_camera_ros.diagnose.page_classes import binned, region
 from rim_camera_ros.diagnose.page_curves import curves_of
 from rim_camera_ros.diagnose.page_evidence import evidence
 from rim_camera_ros.diagnose.report import as_json
-from rim_camera_ros.diagnose.run import Adjusted, Diagnosis, Missing, diagnose
+from rim_camera_ros.diagnose.result import Diagnosis, Missing
+from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.effects.scattering import Ghost, Kernel, Scattering
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.scene import load_scene

@@ -1,0 +1,156 @@
+"""Steps of the adjustment: parameters, poses and curves of the light moved within their bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.light_curves import LightCurves, of_light
+from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import camera_numbers, with_numbers
+from rim_camera_ros.effects.base import row_name
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.scene import Scene, ScenePose, quaternion, rotation_matrix
+
+Array = NDArray[Any]
+
+GAIN = "radiometry.gain"
+_OPTICAL = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
+#: Share of a station's values below whose amplitude a pole of a term may lie.
+_DARKEST = 0.01
+
+
+def stepped(
+    start: Camera,
+    offsets: Mapping[str, float],
+    changes: Mapping[str, float],
+    lows: Mapping[str, float],
+    highs: Mapping[str, float],
+    numbers: Mapping[str, float],
+) -> tuple[Camera, dict[str, float]]:
+    """Take a step, or so much of it as leads to a possible camera.
+
+    Raises `InputError` where not even a thousandth does.
+    """
+    share = 1.0
+    while True:
+        moved = dict(offsets)
+        for path, change in changes.items():
+            moved[path] = moved.get(path, 0.0) + share * change
+        try:
+            return _moved(start, moved, lows, highs, numbers), moved
+        except (InputError, ValueError):
+            share /= 2
+            if share < 1e-3:
+                raise
+
+
+def power_factor(change: float) -> float:
+    """Return the factor on a pose's power for a step of its logarithm."""
+    return float(np.exp(np.clip(change, -1.0, 1.0)))
+
+
+def bounds_of(camera: Camera) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the least and greatest values of an effect's parameters, by path."""
+    lows: dict[str, float] = {}
+    highs: dict[str, float] = {}
+    for name, effect in camera.effects.items():
+        for path, (low, high) in effect.bounds().items():
+            lows[f"effects.{name}.{path}"], highs[f"effects.{name}.{path}"] = low, high
+    return lows, highs
+
+
+def poles_of(
+    dataset: Dataset, masks: Sequence[tuple[Array, Array]] | None, camera: Camera
+) -> dict[str, float]:
+    """Return the greatest b of each row of a / (A - b): its pole must lie below the amplitudes in use."""
+    effect: Any = camera.effects.get("amplitude_offset")
+    if effect is None or masks is None:
+        return {}
+    lowest: dict[float, float] = {}
+    for station, (used, _) in zip(dataset.stations, masks, strict=True):
+        if used.any():
+            t = camera.integration_time(station.settings)
+            key = min(effect.hyperbola, key=lambda row: abs(row - t))
+            lowest[key] = min(lowest.get(key, np.inf), float(np.quantile(station.amplitude[used], _DARKEST)))
+    return {
+        f"effects.amplitude_offset.hyperbola.{row_name(key)}.b": max(
+            0.9 * level, effect.hyperbola[key].b, -effect.hyperbola[key].b
+        )
+        for key, level in lowest.items()
+    }
+
+
+def value_of(path: str, camera: Camera, offsets: Mapping[str, float]) -> float:
+    """Return a parameter's value: of the camera, or how far one of the scene has moved."""
+    return offsets.get(path, 0.0) if of_scene(path) else camera_numbers(camera)[path]
+
+
+def of_scene(path: str) -> bool:
+    """Whether a parameter belongs to the scene: an error of a pose, or how surfaces reflect."""
+    return path.startswith("scene.") or of_light(path)
+
+
+def moved_light(offsets: Mapping[str, float]) -> LightCurves | None:
+    """Return how surfaces reflect; None: as Lambert says."""
+    values = {path: value for path, value in offsets.items() if of_light(path)}
+    return LightCurves(values) if values else None
+
+
+def in_units(covariance: Array, regressors: Sequence[Any], camera: Camera) -> Array:
+    """Return a covariance of steps as one of parameters: the gain in counts, not its logarithm."""
+    scale = np.array([camera.radiometry.gain if one.label == GAIN else 1.0 for one in regressors])
+    return np.asarray(covariance * scale[:, None] * scale[None, :])
+
+
+def _moved(
+    camera: Camera,
+    offsets: Mapping[str, float],
+    lows: Mapping[str, float],
+    highs: Mapping[str, float],
+    numbers: Mapping[str, float],
+) -> Camera:
+    """Return the camera with its numbers moved, kept within their bounds and within reach."""
+    values: dict[str, float] = {}
+    for path, offset in offsets.items():
+        if of_scene(path):
+            continue
+        value = (
+            numbers[path] * float(np.exp(np.clip(offset, -3, 3))) if path == GAIN else numbers[path] + offset
+        )
+        low, high = lows.get(path, -np.inf), highs.get(path, np.inf)
+        if path.endswith(("time_constant", "blur")) or ".sigma." in path:
+            low = max(low, 0.2 * abs(numbers[path]))
+            high = min(high, 5.0 * abs(numbers[path]) + 1e-9)
+        if path.endswith(".b"):
+            limit = 10 * abs(numbers[path]) + 5.0
+            low, high = max(low, -limit), min(high, limit)
+        inside = 1e-9 * max(abs(value), 1.0)
+        values[path] = float(np.clip(value, low + inside if np.isfinite(low) and low > 0 else low, high))
+    return with_numbers(camera, values) if values else camera
+
+
+def moved_scene(scene: Scene, offsets: Mapping[str, float]) -> tuple[Scene, bool]:
+    """Return the scene with its free poses moved."""
+    if not any(path.startswith("scene.") for path in offsets):
+        return scene, False
+    surfaces = []
+    for one in scene.surfaces:
+        pose = one.pose
+        if isinstance(pose, ScenePose) and pose.free:
+            shift = [offsets.get(f"scene.{one.name}.{axis}", 0.0) for axis in "xyz"]
+            rotation = rotation_matrix(pose.orientation)
+            for name, axis in _OPTICAL.items():
+                angle = offsets.get(f"scene.{one.name}.{name}", 0.0)
+                half = np.array(axis) * np.sin(angle / 2)
+                turn = rotation_matrix((half[0], half[1], half[2], float(np.cos(angle / 2))))
+                rotation = turn @ rotation
+            position = (pose.position[0] + shift[0], pose.position[1] + shift[1], pose.position[2] + shift[2])
+            pose = replace(pose, position=position, orientation=quaternion(rotation))
+        surfaces.append(replace(one, pose=pose))
+    return replace(scene, surfaces=tuple(surfaces)), True

@@ -1,0 +1,157 @@
+"""What no effect of the vocabulary explains: found, fitted as a table, and put into words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.adjustment import Fit, Problem
+from rim_camera_ros.calibrate.library import added
+from rim_camera_ros.calibrate.search import Exploration, Result, explore
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.result import Missing
+from rim_camera_ros.diagnose.smooth import UNKNOWN, pair_terms
+from rim_camera_ros.diagnose.unknown import closed_form, fine_structures, fine_table, smooth_pairs, with_table
+from rim_camera_ros.diagnose.where import Where, of_residuals, of_terms
+
+Array = NDArray[Any]
+
+
+_LEAST_UNKNOWN = 20.0
+
+
+@dataclass(frozen=True)
+class Rest:
+    """The best description that is not of the vocabulary: its gain over the baseline, covariates, camera."""
+
+    gain: float
+    covariates: tuple[str, ...]
+    camera: Camera
+    on_top: float
+    threshold: float
+
+
+def best_rest(result: Result, samples: Mapping[str, Array], problem: Problem, seed: int) -> Rest | None:
+    """Find the best smooth term or fine structure, over the baseline and on top of what was named."""
+    baseline, final = result.explorations[0], result.explorations[-1]
+    options: list[Rest] = []
+    best = final.best_further()
+    structures = fine_structures(final.fit, result.folds)
+    least = _LEAST_UNKNOWN
+    if best is not None and best[0] > max(least, 1.5 * float(final.thresholds[best[1]])):
+        gain, k = best
+        threshold = float(final.thresholds[k])
+        covariates: tuple[str, ...] = (final.candidates[k].variant,)
+        camera = final.candidates[k].build(final.fit.camera, final.scores.values(final.spans[k]))
+        pairs = pair_terms(dict(samples), smooth_pairs(final))
+        if pairs and gain > 2 * least:
+            step = explore(
+                result.problem,
+                final.fit.camera,
+                [],
+                result.folds,
+                further=pairs,
+                views=final.fit.forward.views,
+                seed=seed,
+                replicates=0,
+                iterations=1,
+            )
+            two = step.best_further()
+            if two is not None and two[0] > 1.1 * gain + threshold:
+                gain, k = two
+                covariates = tuple(step.candidates[k].variant.split(","))
+                camera = step.candidates[k].build(step.fit.camera, step.scores.values(step.spans[k]))
+        over = gain
+        for j in range(baseline.named, len(baseline.candidates)):
+            if baseline.candidates[j].variant == covariates[0]:
+                over = max(over, float(baseline.gains[j]))
+        options.append(Rest(over, covariates, camera, gain, threshold))
+    if structures and structures[0].gain > least:
+        fine = structures[0]
+        table = fine_table(fine, final.fit)
+        camera = final.fit.camera if table is None else with_table(final.fit.camera, table)
+        options.append(Rest(fine.gain, fine.covariates, camera, fine.gain, least))
+    return max(options, key=lambda one: one.on_top, default=None)
+
+
+@dataclass(frozen=True)
+class Described:
+    """Unknown physics with its table fitted jointly with the known terms."""
+
+    gain: float
+    camera: Camera
+    fit: Fit
+    where: Where
+    missing: Missing
+
+
+def describe(unknown: Rest, baseline: Exploration, result: Result, seed: int) -> Described:
+    """Fit the table in place of the named effects and describe it."""
+    start = baseline.fit.camera
+    table = unknown.camera.effects.get("empirical")
+    model = start
+    where = of_residuals(baseline.fit)
+    fitted = baseline.fit
+    if table is not None and "empirical" not in start.effects:
+        model, fitted = _refit_table(unknown, baseline, result, seed)
+        where = of_terms(fitted, ["empirical"], start)
+    curve = next(iter(where.curves.items()), None)
+    formula = None
+    magnitude = float(np.sqrt(np.mean(where.pixels))) if where.pixels.size else 0.0
+    if curve is not None:
+        name, (x, y, sigma) = curve
+        formula = closed_form(name, x, y, sigma)
+        magnitude = float(np.ptp(y) / 2)
+    shown = " and ".join(unknown.covariates)
+    sentence = (
+        f"unknown physics: distances depend on {shown} in a way that no effect of the vocabulary explains, "
+        f"by about ±{magnitude * 1e3:.2g} mm"
+    )
+    if formula is not None:
+        sentence += f"; described by {formula}"
+    missing = Missing(
+        UNKNOWN, 1.0, {}, {}, sentence, covariates=unknown.covariates, magnitude=magnitude, formula=formula
+    )
+    return Described(unknown.gain, model, fitted, where, missing)
+
+
+def _refit_table(unknown: Rest, baseline: Exploration, result: Result, seed: int) -> tuple[Camera, Fit]:
+    """Estimate the table jointly with the baseline, without the effects that had stood in for it."""
+    from rim_camera_ros.diagnose.smooth import Axis, smooth_candidate
+
+    table: Any = unknown.camera.effects["empirical"]
+    start = baseline.fit.camera
+    if len(table.covariates) == 2 and len(table.knots[0]) > 40:
+        # fine structure: its own shrinkage is better than the adjustment's
+        model = added(start, table)
+        step = explore(
+            result.problem, model, [], result.folds, views=baseline.fit.forward.views, seed=seed, replicates=0
+        )
+        return step.fit.camera, step.fit
+    axes = [Axis(name, knots) for name, knots in zip(table.covariates, table.knots, strict=True)]
+    candidate = smooth_candidate(axes)
+    step = explore(
+        replace(result.problem, geometry=(), reflectance=False),
+        start,
+        [],
+        result.folds,
+        further=[candidate],
+        views=baseline.fit.forward.views,
+        seed=seed,
+        replicates=0,
+    )
+    model = candidate.build(step.fit.camera, step.scores.values(step.spans[0]))
+    final = explore(
+        replace(result.problem, geometry=(), reflectance=False),
+        model,
+        [],
+        result.folds,
+        views=baseline.fit.forward.views,
+        seed=seed,
+        replicates=0,
+    )
+    return final.fit.camera, final.fit

@@ -1,0 +1,137 @@
+"""Names with numbers: what is said of each effect, how likely it is, and what would tell rivals apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from rim_camera_ros.calibrate.adjustment import Fit
+from rim_camera_ros.calibrate.library import OF_SURFACES
+from rim_camera_ros.calibrate.light_curves import PREFIX, SURFACES, LightCurves
+from rim_camera_ros.calibrate.search import Exploration, Result
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import camera_numbers
+from rim_camera_ros.diagnose.codes import MissingCodes
+from rim_camera_ros.diagnose.result import Missing
+from rim_camera_ros.diagnose.smooth import UNKNOWN
+from rim_camera_ros.diagnose.where import OF_AMPLITUDE
+from rim_camera_ros.effects import registry
+
+_GEOMETRY_SENTENCE = {
+    "radiometry": "radiometry: surfaces do not reflect as Lambert says; amplitudes depend otherwise on "
+    "the angle "
+    "of incidence than the scene's simulation",
+    "camera_constant": "camera constant: focal length or principal point differ from the camera file's",
+    "lens_distortion": "lens distortion: the rays bend other than the camera file's distortion says",
+}
+
+
+def missing_effect(
+    name: str, fitted: Fit, intervals: Mapping[str, tuple[float, float, float]], probability: float
+) -> Missing:
+    camera = fitted.camera
+    effect = camera.effects.get(name)
+    if effect is None:
+        if name in OF_SURFACES:
+            curves = fitted.forward.light_curves or LightCurves()
+            own = {path: v for path, v in intervals.items() if path in SURFACES}
+            return Missing(
+                name,
+                probability,
+                {path.removeprefix(PREFIX): value for path, (value, _, _) in own.items()},
+                {path.removeprefix(PREFIX): (low, high) for path, (_, low, high) in own.items()},
+                f"{_GEOMETRY_SENTENCE[name]}: {curves.sentence()}",
+            )
+        prefix = "optics."
+        own = {path.removeprefix(prefix): v for path, v in intervals.items() if path.startswith(prefix)}
+        sentence = _GEOMETRY_SENTENCE[name]
+        values = {
+            path.removeprefix(prefix): v
+            for path, v in camera_numbers(camera).items()
+            if path.startswith(prefix)
+        }
+    else:
+        prefix = f"effects.{name}."
+        own = {path.removeprefix(prefix): v for path, v in intervals.items() if path.startswith(prefix)}
+        sentence = effect.sentence()
+        values = {
+            path.removeprefix(prefix): v
+            for path, v in camera_numbers(camera).items()
+            if path.startswith(prefix)
+        }
+    size = None if name in OF_AMPLITUDE else _size(fitted, name)
+    if size is not None:
+        sentence += f"; it moves distances by up to {size * 1e3:.3g} mm in this recording"
+    return Missing(
+        effect=name,
+        probability=probability,
+        parameters=values,
+        interval={path: (low, high) for path, (_, low, high) in own.items()},
+        sentence=sentence,
+        magnitude=size,
+    )
+
+
+def _size(fitted: Fit, name: str) -> float | None:
+    from rim_camera_ros.calibrate.search import contribution
+
+    values = []
+    for one in fitted.forward.predictions():
+        image = contribution(one, name, fitted.start)
+        values.append(np.abs(np.broadcast_to(image, one.used.shape)[one.used]))
+    everything = np.concatenate(values) if values else np.zeros(0)
+    return float(np.quantile(everything, 0.99)) if everything.size else None
+
+
+def missing_codes_of(codes: MissingCodes, camera: Camera) -> Missing:
+    step = codes.step * camera.sensor.lsb
+    sentence = (
+        f"unknown physics: beside {codes.share:.0%} of the frequent distance counts lie counts that never "
+        f"occur "
+        f"(steps of {codes.step:.0f} counts, {step * 1e3:.2g} mm): the read-out leaves out codes"
+    )
+    return Missing(
+        UNKNOWN, 1.0, {}, {}, sentence, ("distance",), step / np.sqrt(12), "staircase of the distance"
+    )
+
+
+def ranking_of(baseline: Exploration, result: Result) -> list[tuple[str, float, float]]:
+    """Return effect, probability and held-out gain [nats] of every effect alone, the best first.
+
+    The gain of what was fitted non-linearly is that of the fit.
+    """
+    gains = {effect: float(baseline.gains[k]) for effect, k in baseline.best().items()}
+    if result.found:
+        first = result.found[0]
+        gains[first.effect] = max(first.gain, gains.get(first.effect, first.gain))
+        for one in result.found[1:]:
+            gains.setdefault(one.effect, one.gain)
+    values = np.array([*gains.values(), 0.0])
+    weights = np.exp(values - values.max())
+    weights /= weights.sum()
+    ranking = [(name, float(w), g) for (name, g), w in zip(gains.items(), weights[:-1], strict=True)]
+    return sorted(ranking, key=lambda one: -one[2])
+
+
+def unseen_effects(step: Exploration) -> list[str]:
+    """Return the effects that this recording could not show: less is learnt of them than chance."""
+    seen: dict[str, float] = {}
+    for k in range(step.named):
+        name = step.candidates[k].effect
+        seen[name] = max(seen.get(name, 0.0), step.scores.information(step.spans[k]))
+    absent = set(registry()) - set(step.fit.camera.effects) - set(seen)
+    hidden = {name for name, info in seen.items() if info < 1.0}
+    silent = {"integral_table", "empirical", "reference_path", "fixed_pattern_offset"}
+    return sorted((absent | hidden) - silent)
+
+
+def next_recording(ties: Sequence[Sequence[str]], unseen: Sequence[str], verdict: str) -> str | None:
+    """Return what to record to tell rivals apart."""
+    if not ties:
+        return None
+    known = registry()
+    parts = []
+    for names in ties:
+        parts += [f"for {name}: {known[name].observable}" for name in names if name in known]
+    return "; ".join(parts) if parts else None

@@ -1,0 +1,75 @@
+"""What repeated frames add to a verdict: a second camera, unmodulated light, another noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from rim_camera_ros.calibrate.library import added
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.adjusted import Adjusted
+from rim_camera_ros.diagnose.result import Missing
+from rim_camera_ros.diagnose.smooth import UNKNOWN
+from rim_camera_ros.diagnose.variance import Variance
+from rim_camera_ros.effects.background_light import BackgroundLight
+
+
+def with_variance(
+    verdict: str,
+    missing: list[Missing],
+    adjusted: list[Adjusted],
+    model: Camera,
+    variance: Variance,
+    ties: list[list[str]],
+    shifted: bool,
+) -> tuple[str, list[Missing], Camera]:
+    """Add what repeated frames say: a second camera, or another noise than the file's.
+
+    Unmodulated light shifts distances as well (``shifted``: something does); what only adds noise is noise.
+    """
+    if verdict == "inconsistent_setup":
+        return verdict, missing, model
+    if variance.pixels_vary_together and "interference" not in model.effects:
+        sentence = (
+            "interference: all pixels vary together from frame to frame, "
+            f"{variance.common or 0:.0f} times as much as independent noise would: a second camera"
+        )
+        missing = [*missing, Missing("interference", 1.0, {}, {}, sentence)]
+        return ("missing_physics" if verdict != "unknown_physics" else verdict), missing, model
+    if variance.noise_is_wrong:
+        before, after = model.noise, variance.noise
+        possible = variance.background > 0 and "background_light" not in model.effects
+        if possible:
+            ties.append(["background_light", "noise"])
+        if possible and shifted:
+            level = variance.background
+            sentence = (
+                f"background light: {level:.3g} counts of unmodulated light add photon noise; the "
+                f"variance of "
+                f"repeated frames is {variance.ratio:.2f} times the model's, most where it is dark"
+            )
+            named = Missing("background_light", 0.7, {"level": level}, {}, sentence)
+            model = added(model, BackgroundLight(level=level))
+            if {one.effect for one in missing} <= {UNKNOWN} and all(
+                set(one.covariates) <= {"amplitude", "distance", "contrast"} for one in missing
+            ):
+                # what it adds to the distance goes with the light that a surface reflects of it
+                missing, verdict = [], "missing_physics"
+        else:
+            sentence = (
+                f"noise: the variance of repeated frames is {variance.ratio:.2f} times the model's; they fit "
+                f"floor {after.floor * 1e3:.2g} mm and {after.amplitude:.3g} m*counts over the amplitude"
+            )
+            numbers = {"floor": after.floor, "shot": after.shot, "amplitude": after.amplitude}
+            named = Missing("noise", 1.0, numbers, {}, sentence)
+            adjusted.append(
+                Adjusted(
+                    "noise",
+                    {"floor": before.floor, "shot": before.shot, "amplitude": before.amplitude},
+                    numbers,
+                )
+            )
+            model = replace(model, noise=after)
+        missing = [*missing, named]
+        if verdict != "unknown_physics":
+            verdict = "missing_physics"
+    return verdict, missing, model

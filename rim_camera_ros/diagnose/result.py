@@ -1,0 +1,53 @@
+"""What a diagnosis says: the verdict, what is missing and the evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from rim_camera_ros.calibrate.search import Exploration, Found
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.accuracy import Accuracy
+from rim_camera_ros.diagnose.adjusted import Adjusted
+from rim_camera_ros.diagnose.variance import Variance
+from rim_camera_ros.diagnose.where import Where
+
+
+@dataclass(frozen=True)
+class Missing:
+    """What was left out: effect (or `unknown`), its probability, parameters with 95 % intervals by path
+    (relative to the effect), and the sentence; for unknown physics covariates, magnitude [m] and closed form.
+    """
+
+    effect: str
+    probability: float
+    parameters: Mapping[str, float]
+    interval: Mapping[str, tuple[float, float]]
+    sentence: str
+    covariates: tuple[str, ...] = ()
+    magnitude: float | None = None
+    formula: str | None = None
+
+
+@dataclass
+class Diagnosis:
+    """The result; `rim_camera_ros.diagnose.report` writes it."""
+
+    verdict: str
+    missing: list[Missing]
+    adjusted: list[Adjusted]
+    ranking: list[tuple[str, float, float]]
+    indistinguishable: list[list[str]]
+    where: Where
+    before: Where
+    accuracy: Accuracy
+    variance: Variance
+    camera: Camera
+    baseline: Exploration
+    final: Exploration
+    found: list[Found]
+    next_recording: str | None
+    reason: str | None = None
+    unseen: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    smooth_rest: tuple[str, float] | None = None
