@@ -16,7 +16,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 PACKAGE = "rim_camera_ros"
 #: Topics of camera.rviz, which are those of the namespace /camera there.
-SHOWN = ("points", "amplitude/image_raw", "sigma/image")
+SHOWN = ("points", "amplitude/image_raw", "sigma/image", "people/markers")
 
 
 def generate_launch_description() -> LaunchDescription:

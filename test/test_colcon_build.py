@@ -12,7 +12,7 @@ pytest.importorskip("colcon_core")
 
 NAME = "rim_camera_ros"
 ROOT = Path(__file__).resolve().parents[1]
-EXECUTABLES = ("driver_node", "correction_node", "rim")
+EXECUTABLES = ("driver_node", "correction_node", "calibration_node", "people_node", "rim")
 SHARED = ("launch", "config", "calibration")
 
 pytestmark = pytest.mark.timeout(180)

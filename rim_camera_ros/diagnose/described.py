@@ -15,8 +15,16 @@ from rim_camera_ros.calibrate.search import Exploration, Result, explore
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN, pair_terms
-from rim_camera_ros.diagnose.unknown import closed_form, fine_structures, fine_table, smooth_pairs, with_table
-from rim_camera_ros.diagnose.where import Where, of_residuals, of_terms
+from rim_camera_ros.diagnose.unknown import (
+    FineStructure,
+    closed_form,
+    fine_image,
+    fine_structures,
+    fine_table,
+    smooth_pairs,
+    with_table,
+)
+from rim_camera_ros.diagnose.where import Where, of_residuals, of_terms, of_values
 
 Array = NDArray[Any]
 
@@ -33,6 +41,7 @@ class Rest:
     camera: Camera
     on_top: float
     threshold: float
+    fine: FineStructure | None = None
 
 
 def best_rest(result: Result, samples: Mapping[str, Array], problem: Problem, seed: int) -> Rest | None:
@@ -74,7 +83,7 @@ def best_rest(result: Result, samples: Mapping[str, Array], problem: Problem, se
         fine = structures[0]
         table = fine_table(fine, final.fit)
         camera = final.fit.camera if table is None else with_table(final.fit.camera, table)
-        options.append(Rest(fine.gain, fine.covariates, camera, fine.gain, least))
+        options.append(Rest(fine.gain, fine.covariates, camera, fine.gain, least, fine))
     return max(options, key=lambda one: one.on_top, default=None)
 
 
@@ -99,10 +108,16 @@ def describe(unknown: Rest, baseline: Exploration, result: Result, seed: int) ->
     if table is not None and "empirical" not in start.effects:
         model, fitted = _refit_table(unknown, baseline, result, seed)
         where = of_terms(fitted, ["empirical"], start)
+    elif unknown.fine is not None:
+        # slopes that differ from pixel to pixel are no table of two covariates, but have a place and a size
+        fine = unknown.fine
+        where = of_values(fitted, lambda one: fine_image(fine, one))
     curve = next(iter(where.curves.items()), None)
     formula = None
-    magnitude = float(np.sqrt(np.mean(where.pixels))) if where.pixels.size else 0.0
-    if curve is not None:
+    magnitude = 0.0
+    if unknown.fine is not None:
+        magnitude = 2.0 * float(np.sqrt(np.mean(unknown.fine.slopes**2)))
+    elif curve is not None:
         name, (x, y, sigma) = curve
         formula = closed_form(name, x, y, sigma)
         magnitude = float(np.ptp(y) / 2)

@@ -2,17 +2,50 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
 from rim_camera_ros.calibrate.nulls import null_scores
 from rim_camera_ros.calibrate.search import Exploration
+from rim_camera_ros.calibrate.selection import Scores
+
+Array = NDArray[Any]
+
+#: A jackknife of five folds is itself uncertain: it counts from this many times the bootstrap's spread.
+_LEAST_OF_POSES = 2.5
+_LEAST_OF_TIME = 1.5
+_BLOCKS = 8
 
 
-def intervals_of(step: Exploration, *, seed: int = 0) -> dict[str, tuple[float, float, float]]:
+def _jackknife(scores: Scores, count: int) -> Array:
+    folds = len(scores.trained)
+    parts = np.array([list(scores.values(leave_out=k).values())[:count] for k in range(folds)], dtype=float)
+    return np.asarray(np.sqrt((folds - 1) / folds * np.sum((parts - parts.mean(axis=0)) ** 2, axis=0)))
+
+
+def _by_time(problem: Problem, fitted: Fit) -> Scores | None:
+    """Return scores of blocks of poses that follow each other: they part where a form is not quite true."""
+    times: dict[tuple[int, int], float] = {}
+    for one in problem.dataset.stations:
+        times.setdefault((one.recording, one.pose), one.time)
+    if len(times) < 2 * _BLOCKS:
+        return None
+    ordered = sorted(times, key=lambda key: (key[0], times[key]))
+    blocks = {key: i * _BLOCKS // len(ordered) for i, key in enumerate(ordered)}
+    again = fit(problem, fitted.camera, fold_of=blocks, views=fitted.forward.views, warm=fitted, iterations=0)
+    return Scores(again.equations, range(len(again.parameters)))
+
+
+def intervals_of(
+    step: Exploration, problem: Problem, *, seed: int = 0
+) -> dict[str, tuple[float, float, float]]:
     """Return value and 95 % interval of each parameter.
 
     From a parametric bootstrap (replicates of noise, errors of poses and powers in the normal equations,
-    around the fit), widened where a jackknife over folds of poses says so.
+    around the fit), widened where a jackknife over folds of poses, dealt or in blocks of time, says so.
     """
     fitted, scores = step.fit, step.scores
     count = len(fitted.parameters)
@@ -31,13 +64,10 @@ def intervals_of(step: Exploration, *, seed: int = 0) -> dict[str, tuple[float, 
     # the prior shrinks replicates as it shrinks the estimate: its own width belongs to the interval
     posterior = np.sqrt(np.diag(np.linalg.inv(inner))) * scale
     spread = np.maximum(draws.std(axis=1), posterior)
-    if len(scores.trained) >= 4:
-        folds = len(scores.trained)
-        parts = np.array(
-            [list(scores.values(leave_out=k).values())[:count] for k in range(folds)], dtype=float
-        )
-        jackknife = np.sqrt((folds - 1) / folds * np.sum((parts - parts.mean(axis=0)) ** 2, axis=0))
-        spread = np.maximum(spread, np.where(jackknife > 2.5 * spread, jackknife, 0.0))
+    for one, least in ((scores, _LEAST_OF_POSES), (_by_time(problem, fitted), _LEAST_OF_TIME)):
+        if one is not None and len(one.trained) >= 4:
+            jackknife = _jackknife(one, count)
+            spread = np.maximum(spread, np.where(jackknife > least * spread, jackknife, 0.0))
     gain = fitted.camera.radiometry.gain
     result = {}
     for i, (path, value) in enumerate(fitted.parameters.items()):

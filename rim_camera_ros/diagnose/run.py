@@ -250,7 +250,7 @@ def _verdict(
         ties = []
     elif result.found:
         verdict = "missing_physics"
-        intervals = intervals_of(final, seed=seed)
+        intervals = intervals_of(final, result.problem, seed=seed)
         for one in result.found:
             share = sum(probabilities.get(name, 0.0) for name in {one.effect, *one.ties})
             if one is not result.found[0]:

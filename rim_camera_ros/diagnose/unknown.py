@@ -149,6 +149,15 @@ def _held_out(parts: Array) -> tuple[float, Array]:
     return gain, slopes(total[0], total[1])
 
 
+def fine_image(structure: FineStructure, one: Any) -> Array:
+    """Return what a structure does to the distances of a station (H, W) in m."""
+    shape = one.used.shape
+    pixels = np.arange(one.used.size)
+    feature = np.clip(_feature(structure.feature, one, pixels, structure.centre, structure.spread), -3, 3)
+    index = {"column": pixels % shape[1], "row": pixels // shape[1], "pixel": pixels}[structure.group]
+    return np.asarray((structure.slopes[index] * feature).reshape(shape))
+
+
 def fine_table(structure: FineStructure, fitted: Fit) -> Empirical | None:
     """Return the structure as a table over its two covariates; None for slopes per pixel."""
     if structure.group == "pixel":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,6 +51,11 @@ def of_terms(fitted: Fit, names: Sequence[str], origin: Camera) -> Where:
         return np.asarray(total)
 
     return _locate(fitted, value, centred=list(names) == ["empirical"])
+
+
+def of_values(fitted: Fit, value: Callable[[Prediction], Array]) -> Where:
+    """Locate what a function says of each station: changes (H, W) of the distance in m."""
+    return _locate(fitted, value)
 
 
 def of_change(fitted: Fit, camera: Camera) -> Where:

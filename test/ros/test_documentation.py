@@ -14,7 +14,7 @@ pytest.importorskip("rclpy")
 import yaml
 from sensor_msgs.msg import CameraInfo, Image
 
-from rim_camera_ros.nodes import correction_parameters, driver_parameters
+from rim_camera_ros.nodes import calibration_parameters, correction_parameters, driver_parameters
 from rim_camera_ros.nodes.transforms import mount, optical_rotation
 from test.ros.harness import BEST_EFFORT, World
 
@@ -22,6 +22,12 @@ ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
 #: What every node of ROS has.
 _OF_EVERY_NODE = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+#: The nodes, by name, with the parameters that they declare.
+_SPECS = {
+    "driver": driver_parameters.SPECS,
+    "correction": correction_parameters.SPECS,
+    "calibration": calibration_parameters.SPECS,
+}
 _EVERY_TOPIC = ("/rosout", "/parameter_events")
 _EVERY_SERVICE = (
     r"/(describe_parameters|get_parameter\w*|list_parameters|set_parameters\w*|get_type_description|"
@@ -43,12 +49,15 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Any:
     with World(tmp_path_factory.mktemp("documentation")) as world:
         world.start("driver_node", scene="wall", publish_clock=True)
         world.start("correction_node")
+        diagnostics = world.diagnostics()
+        world.start("calibration_node")
+        assert world.until(lambda: diagnostics.of("/camera/calibration: work")), world.output()
         images = world.collect(Image, "distance/image", BEST_EFFORT)
         assert world.until(lambda: len(images) > 2), world.output()
         yield world
 
 
-@pytest.mark.parametrize("node", ["driver", "correction"])
+@pytest.mark.parametrize("node", _SPECS)
 def test_parameters(nodes: World, node: str) -> None:
     described = nodes.describe(node)
     rows = {row[0].strip("`"): row for row in table(f"`{node}_node` (node `{node}`)", "parameter")}
@@ -56,8 +65,7 @@ def test_parameters(nodes: World, node: str) -> None:
     effects = {name for name in running if name.startswith("effects.")}
     assert running - effects == set(rows) - {"effects.<name>"}
     assert bool(effects) == ("effects.<name>" in rows)
-    specs = driver_parameters.SPECS if node == "driver" else correction_parameters.SPECS
-    for spec in specs:
+    for spec in _SPECS[node]:
         found, (_, default, text) = described[spec.name], rows[spec.name]
         assert found.description == spec.description
         assert text.startswith(spec.description)
@@ -88,7 +96,7 @@ def test_topics(nodes: World) -> None:
             documented[topic] = (kinds[-1] if "camera_info" in topic else kinds[0], node)
     published: dict[str, set[str]] = {}
     types: dict[str, str] = {}
-    for node in ("driver", "correction"):
+    for node in _SPECS:
         for name, kinds in nodes.node.get_publisher_names_and_types_by_node(node, "/camera"):
             if name in _EVERY_TOPIC or name.endswith("/transition_event"):
                 continue
@@ -101,13 +109,13 @@ def test_topics(nodes: World) -> None:
     for name, (kind, node) in documented.items():
         if name != "/tf_static":
             assert types[name] == kind.split()[0], name
-            assert published[name] == ({"driver", "correction"} if node == "both" else {node}), name
+            assert published[name] == (set(_SPECS) if node == "all" else {node}), name
 
 
 def test_services(nodes: World) -> None:
     rows = {row[0].strip("`"): row for row in table("### Services", "service")}
     offered: dict[str, tuple[str, str]] = {}
-    for node in ("driver", "correction"):
+    for node in _SPECS:
         for name, kinds in nodes.node.get_service_names_and_types_by_node(node, "/camera"):
             if not re.search(_EVERY_SERVICE, name):
                 offered[name.removeprefix("/camera/")] = (kinds[0].replace("/srv", ""), node)
@@ -144,6 +152,7 @@ def test_camera_info_is_what_depth_image_proc_reads(nodes: World) -> None:
         ("driver_playback", driver_parameters.SPECS),
         ("driver_sr3000", driver_parameters.SPECS),
         ("correction", correction_parameters.SPECS),
+        ("calibration", calibration_parameters.SPECS),
     ],
 )
 def test_parameter_files_name_parameters_and_hold_their_types(file: str, specs: Any) -> None:

@@ -1,0 +1,169 @@
+"""Follows people who walk through the view of a resting camera, and publishes them as markers.
+
+Topics are relative to the node's namespace, which is ``/camera`` unless one is given: ``points`` and
+``sigma/image`` of the correction in, ``people/markers`` out.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Set
+from typing import Any
+
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
+
+from rim_camera_ros.bags.messages import points_array
+from rim_camera_ros.bags.topics import ROLES
+from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.nodes import messages, qos
+from rim_camera_ros.nodes.diagnostics import Diagnostics
+from rim_camera_ros.nodes.lifecycle import ManagedNode
+from rim_camera_ros.nodes.parameters import Apply, Parameters, Values
+from rim_camera_ros.nodes.people_markers import cleared, markers
+from rim_camera_ros.nodes.people_pairing import POINTS, SIGMA, CloudPairing
+from rim_camera_ros.nodes.people_parameters import SPECS, people_settings
+from rim_camera_ros.nodes.people_status import PeopleStatus
+from rim_camera_ros.nodes.run import Throttle, run
+from rim_camera_ros.tracking.people import PeopleTracker
+
+TOPIC = "people/markers"
+
+
+class PeopleNode:
+    """Follows people; it never ends by itself."""
+
+    status: int | None = None
+
+    def __init__(self) -> None:
+        self.node = ManagedNode("people")
+        self._throttle = Throttle(self.node)
+        self._parameters = Parameters(self.node, SPECS)
+        self._tracker = PeopleTracker(people_settings(self._parameters.values))
+        self._status = PeopleStatus()
+        self._pairing = CloudPairing()
+        self._shown: set[int] = set()
+        self._to: Publisher | None = None
+        self._from: dict[str, Subscription] = {}
+        self._parameters.watch(self._prepare)
+        self._parameters.warn_unknown()
+        self.node.start(self, autostart=self._parameters.values["autostart"])
+        self._service = self.node.create_service(Trigger, "~/learn_background", self._learn_background)
+        self._diagnostics = Diagnostics(
+            self.node,
+            {"frames": self._look_at_frames, "people": lambda: self._status.people(self._tracker)},
+            hardware=lambda: "",
+        )
+
+    def close(self) -> None:
+        """Let go of all topics."""
+        self.node.end()
+
+    # --- lifecycle ------------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Offer the markers."""
+        self._to = qos.publisher(self.node, MarkerArray, TOPIC, qos.profile(qos.RELIABLE))
+
+    def activate(self) -> None:
+        """Take frames from now on, and learn the background from the first ones."""
+        self._tracker.learn_anew()
+        self._pairing = CloudPairing()
+        profile = qos.profile(self._parameters.values["qos.input"])
+        for role in (SIGMA, POINTS):
+            topic, kind = ROLES[role]
+            self._from[role] = qos.subscription(
+                self.node,
+                messages.ros_class(kind),
+                topic,
+                self._taker(role),
+                profile,
+                parameter="qos.input",
+            )
+        self._status.begin()
+
+    def deactivate(self) -> None:
+        """Take no more frames and take the markers away."""
+        for one in self._from.values():
+            self.node.destroy_subscription(one)
+        self._from.clear()
+        self._shown.clear()
+        if self._to is not None:
+            self._to.publish(cleared())
+
+    def cleanup(self) -> None:
+        """Take the topic back."""
+        if self._to is not None:
+            self.node.destroy_publisher(self._to)
+            self._to = None
+
+    # --- frames ---------------------------------------------------------------------------------
+
+    def _taker(self, role: str) -> Any:
+        return lambda message: self._take(role, message)
+
+    def _take(self, role: str, message: Any) -> None:
+        """Take half a frame; one that is damaged is counted and said, and the node goes on."""
+        if role not in self._from:
+            return  # it came while the node was being deactivated
+        try:
+            stamp = messages.stamp_of(message)
+            if role == POINTS:
+                value: Any = (points_array(message), message.header)
+            else:
+                value = messages.image_array(message, role=role)
+            pair = self._pairing.add(role, stamp, value)
+            if pair is not None:
+                self._follow(*pair, stamp=stamp)
+        except Exception as error:  # whatever hostile messages provoke
+            self._status.refused[role] += 1
+            problem = str(error) if isinstance(error, RimError) else f"{type(error).__name__} {error}"
+            self._throttle.warn(
+                f"refused {role}", f"{self._from[role].topic_name}: message refused: {problem}"
+            )
+
+    def _follow(self, cloud: tuple[Any, Any], sigma: Any, *, stamp: int) -> None:
+        points, head = cloud
+        if sigma.dtype.kind != "f":
+            raise InputError(f"sigma of type {sigma.dtype}", remedy="expected 32FC1, metres")
+        begun = time.monotonic()
+        people = self._tracker.take(points, sigma, stamp=stamp)
+        here = {one.identity for one in people}
+        gone = sorted(self._shown - here)
+        self._shown = here
+        if self._to is not None and (people or gone):
+            trail = self._parameters.values["trail"]
+            self._to.publish(markers(people, gone, self._tracker.settings.ground, head, trail=trail))
+        self._status.taken(stamp=stamp, processing=time.monotonic() - begun)
+
+    def _look_at_frames(self) -> Any:
+        self._status.phase = self.node.phase
+        silent = [
+            one.topic_name for one in self._from.values() if self.node.count_publishers(one.topic_name) == 0
+        ]
+        return self._status.frames(self._pairing.left_out, " and ".join(silent))
+
+    # --- parameters and services ----------------------------------------------------------------
+
+    def _prepare(self, values: Values, changed: Set[str]) -> Apply:
+        settings = people_settings(values)
+        return lambda: self._tracker.use(settings)
+
+    def _learn_background(self, request: Any, response: Any) -> Any:
+        """Forget background and people; the frames that come next are the new background."""
+        self._tracker.learn_anew()
+        response.success = True
+        response.message = f"the next {self._tracker.missing_frames} frames are the background"
+        return response
+
+
+def main() -> int:
+    """Run the node."""
+    return run("people_node", PeopleNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

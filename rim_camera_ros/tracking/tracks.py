@@ -1,0 +1,217 @@
+"""A track for each person: constant-velocity Kalman filters and the assignment of detections to them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.stats import chi2
+
+from rim_camera_ros.tracking.moving import Detection, divided
+
+Array = NDArray[np.float64]
+
+#: A pair that the gate forbids; it is never the cheaper one.
+_FORBIDDEN = 1e9
+#: Positions that a track remembers.
+_TRAIL = 200
+#: A person's area as seen may shrink by this share per detection before it counts as hidden.
+_SHRINK = 0.02
+#: Clusters wider than this many half widths of a person can hold two people.
+_WIDE = 3.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackSettings:
+    """How people move and are seen.
+
+    ``acceleration`` [m^2/s^3]: spectral density of the white acceleration. ``measurement_sigma`` [m]: 1-sigma
+    per axis of a whole person's position. ``start_speed`` [m/s]: 1-sigma of the speed per axis of somebody
+    who appears. ``gate`` [-]: probability that a person's own detection lies within the gate.
+    ``confirm_after``: detections after which a track is shown. ``coast`` [s]: how long a hidden person is
+    predicted. ``apart`` [m]: nobody appears nearer to somebody who is there. ``half_width`` [m] of a person
+    across the shoulders; ``body_radius`` [m] as in `ClusterSettings`.
+    """
+
+    acceleration: float = 0.2
+    measurement_sigma: float = 0.06
+    start_speed: float = 1.0
+    gate: float = 0.995
+    confirm_after: int = 3
+    coast: float = 2.0
+    apart: float = 0.45
+    half_width: float = 0.22
+    body_radius: float = 0.15
+
+
+@dataclass
+class Track:
+    """One person: ``state`` x y [m] vx vy [m/s] on the floor with ``covariance`` (4, 4) at ``time`` [s].
+
+    ``area`` [m^2] and ``top`` [m] as seen when whole; ``trail`` the last (time, x, y).
+    """
+
+    identity: int
+    state: Array
+    covariance: Array
+    time: float
+    area: float
+    top: float
+    detections: int = 1
+    seen: float = 0.0
+    trail: deque[tuple[float, float, float]] = field(default_factory=lambda: deque(maxlen=_TRAIL))
+
+    @property
+    def position(self) -> Array:
+        """(2,) in m."""
+        return self.state[:2]
+
+    @property
+    def hidden(self) -> bool:
+        """Whether there was no detection in the last frame."""
+        return self.seen < self.time
+
+
+def transition(step: float) -> Array:
+    """Return the transition matrix (4, 4) of constant velocity over ``step`` s."""
+    result = np.eye(4)
+    result[0, 2] = result[1, 3] = step
+    return result
+
+
+def process_noise(step: float, density: float) -> Array:
+    """Return the covariance (4, 4) that white acceleration adds in ``step`` s; ``density`` [m^2/s^3].
+
+    Bar-Shalom, Li & Kirubarajan, *Estimation with Applications to Tracking and Navigation* (2001), 6.2.2.
+    """
+    block = density * np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]])
+    result: Array = np.kron(block, np.eye(2)).astype(float)
+    return result
+
+
+def predict(state: Array, covariance: Array, *, step: float, density: float) -> tuple[Array, Array]:
+    """Return state (4,) and covariance (4, 4) ``step`` s later."""
+    motion = transition(step)
+    return motion @ state, motion @ covariance @ motion.T + process_noise(step, density)
+
+
+def update(state: Array, covariance: Array, position: Array, *, variance: float) -> tuple[Array, Array]:
+    """Return state and covariance after a measured ``position`` (2,) [m] with ``variance`` [m^2] per axis."""
+    gain = np.linalg.solve(covariance[:2, :2] + variance * np.eye(2), covariance[:2]).T
+    rest = np.eye(4)
+    rest[:, :2] -= gain
+    # Joseph's form stays symmetric and positive
+    return state + gain @ (position - state[:2]), rest @ covariance @ rest.T + variance * gain @ gain.T
+
+
+class Tracker:
+    """Follows people from frame to frame; identities count from 1 and are not used again."""
+
+    def __init__(self, settings: TrackSettings | None = None) -> None:
+        self.settings = settings or TrackSettings()
+        self._tracks: list[Track] = []
+        self._next = 1
+
+    @property
+    def people(self) -> list[Track]:
+        """Confirmed tracks, those of hidden people too."""
+        return [one for one in self._tracks if self._confirmed(one)]
+
+    def forget(self) -> None:
+        """End all tracks."""
+        self._tracks.clear()
+
+    def take(self, found: Sequence[Detection], *, time: float) -> list[Track]:
+        """Predict to ``time`` [s], assign detections, begin and end tracks; return `people`.
+
+        Each confirmed track has the first choice; what is left goes to new ones, then begins further ones.
+        """
+        settings = self.settings
+        for one in self._tracks:
+            one.state, one.covariance = predict(
+                one.state, one.covariance, step=max(time - one.time, 0.0), density=settings.acceleration
+            )
+            one.time = time
+        rest = self._divide(found)
+        for group in (self.people, [one for one in self._tracks if not self._confirmed(one)]):
+            rest = self._assign(group, rest)
+        self._tracks = [one for one in self._tracks if self._lives(one)]
+        for new in rest:
+            if all(np.linalg.norm(new.position - other.position) >= settings.apart for other in self._tracks):
+                self._begin(new, time)
+        for track in self._tracks:
+            track.trail.append((time, float(track.state[0]), float(track.state[1])))
+        return self.people
+
+    def _confirmed(self, one: Track) -> bool:
+        return one.detections >= self.settings.confirm_after
+
+    def _lives(self, one: Track) -> bool:
+        return not one.hidden or (self._confirmed(one) and one.time - one.seen <= self.settings.coast)
+
+    def _divide(self, found: Sequence[Detection]) -> list[Detection]:
+        """Divide clusters that are too wide for one person among those who are expected there."""
+        half_width, radius = self.settings.half_width, self.settings.body_radius
+        result: list[Detection] = []
+        for one in found:
+            expected = [
+                track.position
+                for track in self.people
+                if np.linalg.norm(one.cells - track.position, axis=1).min() < 2 * half_width
+            ]
+            wide = len(expected) > 1 and one.width > _WIDE * half_width
+            result += divided(one, np.array(expected), body_radius=radius) if wide else [one]
+        return result
+
+    def _variance(self, track: Track, one: Detection) -> float:
+        """Return the variance [m^2] of a measured position: of who is half hidden one side is seen only."""
+        visible = min(one.area / track.area, 1.0)
+        return self.settings.measurement_sigma**2 + ((1 - visible) * self.settings.half_width) ** 2
+
+    def _assign(self, tracks: list[Track], found: list[Detection]) -> list[Detection]:
+        """Give detections to tracks by the greatest likelihood within the gate; return those left over."""
+        if not tracks or not found:
+            return list(found)
+        gate = float(chi2.ppf(self.settings.gate, 2))
+        cost = np.full((len(tracks), len(found)), _FORBIDDEN)
+        for i, track in enumerate(tracks):
+            for k, one in enumerate(found):
+                spread = track.covariance[:2, :2] + self._variance(track, one) * np.eye(2)
+                difference = one.position - track.position
+                mahalanobis = float(difference @ np.linalg.solve(spread, difference))
+                if mahalanobis <= gate:
+                    cost[i, k] = mahalanobis + float(np.log(np.linalg.det(spread)))
+        taken = set()
+        for row, column in zip(*linear_sum_assignment(cost), strict=True):
+            if cost[row, column] < _FORBIDDEN:
+                taken.add(int(column))
+                self._see(tracks[row], found[column])
+        return [one for k, one in enumerate(found) if k not in taken]
+
+    def _see(self, track: Track, one: Detection) -> None:
+        variance = self._variance(track, one)
+        track.state, track.covariance = update(track.state, track.covariance, one.position, variance=variance)
+        track.area = max(one.area, (1 - _SHRINK) * track.area)
+        track.top = max(one.top, (1 - _SHRINK) * track.top)
+        track.detections += 1
+        track.seen = track.time
+
+    def _begin(self, one: Detection, time: float) -> None:
+        settings = self.settings
+        variances = [settings.measurement_sigma**2] * 2 + [settings.start_speed**2] * 2
+        self._tracks.append(
+            Track(
+                identity=self._next,
+                state=np.array([*one.position, 0.0, 0.0]),
+                covariance=np.diag(variances),
+                time=time,
+                area=one.area,
+                top=one.top,
+                seen=time,
+            )
+        )
+        self._next += 1
