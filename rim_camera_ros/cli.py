@@ -28,7 +28,7 @@ _PATIENCE = 3.0
 
 
 #: The commands: modules of `rim_camera_ros.commands`, in the order in which the help lists them.
-COMMANDS = ("simulate", "record", "correct", "calibrate", "diagnose", "plan", "info")
+COMMANDS = ("simulate", "record", "correct", "calibrate", "diagnose", "plan", "reproduce", "info")
 
 
 def command_modules(names: Sequence[str] = COMMANDS) -> dict[str, ModuleType]:

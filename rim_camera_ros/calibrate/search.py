@@ -35,6 +35,8 @@ _INDEPENDENT = 8
 #: of one of them, whose form is never quite the true one and leaves such a rest.
 LEAST_SHARE = 0.0015
 LEAST_SHARE_OF_KIND = 0.05
+#: ... and still more beside light from surfaces out of view, which no model of the view knows.
+LEAST_SHARE_BESIDE_MULTIPATH = 0.15
 _BESIDE_MULTIPATH = frozenset(
     {"multipath", "emitter_offset", "camera_constant", "lens_distortion", "distance_scale", "radiometry"}
 )
@@ -43,8 +45,6 @@ _KINDS = (
     frozenset({"emission_pattern", "amplitude_nonlinearity", "emitter_offset", "radiometry", "scattering"}),
     frozenset({"cyclic_error", "distance_scale", "camera_constant", "lens_distortion", "emitter_offset"}),
     frozenset({"warm_up_drift", "ambient_temperature"}),
-    # surfaces outside of the view send light as well, which no model of the view knows
-    _BESIDE_MULTIPATH,
 )
 #: ... unless it changes whole poses, whose errors limit what it can gain.
 LEAST_SHARE_OF_POSES = 0.0005
@@ -275,6 +275,8 @@ def search(
     """
     say = progress if progress is not None else _silent
     folds = folds_of(problem.dataset)
+    if "amplitude_nonlinearity" in camera.effects:
+        problem = replace(problem, response=problem.gain)
     pool = candidates(camera, facts, effects=effects)
     say(f"baseline and {len(pool)} candidates")
     first = explore(problem, camera, pool, folds, further=further, seed=seed)
@@ -351,6 +353,8 @@ def _needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
     for one in found:
         if any(effect in kind and one.effect in kind for kind in _KINDS):
             need = max(need, LEAST_SHARE_OF_KIND * one.gain)
+        if {effect, one.effect} <= _BESIDE_MULTIPATH and one.effect == "multipath":
+            need = max(need, LEAST_SHARE_BESIDE_MULTIPATH * one.gain)
     return max(float(step.thresholds[number]), need)
 
 
@@ -395,6 +399,12 @@ def _refined(
             seed=seed,
             replicates=0,
         )
+        if "amplitude_nonlinearity" in names:
+            # its one parameter first: together with a free response it would not find the way
+            own = replace(own, response=True)
+            alone = explore(
+                own, alone.fit.camera, [], folds, views=step.fit.forward.views, warm=alone.fit, replicates=0
+            )
         likelihood = alone.scores.log_likelihood()
         if best is None or likelihood > best[0]:
             best = (likelihood, names, alone, own)

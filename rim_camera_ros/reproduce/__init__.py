@@ -1,0 +1,1 @@
+"""The thesis' experiments simulated and reduced, beside the numbers that the thesis prints."""

@@ -1,0 +1,208 @@
+"""What was reproduced: as text, JSON, HTML page and Markdown page."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Mapping, Sequence
+from pathlib import PurePath
+from typing import Any
+
+from rim_camera_ros import __version__
+from rim_camera_ros.reports import html
+from rim_camera_ros.reproduce.results import Picture, Row
+from rim_camera_ros.reproduce.run import Done
+
+FORMAT = "rim_reproduction/1"
+_HEADINGS = ("#", "quantity", "thesis", "ours", "deviation", "unit", "source")
+_WIDTH = 110
+#: Columns of numbers, set to the right.
+_RIGHT = (0, 3, 4)
+_INTRODUCTION = (
+    "The set-ups of T. Kahlmann, Range Imaging Metrology (ETH Zurich, 2007), simulated with the shipped "
+    "camera files "
+    "and reduced as the thesis reduced them. No number is read out of a camera file: each is fitted to, or "
+    "counted "
+    "in, simulated measurements. The camera files hold what the thesis prints, so that agreement says that "
+    "simulation and "
+    "reduction are consistent with it, not that a camera was measured; where the thesis prints nothing the "
+    "files "
+    "state an assumption. Modulation frequency and pixel pitch are taken as known, as in the thesis. "
+    "Deviations from a printed range are those from its nearer end."
+)
+
+
+def json_report(done: Sequence[Done]) -> dict[str, Any]:
+    """Return everything but the pictures; numbers that are not finite become None."""
+    return {
+        "format": FORMAT,
+        "version": __version__,
+        "rows": [_row(one, row) for one in done for row in one.outcome.rows],
+        "tables": [
+            {
+                "experiment": one.experiment.name,
+                "title": table.title,
+                "headings": list(table.headings),
+                "rows": [list(row) for row in table.rows],
+            }
+            for one in done
+            for table in one.outcome.tables
+        ],
+    }
+
+
+def _row(one: Done, row: Row) -> dict[str, Any]:
+    return {
+        "experiment": one.experiment.name,
+        "quantity": row.quantity,
+        "source": row.source,
+        "thesis": {
+            "text": row.printed.text,
+            "low": _finite(row.printed.low),
+            "high": _finite(row.printed.high),
+        },
+        "ours": _finite(row.ours),
+        "sigma": _finite(row.sigma),
+        "deviation": _finite(row.deviation),
+        "unit": row.unit,
+        "how": row.how,
+        "why": row.why,
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+# --- text ------------------------------------------------------------------------------------------
+
+
+def numbered(done: Sequence[Done]) -> list[tuple[Done, dict[int, Row]]]:
+    """Return each experiment with its rows by the number that they have in the report."""
+    result, number = [], 1
+    for one in done:
+        result.append((one, dict(enumerate(one.outcome.rows, number))))
+        number += len(one.outcome.rows)
+    return result
+
+
+def cells(number: int, row: Row) -> tuple[str, ...]:
+    """Return number, quantity, thesis, ours, deviation, unit, source as text."""
+    lead = (str(number), row.quantity, row.printed.text)
+    if row.ours is None:
+        return *lead, "not reproduced", "-", row.unit, row.source
+    ours = f"{row.ours:.{row.digits}f}"
+    if row.sigma is not None:
+        ours += f" +- {row.sigma:.2g}"
+    deviation = row.deviation
+    if deviation is None:
+        shown = "-"
+    elif deviation == 0 and row.printed.low != row.printed.high:
+        shown = "within"
+    else:
+        shown = f"{round(deviation, row.digits) + 0.0:+.{row.digits}f}"
+    return *lead, ours, shown, row.unit, row.source
+
+
+def text_report(done: Sequence[Done]) -> str:
+    """Return a table for each experiment, with what was done below it."""
+    experiments = numbered(done)
+    lines = [_HEADINGS, *(cells(i, row) for _, rows in experiments for i, row in rows.items())]
+    widths = [max(len(one[i]) for one in lines) for i in range(len(_HEADINGS))]
+
+    def line(row: Sequence[str]) -> str:
+        columns = enumerate(zip(row, widths, strict=True))
+        return "  ".join(x.rjust(w) if i in _RIGHT else x.ljust(w) for i, (x, w) in columns).rstrip()
+
+    shown = [line(_HEADINGS)]
+    for one, rows in experiments:
+        shown += ["", f"{one.experiment.title} [{one.experiment.name}]"]
+        shown += [line(cells(i, row)) for i, row in rows.items()]
+        for words in explanations(rows):
+            shown += textwrap.wrap(words, _WIDTH, initial_indent="    ", subsequent_indent="      ")
+    return "\n".join(shown)
+
+
+def explanations(rows: Mapping[int, Row]) -> list[str]:
+    """Return what was done, and why it deviates: each text once, led by the numbers of its rows."""
+    result = []
+    for name, lead in (("how", ""), ("why", "deviation: ")):
+        texts = dict.fromkeys(text for row in rows.values() if (text := getattr(row, name)))
+        for text in texts:
+            mine = [i for i, row in rows.items() if getattr(row, name) == text]
+            result.append(f"{_ranges(mine)}: {lead}{text}.")
+    return result
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    """Return numbers as text, runs shortened: 1-3, 5."""
+    runs: list[list[int]] = []
+    for one in numbers:
+        if runs and one == runs[-1][-1] + 1:
+            runs[-1].append(one)
+        else:
+            runs.append([one])
+    return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
+
+
+# --- pages -----------------------------------------------------------------------------------------
+
+
+def file_name(picture: Picture) -> str:
+    """Return the name of a picture's file."""
+    return f"{picture.name}.png"
+
+
+def html_page(done: Sequence[Done]) -> str:
+    """Return the page that lies beside the pictures."""
+    parts = [html.paragraph(_INTRODUCTION)]
+    for one, rows in numbered(done):
+        shown = [cells(i, row) for i, row in rows.items()]
+        content = [html.table(_HEADINGS, shown, numbers=_RIGHT), html.bullets(explanations(rows))]
+        for picture in one.outcome.pictures:
+            caption = html.text(f"{picture.title}: {picture.caption}")
+            content.append(
+                f'<figure><img alt="{caption}" src="{file_name(picture)}">'
+                f"<figcaption>{caption}</figcaption></figure>"
+            )
+        content += [
+            html.folded(table.title, html.table(table.headings, table.rows)) for table in one.outcome.tables
+        ]
+        parts.append(html.section(one.experiment.title, *content))
+    return html.page("Reproduction of the thesis", f"rim reproduce, version {__version__}", parts)
+
+
+def markdown_page(done: Sequence[Done], folder: PurePath, command: str) -> str:
+    """Return the page for the documentation; ``folder`` of the pictures relative to the page."""
+    lines = [
+        "# Reproduction of the thesis",
+        "",
+        f"<!-- Written by `{command}`; changes here are lost. -->",
+        "",
+        *textwrap.wrap(_INTRODUCTION, 140),
+        "",
+        f"    {command}",
+        "",
+        "runs the laboratory anew, about two minutes on one core, with fixed seeds, and writes this page; "
+        "`--json` prints the rows with",
+        "what was done, `--only NAME ...` runs some of the experiments.",
+    ]
+    for one, rows in numbered(done):
+        lines += ["", f"## {one.experiment.title}", "", f"`--only {one.experiment.name}`", ""]
+        lines += _markdown_table(_HEADINGS, [cells(i, row) for i, row in rows.items()])
+        lines.append("")
+        for words in explanations(rows):
+            lines += textwrap.wrap(f"- {words}", 140, subsequent_indent="  ", break_on_hyphens=False)
+        for picture in one.outcome.pictures:
+            place = (folder / file_name(picture)).as_posix()
+            lines += ["", f"![{picture.title}]({place})", "", f"*{picture.title}: {picture.caption}*"]
+        for table in one.outcome.tables:
+            lines += ["", f"{table.title}", "", *_markdown_table(table.headings, table.rows)]
+    return "\n".join(lines) + "\n"
+
+
+def _markdown_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    def line(row: Sequence[str]) -> str:
+        return "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"
+
+    return [line(headings), line(["---"] * len(headings)), *(line(row) for row in rows)]
