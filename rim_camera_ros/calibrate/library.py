@@ -215,7 +215,8 @@ def added(camera: Camera, effect: Effect) -> Camera:
 
 
 def _cyclic(camera: Camera, facts: Facts) -> list[Candidate]:
-    return [_harmonics((4,)), _harmonics((4, 8)), _harmonics((8,)), _harmonics((2,)), _harmonics((1,))]
+    orders = ((4,), (4, 8), (4, 8, 12), (8,), (2,), (1,))
+    return [_harmonics(one) for one in orders]
 
 
 def _harmonics(orders: tuple[int, ...]) -> Candidate:

@@ -1,17 +1,15 @@
-"""What changes amplitudes beside the effects: ripples over the phase, surfaces unlike Lambert's,
-a response that is not quite the vocabulary's.
+"""What changes the light beside the camera file's effects: ripples over the phase, surfaces unlike Lambert's.
 
 The harmonics of the modulation that bend the distance also make the amplitude ripple with the same periods
 (Kahlmann 2007, sec. 3.3.1, sampling a signal that is no sine). A rough surface brightens towards grazing
 incidence in proportion to what it reflects (Oren & Nayar 1994); a glossy one adds light near normal incidence
 whatever its colour (Cook & Torrance 1982). No parameter of a camera file describes either: they are estimated
-beside the camera's, the ripples always, the surfaces where they are asked for, and the response's rest where
-the camera has an `amplitude_nonlinearity`, whose one parameter is not every amplifier's.
+beside the camera's, the ripples always, the surfaces where they are asked for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -35,11 +33,7 @@ RIPPLES = tuple(f"{PREFIX}ripple.{n}.{part}" for n in _PERIODS for part in ("cos
 DIFFUSE = tuple(f"{PREFIX}diffuse.{k:.0f}" for k in _DEGREES[1:])
 GLOSS = tuple(f"{PREFIX}gloss.{k:.0f}" for k in _DEGREES)
 SURFACES = (*DIFFUSE, *GLOSS)
-#: Of the published amplitude, at logarithms (base 10) of the light in counts.
-_LOGARITHMS = (0.8, 1.2, 1.6, 2.0, 2.4, 2.8, 3.2, 3.6, 4.0, 4.4, 4.8)
-RESPONSE = tuple(f"{PREFIX}response.{k:.1f}" for k in _LOGARITHMS)
-_GRID = np.logspace(-1.0, 6.0, 3000)
-_ALL = frozenset((*RIPPLES, *SURFACES, *RESPONSE))
+_ALL = frozenset((*RIPPLES, *SURFACES))
 
 
 def of_light(path: str) -> bool:
@@ -88,25 +82,6 @@ class LightCurves:
         factor = self.surfaces(geometry)
         weights = [np.interp(angle, _KNOTS, row) for row in np.eye(len(_KNOTS))]
         return [one / factor for one in weights[1:]] + [one * ratio / factor for one in weights]
-
-    def response(self, light: Array) -> Array:
-        """Return the factor on the published amplitude at light in counts."""
-        if self.values.keys().isdisjoint(RESPONSE):
-            return np.ones(np.shape(light))
-        heights = [self.values.get(label, 0.0) for label in RESPONSE]
-        logarithm = np.log10(np.maximum(light, 1e-3))
-        return np.asarray(np.maximum(1.0 + np.interp(logarithm, _LOGARITHMS, heights), _LEAST))
-
-    def light_of(self, published: Array, compressed: Callable[[Array], Array]) -> Array:
-        """Return the light in counts of published amplitudes, which are ``compressed`` and respond."""
-        readings = np.maximum.accumulate(compressed(_GRID) * self.response(_GRID))
-        return np.asarray(np.interp(published, readings, _GRID))
-
-    def response_columns(self, light: Array) -> list[Array]:
-        """Return the derivatives of the logarithm of the published amplitude by `RESPONSE`."""
-        logarithm = np.log10(np.maximum(light, 1e-3))
-        factor = self.response(light)
-        return [np.interp(logarithm, _LOGARITHMS, row) / factor for row in np.eye(len(RESPONSE))]
 
     def ripple(self) -> float:
         """Return the largest relative amplitude of a ripple."""

@@ -88,7 +88,7 @@ def effect_block(
 
 def light_block(labels: Sequence[str]) -> Block:
     """Return the regressors of curves of the light: `light_curves.RIPPLES` or `light_curves.SURFACES`."""
-    prior = _RIPPLE_PRIOR if labels[0] in RIPPLES else _REFLECTANCE_PRIOR  # also of the response
+    prior = _RIPPLE_PRIOR if labels[0] in RIPPLES else _REFLECTANCE_PRIOR
     regressors = tuple(Regressor(label, "radiometry", prior) for label in labels)
     return Block(regressors, lambda prediction: prediction.curve_columns(labels))
 

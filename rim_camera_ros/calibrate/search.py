@@ -35,11 +35,17 @@ _INDEPENDENT = 8
 #: of one of them, whose form is never quite the true one and leaves such a rest.
 LEAST_SHARE = 0.0015
 LEAST_SHARE_OF_KIND = 0.05
-#: ... and still more beside light from surfaces out of view, which no model of the view knows.
-LEAST_SHARE_BESIDE_MULTIPATH = 0.15
-_BESIDE_MULTIPATH = frozenset(
-    {"multipath", "emitter_offset", "camera_constant", "lens_distortion", "distance_scale", "radiometry"}
-)
+#: ... and still more beside effects of which no form is near every true one: surfaces out of the view send
+#: light as well, and amplifiers saturate in many ways.
+LEAST_SHARE_BESIDE_ROUGH = 0.15
+_ROUGH = {
+    "multipath": frozenset(
+        {"emitter_offset", "camera_constant", "lens_distortion", "distance_scale", "radiometry", "scattering"}
+    ),
+    "amplitude_nonlinearity": frozenset(
+        {"emission_pattern", "emitter_offset", "radiometry", "scattering", "camera_constant", "mixed_pixels"}
+    ),
+}
 _KINDS = (
     frozenset({"scattering", "mixed_pixels", "multipath", "saturation_bleed"}),
     frozenset({"emission_pattern", "amplitude_nonlinearity", "emitter_offset", "radiometry", "scattering"}),
@@ -51,8 +57,9 @@ LEAST_SHARE_OF_POSES = 0.0005
 OF_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_offset"})
 #: A further effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
 LEAST_SIZE = 0.0005
-#: ... and this share of what one of its kind moves them: the rest that its form leaves.
+#: ... and these shares of what one of its kind, or any other, moves them: the rest that its form leaves.
 LEAST_SIZE_OF_KIND = 0.15
+LEAST_SIZE_OF_ALL = 0.07
 #: Sigma beyond which light that is added is taken for negative, which none is.
 _NEGATIVE = 3.0
 MOST_EFFECTS = 4
@@ -275,8 +282,6 @@ def search(
     """
     say = progress if progress is not None else _silent
     folds = folds_of(problem.dataset)
-    if "amplitude_nonlinearity" in camera.effects:
-        problem = replace(problem, response=problem.gain)
     pool = candidates(camera, facts, effects=effects)
     say(f"baseline and {len(pool)} candidates")
     first = explore(problem, camera, pool, folds, further=further, seed=seed)
@@ -337,8 +342,10 @@ def _least_size(step: Exploration, chosen: Sequence[str], found: Sequence[Found]
         for name in chosen
         if any(name in kind and one.effect in kind for kind in _KINDS)
     ]
-    sizes = [effect_size(step.fit, [name], step.fit.start) for name in rivals]
-    return max([LEAST_SIZE, *(LEAST_SIZE_OF_KIND * size for size in sizes)])
+    shares = {one.effect: LEAST_SIZE_OF_ALL for one in found}
+    shares |= dict.fromkeys(rivals, LEAST_SIZE_OF_KIND)
+    sizes = {name: effect_size(step.fit, [name], step.fit.start) for name in shares}
+    return max([LEAST_SIZE, *(share * sizes[name] for name, share in shares.items())])
 
 
 def _silent(text: str) -> None:
@@ -353,8 +360,8 @@ def _needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
     for one in found:
         if any(effect in kind and one.effect in kind for kind in _KINDS):
             need = max(need, LEAST_SHARE_OF_KIND * one.gain)
-        if {effect, one.effect} <= _BESIDE_MULTIPATH and one.effect == "multipath":
-            need = max(need, LEAST_SHARE_BESIDE_MULTIPATH * one.gain)
+        if effect in _ROUGH.get(one.effect, ()):
+            need = max(need, LEAST_SHARE_BESIDE_ROUGH * one.gain)
     return max(float(step.thresholds[number]), need)
 
 
@@ -399,12 +406,6 @@ def _refined(
             seed=seed,
             replicates=0,
         )
-        if "amplitude_nonlinearity" in names:
-            # its one parameter first: together with a free response it would not find the way
-            own = replace(own, response=True)
-            alone = explore(
-                own, alone.fit.camera, [], folds, views=step.fit.forward.views, warm=alone.fit, replicates=0
-            )
         likelihood = alone.scores.log_likelihood()
         if best is None or likelihood > best[0]:
             best = (likelihood, names, alone, own)

@@ -20,8 +20,6 @@ from rim_camera_ros.scene import Scene, ScenePose, quaternion, rotation_matrix
 Array = NDArray[Any]
 
 GAIN = "radiometry.gain"
-#: Relative change of the light by a curve in one step.
-_LIGHT_STEP = 0.1
 _OPTICAL = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
 #: Share of a station's values below whose amplitude a pole of a term may lie.
 _DARKEST = 0.01
@@ -43,8 +41,6 @@ def stepped(
     while True:
         moved = dict(offsets)
         for path, change in changes.items():
-            if of_light(path):
-                change = float(np.clip(change, -_LIGHT_STEP, _LIGHT_STEP))
             moved[path] = moved.get(path, 0.0) + share * change
         try:
             return _moved(start, moved, lows, highs, numbers), moved
