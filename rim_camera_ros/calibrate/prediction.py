@@ -22,6 +22,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import registry
 from rim_camera_ros.effects.base import ComplexEffect, Context, DistanceTerm, Effect, Signal, from_phasor
 from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
+from rim_camera_ros.effects.multipath import TOLERANCE
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.noise import sigma_amplitude
 from rim_camera_ros.phasor import to_phasor, wrap_residual
@@ -35,6 +36,8 @@ _SILENT = ("interference", "reference_path")
 _LOCAL = ("emission_pattern", "emitter_offset")
 #: Effects whose costly work holds for a geometry.
 _KEPT = ("multipath",)
+#: Relative change of the light up to which its bounces are not computed anew.
+_SAME_LIGHT = 0.01
 _SPREADING = ("mixed_pixels", "scattering")
 
 
@@ -311,6 +314,7 @@ class Forward:
                 light = light * self.light_curves.factor(there, camera.sensor.ambiguity)
             return there, np.where(there.hit, light, 0.0)
 
+        memory[TOLERANCE] = _SAME_LIGHT
         for name in _KEPT:
             memory.pop(name, None)
             if name in view.memory:

@@ -308,7 +308,7 @@ def search(
             numbers = pair[1]
         need = max(_needed(step, k, found) for k in numbers)
         chosen, likelihood, next_step, next_problem = _refined(
-            problem, step, numbers, folds, further, seed, say
+            problem, step, numbers, found, folds, further, seed, say
         )
         before = step.scores.log_likelihood()
         gain = likelihood - before
@@ -375,6 +375,7 @@ def _refined(
     problem: Problem,
     step: Exploration,
     numbers: tuple[int, ...],
+    found: Sequence[Found],
     folds: Mapping[tuple[int, int], int],
     further: Sequence[Candidate],
     seed: int,
@@ -386,7 +387,8 @@ def _refined(
     if len(numbers) == 1:
         for effect, k in step.best().items():
             close = step.gains[k] > 0.6 * lead or lead - step.gains[k] < 2 * step.threshold
-            if effect != step.candidates[numbers[0]].effect and close:
+            possible = close and step.gains[k] > _needed(step, k, found)
+            if possible and effect != step.candidates[numbers[0]].effect:
                 trials.append((k,))
     best: tuple[float, list[str], Exploration, Problem] | None = None
     for trial in trials[:3]:

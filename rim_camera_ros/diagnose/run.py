@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rim_camera_ros.calibrate.adjustment import Problem
+from rim_camera_ros.calibrate.adjustment import Fit, Problem
 from rim_camera_ros.calibrate.coarser import (
     coarseness,
     coarser_camera,
@@ -53,6 +53,8 @@ DOUBT = 0.15
 BEYOND = 1.2
 
 
+#: Relative ripple of the amplitude that is said.
+_VISIBLE_RIPPLE = 0.005
 #: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
 _COMMON_LIGHT = 0.1
 
@@ -225,7 +227,7 @@ def _verdict(
 ) -> Diagnosis:
     baseline, final = result.explorations[0], result.explorations[-1]
     fitted = final.fit
-    notes = sorted({*fitted.notes, *fitted.forward.notes, *dataset.notes})
+    notes = sorted({*fitted.notes, *fitted.forward.notes, *dataset.notes, *_notes_of_light(fitted)})
     unseen = unseen_effects(baseline)
     ranking = ranking_of(baseline, result)
     probabilities = {name: p for name, p, _ in ranking}
@@ -296,6 +298,16 @@ def _verdict(
         notes=notes,
         smooth_rest=None if rest is None else (" and ".join(rest.covariates), rest.on_top),
     )
+
+
+def _notes_of_light(fitted: Fit) -> list[str]:
+    curves = fitted.forward.light_curves
+    if curves is None or curves.ripple() < _VISIBLE_RIPPLE:
+        return []
+    return [
+        f"amplitudes ripple by {curves.ripple():.1%} over the phase, as harmonics of the modulation make "
+        "them; a camera file does not describe it"
+    ]
 
 
 def _parameters_matter(camera: Camera, result: Result) -> bool:

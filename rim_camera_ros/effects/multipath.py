@@ -25,6 +25,11 @@ from rim_camera_ros.scene import Geometry
 
 #: Side in pixels of the blocks of pixels that act as senders of the bounced light.
 BLOCK = 4
+#: Key of the memory of a context: relative change of the light (and tenths of a metre of its way) up to which
+#: bounced light computed before will do. That of light that changed by a hundredth is off by a ten
+#: thousandth of all light.
+TOLERANCE = "multipath.tolerance"
+_EXACT = 1e-9
 #: Receivers at a time, which bounds the memory.
 _CHUNK = 2048
 
@@ -54,7 +59,7 @@ class Multipath(Effect):
         geometry = require_geometry(context, self.name)
         cached = context.memory.get(self.name)
         if cached is not None and cached.geometry is geometry:
-            scale = cached.scale_to(signal)
+            scale = cached.scale_to(signal, float(context.memory.get(TOLERANCE, _EXACT)))
             if scale is not None:
                 rescaled: Image = scale * cached.bounced
                 return rescaled
@@ -126,14 +131,17 @@ class _Cached:
     amplitude: Image
     bounced: Image
 
-    def scale_to(self, signal: Signal) -> float | None:
+    def scale_to(self, signal: Signal, tolerance: float) -> float | None:
         """Return the factor to the amplitudes of a signal, None where they are not in proportion."""
         total = float(self.amplitude.sum())
-        if total == 0 or not np.allclose(signal.distance, self.distance, rtol=0, atol=1e-9, equal_nan=True):
+        apart = max(_EXACT, 0.1 * tolerance)
+        if total == 0 or not np.allclose(signal.distance, self.distance, rtol=0, atol=apart, equal_nan=True):
             return None
         scale = float(signal.amplitude.sum()) / total
-        difference = np.abs(signal.amplitude - scale * self.amplitude).max()
-        return scale if difference <= 1e-9 * float(signal.amplitude.max()) else None
+        difference = np.abs(signal.amplitude - scale * self.amplitude)
+        if tolerance <= _EXACT:
+            return scale if difference.max() <= tolerance * float(signal.amplitude.max()) else None
+        return scale if bool(np.all(difference <= tolerance * signal.amplitude)) else None
 
 
 def _square_distances(a: Image, b: Image) -> Image:
