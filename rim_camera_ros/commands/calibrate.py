@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rim_camera_ros.bags import Topics
-from rim_camera_ros.calibrate.run import Calibration, Reducer, Request, calibrate
+from rim_camera_ros.calibrate.run import Reducer, Request, calibrate
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.camera_file import save_camera_apart
 from rim_camera_ros.commands.common import (
     add_command,
     add_output,
@@ -27,8 +26,7 @@ from rim_camera_ros.commands.common import (
 )
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
-from rim_camera_ros.info.text import several
-from rim_camera_ros.parameters import write_whole
+from rim_camera_ros.reports.calibration_files import page_of, write_calibration
 from rim_camera_ros.reports.calibration_text import calibration_text
 
 _EXAMPLES = """
@@ -84,10 +82,11 @@ def run(given: argparse.Namespace) -> int:
     with _Line(quiet=given.quiet) as line:
         try:
             result = calibrate(request, progress=line.show, reducer=_reducer(given.scheduler))
-            page, notes = _page(result, given, line) if report is not None else (None, [])
+            line.show("report", None, None)
+            page, notes = page_of(result, title=given.out.name) if report is not None else (None, [])
         except KeyboardInterrupt:
             raise KeyboardInterrupt("nothing was written") from None
-        _write(result, given.out, report, page)
+        write_calibration(result, out=given.out, report=report, page=page, author="rim calibrate")
     say(given, [*result.notes, *notes])
     if not given.quiet:
         print(calibration_text(result))
@@ -158,34 +157,6 @@ def _command_line(given: argparse.Namespace) -> list[str]:
     for one in given.topic:
         words += ["--topic", one]
     return words
-
-
-def _page(result: Calibration, given: argparse.Namespace, line: _Line) -> tuple[bytes | None, list[str]]:
-    """Return the report, and notes on what could not be made."""
-    line.show("report", None, None)
-    try:
-        from rim_camera_ros.reports.calibration import calibration_page
-    except ImportError as error:
-        if error.name is None or not error.name.startswith("matplotlib"):
-            raise
-        remedy = "pip install 'rim_camera_ros[reports]', or apt install python3-matplotlib"
-        return None, [f"no report was written: matplotlib is not installed ({remedy})"]
-    return calibration_page(result, title=given.out.name).encode(), []
-
-
-def _write(result: Calibration, out: Path, report: Path | None, page: bytes | None) -> None:
-    """Write the camera file, then the report."""
-    accuracy = result.accuracy
-    header = (
-        f"# Calibrated by rim calibrate from {several(result.frames, 'frame')} of "
-        f"{several(result.poses, 'pose')}.\n"
-        f"# Corrected distances of held-out poses: {accuracy.after * 1e3:.2f} mm RMS, of which noise "
-        f"{accuracy.noise * 1e3:.2f} mm; see provenance below.\n"
-    )
-    result.camera = save_camera_apart(result.camera, out, header=header)
-    if report is not None and page is not None:
-        content = page
-        write_whole(report, lambda stream: stream.write(content))
 
 
 class _Line:

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from rim_camera_ros.calibrate.run import Calibration, Request, calibrate
-from rim_camera_ros.camera_file import load_camera, save_camera_apart
+from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.files import find_camera, find_scene
-from rim_camera_ros.info.text import several
 from rim_camera_ros.nodes.calibration_link import Link, serve
-from rim_camera_ros.parameters import write_whole
+from rim_camera_ros.reports.calibration_files import page_of, write_calibration
 from rim_camera_ros.scene import load_scene
 
 #: Options of the command that errors name; the node's parameters have the same names.
@@ -53,36 +52,15 @@ def _work(link: Link) -> Mapping[str, Any]:
     )
     result = calibrate(request, progress=link.progress, cancelled=lambda: link.cancelled)
     link.progress("report")
-    page, notes = _page(result, out.name)
+    page, notes = page_of(result, title=out.name)
     if link.cancelled:
         raise RimError("cancelled; nothing was written")
     # it may have come meanwhile: what somebody else wrote is not replaced
     for path in (out, report):
         if path.exists():
             raise InputError("exists already", file=path, place="output", remedy="give another name")
-    result.camera = save_camera_apart(result.camera, out, header=_header(result))
-    if page is not None:
-        content = page
-        write_whole(report, lambda stream: stream.write(content))
+    write_calibration(result, out=out, report=report, page=page, author="calibration_node")
     return _figures(result, out, report if page is not None else None, [*result.notes, *notes])
-
-
-def _page(result: Calibration, title: str) -> tuple[bytes | None, list[str]]:
-    """Return the report, and notes on what could not be made."""
-    try:
-        from rim_camera_ros.reports.calibration import calibration_page
-    except ImportError as error:
-        if error.name is None or not error.name.startswith("matplotlib"):
-            raise
-        return None, ["no report was written: matplotlib is not installed (apt install python3-matplotlib)"]
-    return calibration_page(result, title=title).encode(), []
-
-
-def _header(result: Calibration) -> str:
-    return (
-        f"# Calibrated by calibration_node from {several(result.frames, 'frame')} of "
-        f"{several(result.poses, 'pose')}; accuracy and recordings: see provenance below.\n"
-    )
 
 
 def _figures(result: Calibration, out: Path, report: Path | None, notes: list[str]) -> dict[str, Any]:

@@ -1,0 +1,42 @@
+"""The files of a calibration: the camera file, and the report where matplotlib is there to draw it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rim_camera_ros.calibrate.run import Calibration
+from rim_camera_ros.camera_file import save_camera_apart
+from rim_camera_ros.info.text import several
+from rim_camera_ros.parameters import write_whole
+
+
+def page_of(result: Calibration, *, title: str) -> tuple[bytes | None, list[str]]:
+    """Return the report (HTML), None without matplotlib, and notes on what could not be made."""
+    try:
+        from rim_camera_ros.reports.calibration import calibration_page
+    except ImportError as error:
+        if error.name is None or not error.name.startswith("matplotlib"):
+            raise
+        remedy = "pip install 'rim_camera_ros[reports]', or apt install python3-matplotlib"
+        return None, [f"no report was written: matplotlib is not installed ({remedy})"]
+    return calibration_page(result, title=title).encode(), []
+
+
+def write_calibration(
+    result: Calibration, *, out: Path, report: Path | None, page: bytes | None, author: str
+) -> None:
+    """Write the camera file with its arrays, then the report; ``result.camera`` becomes what was written.
+
+    ``author`` is what calibrated, as ``rim calibrate``. Raises `OSError` where the disk refuses.
+    """
+    accuracy = result.accuracy
+    header = (
+        f"# Calibrated by {author} from {several(result.frames, 'frame')} of "
+        f"{several(result.poses, 'pose')}.\n"
+        f"# Corrected distances of held-out poses: {accuracy.after * 1e3:.2f} mm RMS, of which noise "
+        f"{accuracy.noise * 1e3:.2f} mm; see provenance below.\n"
+    )
+    result.camera = save_camera_apart(result.camera, out, header=header)
+    if report is not None and page is not None:
+        content = page
+        write_whole(report, lambda stream: stream.write(content))
