@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from rim_camera_ros.calibrate.library import optics_block, present_blocks
-from rim_camera_ros.calibrate.light_curves import RIPPLES, SURFACES
+from rim_camera_ros.calibrate.light_curves import RESPONSE, RIPPLES, SURFACES
 from rim_camera_ros.calibrate.normal_equations import (
     Block,
     NormalEquations,
@@ -61,7 +61,7 @@ class Problem:
     ``robust`` bounds the weight of outliers; ``pattern`` estimates an offset per pixel;
     ``masks`` restrict the pixels, ``shifts`` stand for another simulation (both as in `Forward`);
     ``stray_light`` [counts] as in `accumulate`; ``reflectance`` estimates how surfaces reflect beside
-    Lambert's law.
+    Lambert's law, ``response`` [counts] what an `amplitude_nonlinearity` leaves, relative to that level.
     """
 
     dataset: Dataset
@@ -76,6 +76,7 @@ class Problem:
     shifts: Sequence[tuple[Array, Array]] | None = None
     stray_light: float = 0.0
     reflectance: bool = False
+    response: float | None = None
 
 
 @dataclass
@@ -156,7 +157,7 @@ def fit(
         }
         nuisances = {name: e for name, e in warm.nuisances.items() if not name.endswith(".gain")}
         if warm.forward.light_curves is not None:
-            allowed = _light_labels(problem)
+            allowed = {label for labels in _light_groups(problem, camera) for label in labels}
             offsets.update({k: v for k, v in warm.forward.light_curves.values.items() if k in allowed})
     converged = stuck = False
     for count in range(iterations + 1):
@@ -268,13 +269,18 @@ def _forward(
 ) -> Forward:
     forward = Forward(problem.dataset, scene, camera, views=views)
     forward.masks, forward.shifts = problem.masks, problem.shifts
-    forward.light_curves = moved_light(offsets)
+    forward.light_curves = moved_light(offsets, problem.response)
     return forward
 
 
-def _light_labels(problem: Problem) -> tuple[str, ...]:
-    ripples = RIPPLES if problem.gain else ()
-    return (*ripples, *SURFACES) if problem.reflectance else ripples
+def _light_groups(problem: Problem, camera: Camera) -> list[tuple[str, ...]]:
+    """Return the curves of the light that are fitted beside the camera."""
+    groups = [RIPPLES] if problem.gain else []
+    if problem.reflectance:
+        groups.append(SURFACES)
+    if problem.response is not None and "amplitude_nonlinearity" in camera.effects:
+        groups.append(RESPONSE)
+    return groups
 
 
 def _blocks(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
@@ -282,9 +288,7 @@ def _blocks(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
     if problem.gain:
         blocks.append(gain_block())
     blocks += [optics_block(camera, name) for name in problem.geometry]
-    labels = _light_labels(problem)
-    if labels:
-        blocks += [light_block(part) for part in (RIPPLES, SURFACES) if part[0] in labels]
+    blocks += [light_block(labels) for labels in _light_groups(problem, camera)]
     free = [
         (f"scene.{one.name}.{axis}", 1.0 if axis in "xyz" else 0.3)
         for one in scene.surfaces

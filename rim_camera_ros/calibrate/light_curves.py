@@ -1,15 +1,16 @@
-"""What changes the light beside the camera file's effects: ripples over the phase, surfaces unlike Lambert's.
+"""What changes amplitudes beside the effects: ripples over the phase, surfaces unlike Lambert's, a response.
 
 The harmonics of the modulation that bend the distance also make the amplitude ripple with the same periods
 (Kahlmann 2007, sec. 3.3.1, sampling a signal that is no sine). A rough surface brightens towards grazing
 incidence in proportion to what it reflects (Oren & Nayar 1994); a glossy one adds light near normal incidence
 whatever its colour (Cook & Torrance 1982). No parameter of a camera file describes either: they are estimated
-beside the camera's, the ripples always, the surfaces where they are asked for.
+beside the camera's, the ripples always, the surfaces where they are asked for, and the response's rest beside
+an `amplitude_nonlinearity`, whose one parameter is not every amplifier's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,7 +34,12 @@ RIPPLES = tuple(f"{PREFIX}ripple.{n}.{part}" for n in _PERIODS for part in ("cos
 DIFFUSE = tuple(f"{PREFIX}diffuse.{k:.0f}" for k in _DEGREES[1:])
 GLOSS = tuple(f"{PREFIX}gloss.{k:.0f}" for k in _DEGREES)
 SURFACES = (*DIFFUSE, *GLOSS)
-_ALL = frozenset((*RIPPLES, *SURFACES))
+#: Of the published amplitude, at logarithms (base 10) of the light over a level, where it is 1: the power
+#: could not be told from it otherwise.
+_LOGARITHMS = (-2.0, -1.6, -1.2, -0.8, -0.4, 0.0, 0.4, 0.8, 1.2, 1.6, 2.0)
+RESPONSE = tuple(f"{PREFIX}response.{k:+.1f}" for k in _LOGARITHMS if k != 0.0)
+_GRID = np.logspace(-1.0, 6.0, 3000)
+_ALL = frozenset((*RIPPLES, *SURFACES, *RESPONSE))
 
 
 def of_light(path: str) -> bool:
@@ -45,10 +51,12 @@ def of_light(path: str) -> bool:
 class LightCurves:
     """Factors on the light: 1 + ripples(phase), and 1 + diffuse(incidence) + gloss(incidence) 0.3 / colour.
 
-    ``values`` by label, 0 where absent; over the incidence linear between the angles.
+    ``values`` by label, 0 where absent; over the incidence linear between the angles. Amplitudes are
+    published times a response, relative to that of light of ``level`` counts.
     """
 
     values: Mapping[str, float] = field(default_factory=dict)
+    level: float = 1000.0
 
     def factor(self, geometry: Geometry, ambiguity: float) -> Array:
         """Return the factor (H, W) on the light of Lambert's surfaces under a pure sine."""
@@ -82,6 +90,36 @@ class LightCurves:
         factor = self.surfaces(geometry)
         weights = [np.interp(angle, _KNOTS, row) for row in np.eye(len(_KNOTS))]
         return [one / factor for one in weights[1:]] + [one * ratio / factor for one in weights]
+
+    def response(self, light: Array) -> Array:
+        """Return the factor on the published amplitude at light in counts."""
+        if not self.responds:
+            return np.ones(np.shape(light))
+        heights = [self.values.get(f"{PREFIX}response.{k:+.1f}", 0.0) for k in _LOGARITHMS]
+        return np.asarray(np.maximum(1.0 + np.interp(self._logarithm(light), _LOGARITHMS, heights), _LEAST))
+
+    @property
+    def responds(self) -> bool:
+        """Whether there is a response."""
+        return not self.values.keys().isdisjoint(RESPONSE)
+
+    def light_of(self, published: Array, compressed: Callable[[Array], Array]) -> Array:
+        """Return the light in counts of published amplitudes, which are ``compressed`` and respond."""
+        readings = np.maximum.accumulate(compressed(_GRID) * self.response(_GRID))
+        return np.asarray(np.interp(published, readings, _GRID))
+
+    def response_columns(self, light: Array) -> list[Array]:
+        """Return the derivatives of the logarithm of the published amplitude by `RESPONSE`."""
+        logarithm, factor = self._logarithm(light), self.response(light)
+        rows = np.eye(len(_LOGARITHMS))
+        return [
+            np.interp(logarithm, _LOGARITHMS, row) / factor
+            for row, k in zip(rows, _LOGARITHMS, strict=True)
+            if k != 0.0
+        ]
+
+    def _logarithm(self, light: Array) -> Array:
+        return np.asarray(np.log10(np.maximum(light, 1e-3) / self.level))
 
     def ripple(self) -> float:
         """Return the largest relative amplitude of a ripple."""

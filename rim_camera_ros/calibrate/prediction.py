@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from rim_camera_ros.calibrate.light_curves import LightCurves
+from rim_camera_ros.calibrate.light_curves import RESPONSE, LightCurves
 from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.calibrate.views import PoseColumn, View, Views
 from rim_camera_ros.camera import Camera
@@ -69,6 +69,7 @@ class Prediction:
     slope_published: Array | float
     pose_columns: list[PoseColumn]
     model_amplitude: Array
+    model_reading: Array
     gain: float
     spread: list[Effect] = field(default_factory=list)
     light_curves: LightCurves | None = None
@@ -140,6 +141,10 @@ class Prediction:
     def curve_columns(self, labels: Sequence[str]) -> list[tuple[Array, Array]]:
         """Return the derivatives by curves of the light, in the order of their labels."""
         curves = self.light_curves or LightCurves()
+        if labels[0] in RESPONSE:
+            zero = np.zeros(self.distance.shape)
+            changes = curves.response_columns(self.model_amplitude)
+            return [(zero, self.model_reading * one) for one in changes]
         changes = curves.columns(self.view.geometry, self.context.ambiguity, labels)
         if not self.spread:
             return [self.reading_change(0.0, one) for one in changes]
@@ -274,7 +279,11 @@ class Forward:
 
     def _expanded(self, published: Array) -> Array:
         effect: Any = self.camera.effects.get("amplitude_nonlinearity")
-        return published if effect is None else np.asarray(effect.expanded(published))
+        if effect is None:
+            return published
+        if self.light_curves is not None and self.light_curves.responds:
+            return self.light_curves.light_of(published, effect.compressed)
+        return np.asarray(effect.expanded(published))
 
     def _predict(
         self, station: Station, memory: dict[str, Any], model: AmplitudeModel, slopes: bool
@@ -404,6 +413,9 @@ class Forward:
         if published is not None:
             slope_published = 1.0 / (1 + published.compression * latent) ** 2
         model_reading = safe if published is None else published.compressed(safe)
+        if published is not None and self.light_curves is not None:
+            model_reading = model_reading * self.light_curves.response(safe)
+            slope_published = slope_published * self.light_curves.response(latent)
         variance, amplitude_variance = self._variances(latent, context)
         variance = (variance + camera.sensor.lsb**2 / 12) / n
         single_variance = amplitude_variance * slope_published**2 + 1.0 / 12
@@ -435,6 +447,7 @@ class Forward:
             slope_published=slope_published,
             pose_columns=view.pose_columns,
             model_amplitude=safe,
+            model_reading=model_reading,
             gain=gain,
             spread=spread,
             light_curves=self.light_curves,

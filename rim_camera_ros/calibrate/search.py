@@ -7,6 +7,7 @@ forward chain, and the best of them joins the camera; then everything is looked 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -21,6 +22,7 @@ from rim_camera_ros.calibrate.normal_equations import Block
 from rim_camera_ros.calibrate.nulls import null_scores
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.selection import Scores, folds_of
+from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.parameters import flatten
 
@@ -36,14 +38,11 @@ _INDEPENDENT = 8
 LEAST_SHARE = 0.0015
 LEAST_SHARE_OF_KIND = 0.05
 #: ... and still more beside effects of which no form is near every true one: surfaces out of the view send
-#: light as well, and amplifiers saturate in many ways.
+#: light as well.
 LEAST_SHARE_BESIDE_ROUGH = 0.15
 _ROUGH = {
     "multipath": frozenset(
         {"emitter_offset", "camera_constant", "lens_distortion", "distance_scale", "radiometry", "scattering"}
-    ),
-    "amplitude_nonlinearity": frozenset(
-        {"emission_pattern", "emitter_offset", "radiometry", "scattering", "camera_constant", "mixed_pixels"}
     ),
 }
 _KINDS = (
@@ -65,6 +64,8 @@ _NEGATIVE = 3.0
 MOST_EFFECTS = 4
 #: Leaders that may prove wrong when they are fitted, until the search ends.
 _MOST_FAILURES = 2
+#: Variants of an effect that are looked at again once another effect was found.
+_MOST_VARIANTS = 4
 #: Number of pixels from which fewer replicates are drawn, for the memory that they take.
 _MANY_PIXELS = 60_000
 
@@ -106,6 +107,11 @@ class Exploration:
         for k in np.argsort(-self.gains[: self.named]):
             result.setdefault(self.candidates[int(k)].effect, int(k))
         return result
+
+    def best_of(self, effects: Sequence[str]) -> list[int]:
+        """Return the best variants of some effects."""
+        best = self.best()
+        return [best[effect] for effect in effects]
 
     def best_further(self) -> tuple[float, int] | None:
         """Return gain and number of the best candidate that is not of the vocabulary."""
@@ -282,6 +288,8 @@ def search(
     """
     say = progress if progress is not None else _silent
     folds = folds_of(problem.dataset)
+    if "amplitude_nonlinearity" in camera.effects and problem.gain:
+        problem = replace(problem, response=_level(problem.dataset))
     pool = candidates(camera, facts, effects=effects)
     say(f"baseline and {len(pool)} candidates")
     first = explore(problem, camera, pool, folds, further=further, seed=seed)
@@ -308,10 +316,11 @@ def search(
             numbers = pair[1]
         need = max(_needed(step, k, found) for k in numbers)
         chosen, likelihood, next_step, next_problem = _refined(
-            problem, step, numbers, found, folds, further, seed, say
+            problem, step, numbers, leader, found, folds, further, seed, say
         )
         before = step.scores.log_likelihood()
         gain = likelihood - before
+        need = max(_needed(step, k, found) for k in step.best_of(chosen))
         if gain <= need or effect_size(next_step.fit, chosen, camera) < _least_size(next_step, chosen, found):
             # what looked like it is something else: perhaps the next in line
             failed |= {step.candidates[k].effect for k in numbers}
@@ -375,16 +384,23 @@ def _refined(
     problem: Problem,
     step: Exploration,
     numbers: tuple[int, ...],
+    leader: int,
     found: Sequence[Found],
     folds: Mapping[tuple[int, int], int],
     further: Sequence[Candidate],
     seed: int,
     say: Callable[[str], None],
 ) -> tuple[list[str], float, Exploration, Problem]:
-    """Fit the leader and its near rivals non-linearly; return the best by held-out likelihood."""
+    """Fit the leader and its near rivals non-linearly; return the best by held-out likelihood.
+
+    A pair must beat the leader alone by what a further effect must gain: linearly, one that bends the light
+    much looks worse than it is.
+    """
     trials: list[tuple[int, ...]] = [numbers]
     lead = step.joint(*numbers)
-    if len(numbers) == 1:
+    if len(numbers) == 2 and step.gains[leader] > _needed(step, leader, found):
+        trials.append((leader,))
+    elif len(numbers) == 1:
         for effect, k in step.best().items():
             close = step.gains[k] > 0.6 * lead or lead - step.gains[k] < 2 * step.threshold
             possible = close and step.gains[k] > _needed(step, k, found)
@@ -408,12 +424,20 @@ def _refined(
             seed=seed,
             replicates=0,
         )
+        if "amplitude_nonlinearity" in names:
+            # its one parameter first: together with a free response it would not find the way
+            own = replace(own, response=_level(problem.dataset))
+            alone = explore(
+                own, alone.fit.camera, [], folds, views=step.fit.forward.views, warm=alone.fit, replicates=0
+            )
         likelihood = alone.scores.log_likelihood()
+        if len(trial) == 2:
+            likelihood -= max(_needed(step, k, found) for k in trial)
         if best is None or likelihood > best[0]:
             best = (likelihood, names, alone, own)
     assert best is not None
     likelihood, names, alone, own = best
-    left = [one for one in step.candidates[: step.named] if one.effect not in names]
+    left = [one for one in _leading_variants(step) if one.effect not in names]
     final = explored(
         further_equations(alone.fit, [*left, *further], folds, own),
         left,
@@ -421,6 +445,24 @@ def _refined(
         seed=seed,
     )
     return names, final.scores.log_likelihood(), final, own
+
+
+def _level(dataset: Dataset) -> float:
+    """Return the amplitude [counts] in the middle of a recording's."""
+    values = np.concatenate([one.amplitude[one.count > 0][::17] for one in dataset.stations])
+    return max(float(np.median(values)), 1.0) if values.size else 1000.0
+
+
+def _leading_variants(step: Exploration) -> list[Candidate]:
+    """Return the variants of each effect that are still worth their columns, in their order."""
+    kept: set[int] = set()
+    count: Counter[str] = Counter()
+    for k in np.argsort(-step.gains[: step.named], kind="stable"):
+        effect = step.candidates[int(k)].effect
+        if count[effect] < _MOST_VARIANTS:
+            kept.add(int(k))
+            count[effect] += 1
+    return [step.candidates[k] for k in sorted(kept)]
 
 
 def further_equations(

@@ -96,9 +96,11 @@ def of_scene(path: str) -> bool:
     return path.startswith("scene.") or of_light(path)
 
 
-def moved_light(offsets: Mapping[str, float]) -> LightCurves | None:
+def moved_light(offsets: Mapping[str, float], level: float | None) -> LightCurves | None:
     """Return how surfaces reflect; None: as Lambert says."""
     values = {path: value for path, value in offsets.items() if of_light(path)}
+    if level is not None:
+        return LightCurves(values, level)
     return LightCurves(values) if values else None
 
 

@@ -62,6 +62,7 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Any = None)
             gain=True,
             geometry=problem.geometry if unknown is None else (),
             reflectance=problem.reflectance and unknown is None,
+            response=problem.response if unknown is None else None,
             robust=False,
             masks=problem.masks,
             shifts=problem.shifts,

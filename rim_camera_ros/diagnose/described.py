@@ -150,7 +150,7 @@ def _refit_table(unknown: Rest, baseline: Exploration, result: Result, seed: int
     axes = [Axis(name, knots) for name, knots in zip(table.covariates, table.knots, strict=True)]
     candidate = smooth_candidate(axes)
     step = explore(
-        replace(result.problem, geometry=(), reflectance=False),
+        replace(result.problem, geometry=(), reflectance=False, response=None),
         start,
         [],
         result.folds,
@@ -161,7 +161,7 @@ def _refit_table(unknown: Rest, baseline: Exploration, result: Result, seed: int
     )
     model = candidate.build(step.fit.camera, step.scores.values(step.spans[0]))
     final = explore(
-        replace(result.problem, geometry=(), reflectance=False),
+        replace(result.problem, geometry=(), reflectance=False, response=None),
         model,
         [],
         result.folds,
