@@ -17,7 +17,7 @@ from rim_camera_ros.noise import Noise
 Array = NDArray[Any]
 
 #: Relative deviation of a variance that matters, and its significance in sigmas.
-LEAST_RATIO = 0.05
+LEAST_RATIO = 0.02
 LEAST_SIGMA = 6.0
 _BINS = 10
 
@@ -62,7 +62,7 @@ class Variance:
             (abs(one.ratio - 1) for one in self.bins if abs(one.ratio - 1) > LEAST_SIGMA * one.sigma),
             default=0.0,
         )
-        return worst > 2 * LEAST_RATIO or (
+        return worst > 3 * LEAST_RATIO or (
             abs(self.ratio - 1) > LEAST_RATIO and abs(self.ratio - 1) > LEAST_SIGMA * self.sigma
         )
 

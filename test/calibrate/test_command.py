@@ -6,11 +6,12 @@ import hashlib
 import os
 import signal
 import sys
-import time
+import threading
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 import yaml
 
@@ -222,7 +223,9 @@ def test_an_unfinished_recording_is_named(
 def test_interrupted_nothing_is_written(folder: Path) -> None:
     with nothing_left(folder):
         child = process(*arguments(folder, out="late.yaml"))
-        time.sleep(2.5)
+        watched = psutil.Process(child.pid)
+        while child.poll() is None and watched.cpu_times().user < 2.5:  # beyond the imports, amid the fit
+            threading.Event().wait(0.05)
         os.kill(child.pid, signal.SIGINT)
         out, error = child.communicate(timeout=60)
     assert child.returncode == 130
