@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.calibrate.library import optics_block, present_blocks
-from rim_camera_ros.calibrate.light_curves import RESPONSE, RIPPLES, SURFACES
-from rim_camera_ros.calibrate.normal_equations import (
+from rim_camera_ros.calibrate.blocks import (
     Block,
-    NormalEquations,
-    Reduced,
-    accumulate,
     gain_block,
     light_block,
+    optics_block,
     pose_block,
+    present_blocks,
 )
-from rim_camera_ros.calibrate.prediction import AmplitudeModel, Forward, Prediction, excess
+from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward, excess
+from rim_camera_ros.calibrate.light_curves import RESPONSE, RIPPLES, SURFACES
+from rim_camera_ros.calibrate.normal_equations import NormalEquations, Reduced, accumulate
+from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.calibrate.steps import (
     GAIN,

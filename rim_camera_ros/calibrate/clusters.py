@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from rim_camera_ros.calibrate.adjustment import Fit, after_nuisances
-from rim_camera_ros.calibrate.normal_equations import Block
+from rim_camera_ros.calibrate.blocks import Block
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.selection import Scores
 

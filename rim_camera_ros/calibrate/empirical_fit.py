@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.normal_equations import Block, Regressor
-from rim_camera_ros.calibrate.prediction import Forward, Prediction
+from rim_camera_ros.calibrate.blocks import Block, Regressor
+from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.effects.covariates import COVARIATES, covariate
 from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.errors import InputError, nearest_name

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.interpolate import BSpline
 
-from rim_camera_ros.calibrate.prediction import AmplitudeModel, Forward, Prediction
+from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
+from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.solution import with_pattern
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rim_camera_ros.calibrate.adjustment import ROBUST_LIMIT, Fit, Problem, fit
+from rim_camera_ros.calibrate.blocks import UNFITTED, gain_block, light_block, optics_block, present_blocks
 from rim_camera_ros.calibrate.clusters import widening
 from rim_camera_ros.calibrate.determined import (
     EffectStatus,
@@ -17,19 +18,11 @@ from rim_camera_ros.calibrate.determined import (
     undetermined_effects,
 )
 from rim_camera_ros.calibrate.empirical_fit import empirical_block, empirical_covariates, empirical_start
-from rim_camera_ros.calibrate.library import (
-    GEOMETRY,
-    OF_SURFACES,
-    UNFITTED,
-    Facts,
-    candidates,
-    optics_block,
-    present_blocks,
-)
+from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, explore
+from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, Facts, candidates
 from rim_camera_ros.calibrate.light_curves import SURFACES
-from rim_camera_ros.calibrate.normal_equations import gain_block, light_block
-from rim_camera_ros.calibrate.prediction import Forward
-from rim_camera_ros.calibrate.search import LEAST_THRESHOLD, explore, search
+from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.calibrate.selection import Scores, folds_of
 from rim_camera_ros.calibrate.solution import Solution, count_outliers, moved_by
 from rim_camera_ros.calibrate.views import Views

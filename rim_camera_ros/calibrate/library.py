@@ -16,8 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from rim_camera_ros.calibrate.blocks import (
+    TERM_SIZE,
+    Block,
+    Regressor,
+    effect_block,
+    light_block,
+    optics_block,
+    optics_value,
+    present_priors,
+)
 from rim_camera_ros.calibrate.light_curves import SURFACES
-from rim_camera_ros.calibrate.normal_equations import Block, Regressor, effect_block, light_block
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
@@ -37,17 +46,13 @@ from rim_camera_ros.effects.multipath import Multipath
 from rim_camera_ros.effects.saturation_bleed import SaturationBleed
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.effects.warm_up_drift import Exponential, WarmUpDrift
-from rim_camera_ros.optics import pixel_rays
 from rim_camera_ros.parameters import with_values
 from rim_camera_ros.phasor import to_phasor
 
 Array = NDArray[Any]
-Coefficients = Mapping[str, float]
 
-#: 1-sigma of a distance term's prior [m] where it is at its largest.
-TERM_SIZE = 0.05
-#: Angle [gon] at which the incidence polynomial's prior has that size.
-_STEEP = 60.0
+
+Coefficients = Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -100,78 +105,6 @@ class Facts:
             moves=moves,
             surfaces=surfaces,
         )
-
-
-def present_blocks(camera: Camera, *, effects: Sequence[str] | None = None) -> list[Block]:
-    """Return the regressors of a camera's own effects: its parameters, about their values.
-
-    Priors are weak: as wide as the value itself, or as such effects are large.
-    """
-    blocks = []
-    for name, effect in camera.effects.items():
-        if name in UNFITTED or (effects is not None and name not in effects):
-            continue
-        priors = present_priors(effect, camera)
-        if priors:
-            blocks.append(effect_block(effect, priors))
-    return blocks
-
-
-#: Effects whose parameters no mean of a recording tells, or that are tables of their own.
-UNFITTED = frozenset(
-    {
-        "fixed_pattern_offset",
-        "integral_table",
-        "empirical",
-        "interference",
-        "reference_path",
-        "background_light",
-    }
-)
-
-
-def present_priors(effect: Effect, camera: Camera) -> dict[str, float]:
-    """Return the free parameters of an effect by path with the 1-sigma of their weak prior."""
-    if isinstance(effect, IncidenceAngle):
-        return {
-            f"polynomial.{row_name(key)}.{i}": TERM_SIZE / _STEEP ** (4 - i)
-            for key in effect.polynomial
-            for i in range(4)
-        }
-    if isinstance(effect, AmplitudeOffset):
-        priors = {}
-        for key, one in effect.hyperbola.items():
-            priors[f"hyperbola.{row_name(key)}.a"] = max(abs(one.a), 1e-3)
-            priors[f"hyperbola.{row_name(key)}.b"] = max(abs(one.b), 0.02 * abs(one.a))
-        return priors
-    if isinstance(effect, AmbientTemperature):
-        return {"coefficient": 0.005, "time_constant": max(0.5 * effect.time_constant, 30.0)}
-    if isinstance(effect, CyclicError):
-        priors = {}
-        for i, harmonic in enumerate(effect.harmonics):
-            priors[f"harmonics.{i}.amplitude"] = max(abs(harmonic.amplitude), 0.005)
-            priors[f"harmonics.{i}.phase"] = 1.0
-        priors |= {"gradient.0": 0.005, "gradient.1": 0.005}
-        return priors
-    if isinstance(effect, WarmUpDrift):
-        priors = {}
-        for i, term in enumerate(effect.terms):
-            priors[f"terms.{i}.amplitude"] = max(abs(term.amplitude), 0.02)
-            priors[f"terms.{i}.time_constant"] = 0.5 * term.time_constant
-        return priors
-    if isinstance(effect, Scattering):
-        priors = {}
-        for i, kernel in enumerate(effect.kernels):
-            priors[f"kernels.{i}.weight"] = max(kernel.weight, 0.01)
-            priors[f"kernels.{i}.sigma.0"] = max(0.5 * kernel.sigma[0], 0.3)
-            priors[f"kernels.{i}.sigma.1"] = max(0.5 * kernel.sigma[1], 0.3)
-        if effect.ghost is not None:
-            priors["ghost.weight"] = max(effect.ghost.weight, 0.003)
-        return priors
-    return dict(effect.priors())
-
-
-# --- what a camera file may lack --------------------------------------------------------------------
 
 
 def candidates(camera: Camera, facts: Facts, *, effects: Sequence[str] | None = None) -> list[Candidate]:
@@ -409,66 +342,13 @@ def _compression(camera: Camera, facts: Facts) -> list[Candidate]:
     return [_linear(AmplitudeNonlinearity(compression=0.0), {"compression": 0.1 / max(facts.amplitude, 1.0)})]
 
 
-_OPTICS: dict[str, tuple[tuple[str, float, float], ...]] = {
-    # name of the diagnosis: (path, step of the derivative, prior)
-    "camera_constant": (
-        ("fx", 0.1, 5.0),
-        ("fy", 0.1, 5.0),
-        ("cx", 0.1, 3.0),
-        ("cy", 0.1, 3.0),
-    ),
-    "lens_distortion": (
-        ("d.0", 1e-3, 0.1),
-        ("d.1", 1e-3, 0.1),
-        ("d.2", 1e-4, 0.003),
-        ("d.3", 1e-4, 0.003),
-    ),
-}
-
-
-def optics_block(camera: Camera, name: str) -> Block:
-    """Return the regressors of the camera geometry: the optics' parameters behind a name of the
-    vocabulary.
-    """
-    parts = _OPTICS[name]
-    changes: list[Array] = []
-    for path, step, _ in parts:
-        sides = []
-        for sign in (1.0, -1.0):
-            value = _optics_value(camera, path) + sign * step
-            optics = with_values(camera.optics, {path: value})
-            sides.append(pixel_rays(optics, width=camera.sensor.width, height=camera.sensor.height))
-        changes.append((sides[0] - sides[1]) / (2 * step))
-    regressors = tuple(Regressor(f"optics.{path}", name, prior) for path, _, prior in parts)
-
-    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
-        geometry = prediction.view.geometry
-        rays = camera.rays
-        along = np.einsum("ijk,ijk->ij", geometry.normals, rays)
-        result: list[tuple[Array, Array | None]] = []
-        for change in changes:
-            with np.errstate(invalid="ignore", divide="ignore"):
-                by = -geometry.distance * np.einsum("ijk,ijk->ij", geometry.normals, change) / along
-            by = np.where(geometry.hit, np.nan_to_num(by), 0.0)
-            result.append((np.asarray(prediction.reading_change(by, 0.0)[0]), None))
-        return result
-
-    return Block(regressors, columns)
-
-
-def _optics_value(camera: Camera, path: str) -> float:
-    from rim_camera_ros.parameters import flatten
-
-    return flatten(camera.optics)[path]
-
-
 def _geometry(name: str) -> Callable[[Camera, Facts], list[Candidate]]:
     def make(camera: Camera, facts: Facts) -> list[Candidate]:
         block = optics_block(camera, name)
 
         def build(one: Camera, values: Coefficients) -> Camera:
             moved = {
-                label.removeprefix("optics."): _optics_value(one, label.removeprefix("optics."))
+                label.removeprefix("optics."): optics_value(one, label.removeprefix("optics."))
                 + values[label]
                 for label in (r.label for r in block.regressors)
             }
@@ -486,6 +366,7 @@ def _radiometry(camera: Camera, facts: Facts) -> list[Candidate]:
 
 #: Names of the vocabulary that no parameter of a camera file describes: they belong to the scene.
 OF_SURFACES = frozenset({"radiometry"})
+
 
 _MAKERS: dict[str, Callable[[Camera, Facts], list[Candidate]]] = {
     "cyclic_error": _cyclic,
@@ -505,6 +386,8 @@ _MAKERS: dict[str, Callable[[Camera, Facts], list[Candidate]]] = {
     "amplitude_nonlinearity": _compression,
     "radiometry": _radiometry,
 }
+
+
 GEOMETRY: dict[str, Callable[[Camera, Facts], list[Candidate]]] = {
     name: _geometry(name) for name in ("camera_constant", "lens_distortion")
 }

@@ -16,81 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.calibrate.light_curves import RIPPLES
-from rim_camera_ros.calibrate.prediction import Forward, Prediction
-from rim_camera_ros.effects.base import Effect
+from rim_camera_ros.calibrate.blocks import Block, Regressor
+from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.prediction import Prediction
 
 Array = NDArray[Any]
 
+
 #: 1-sigma of the fixed pattern's prior [m]: as good as unknown.
 PATTERN_PRIOR = 0.05
-#: 1-sigma of the relative change of a surface's light at an angle of incidence.
-_REFLECTANCE_PRIOR = 0.2
-#: ... and of its ripples over the phase.
-_RIPPLE_PRIOR = 0.03
-_EFFECTS_WITHOUT_AMPLITUDE = frozenset(
-    {
-        "cyclic_error",
-        "background_light",
-        "amplitude_offset",
-        "incidence_angle",
-        "integration_time_offset",
-        "fixed_pattern_offset",
-        "saturation_bleed",
-        "warm_up_drift",
-        "ambient_temperature",
-        "distance_scale",
-        "integral_table",
-        "empirical",
-    }
-)
-
-
-@dataclass(frozen=True)
-class Regressor:
-    """One column of the design: label, the effect or curve it belongs to, 1-sigma of its prior."""
-
-    label: str
-    owner: str
-    prior: float
-
-
-#: Derivatives of measured distance and published amplitude (None: none) by each regressor of a block.
-ColumnsOf = Callable[[Prediction], Sequence[tuple[Array, Array | None]]]
-
-
-@dataclass(frozen=True)
-class Block:
-    """Regressors whose columns are computed together."""
-
-    regressors: tuple[Regressor, ...]
-    columns: ColumnsOf
-
-
-def effect_block(
-    effect: Effect, priors: Mapping[str, float], *, owner: str | None = None, label: str = ""
-) -> Block:
-    """Return the regressors of some parameters of an effect: ``priors`` by dotted path.
-
-    The label is ``effects.NAME.PATH``, with ``label`` appended where variants must be told apart.
-    """
-    paths = tuple(priors)
-    has_amplitude = effect.name not in _EFFECTS_WITHOUT_AMPLITUDE
-
-    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
-        found = prediction.columns(effect)
-        return [(found[path][0], found[path][1] if has_amplitude else None) for path in paths]
-
-    name = effect.name if owner is None else owner
-    regressors = tuple(Regressor(f"effects.{effect.name}.{p}{label}", name, priors[p]) for p in paths)
-    return Block(regressors, columns)
-
-
-def light_block(labels: Sequence[str]) -> Block:
-    """Return the regressors of curves of the light: `light_curves.RIPPLES` or `light_curves.SURFACES`."""
-    prior = _RIPPLE_PRIOR if labels[0] in RIPPLES else _REFLECTANCE_PRIOR
-    regressors = tuple(Regressor(label, "radiometry", prior) for label in labels)
-    return Block(regressors, lambda prediction: prediction.curve_columns(labels))
 
 
 @dataclass
@@ -416,27 +350,3 @@ def _nuisances(prediction: Prediction, gain_sigma: float, stray_light: float) ->
         ):
             result.append((f"{key}.light.{part}.{station.stamp}", stray_light, 0.0, distance, amplitude))
     return result
-
-
-def pose_block(paths: Sequence[tuple[str, float]]) -> Block:
-    """Return the regressors of the free poses of a scene: ``scene.SURFACE.AXIS`` with their priors."""
-    regressors = tuple(Regressor(path, "scene", prior) for path, prior in paths)
-
-    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
-        found = {one.path: one for one in prediction.pose_columns}
-        zero = np.zeros(prediction.distance.shape)
-        result: list[tuple[Array, Array | None]] = []
-        for path, _ in paths:
-            result.append(prediction.pose_change(found[path]) if path in found else (zero, zero))
-        return result
-
-    return Block(regressors, columns)
-
-
-def gain_block(prior: float = 1.0) -> Block:
-    """Return the regressor of the relative radiometric gain (label ``radiometry.gain``, relative)."""
-
-    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
-        return [prediction.gain_column()]
-
-    return Block((Regressor("radiometry.gain", "radiometry", prior),), columns)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from rim_camera_ros.calibrate.adjustment import ROBUST_LIMIT, Fit, after_nuisances
-from rim_camera_ros.calibrate.prediction import Forward
+from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.scene import Geometry
 
 Array = NDArray[Any]

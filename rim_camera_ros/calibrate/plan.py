@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.calibrate.blocks import Regressor, gain_block, present_blocks
 from rim_camera_ros.calibrate.coarser import coarser_camera
-from rim_camera_ros.calibrate.library import Candidate, Facts, candidates, present_blocks
-from rim_camera_ros.calibrate.normal_equations import Regressor, accumulate, gain_block
-from rim_camera_ros.calibrate.prediction import Forward
+from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.library import Candidate, Facts, candidates
+from rim_camera_ros.calibrate.normal_equations import accumulate
 from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.devices.timeline import Timeline

@@ -15,6 +15,7 @@ from rim_camera_ros.bags import Topics
 from rim_camera_ros.calibrate import checks
 from rim_camera_ros.calibrate.adjustment import Problem
 from rim_camera_ros.calibrate.determined import EffectStatus
+from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.held_out import Accuracy, evaluate
 from rim_camera_ros.calibrate.integral import IntegralFit
 from rim_camera_ros.calibrate.joint import Outcome, by_search, exactly
@@ -22,7 +23,6 @@ from rim_camera_ros.calibrate.library import Facts
 from rim_camera_ros.calibrate.noise_fit import POOR, NoiseFit, fit_noise
 from rim_camera_ros.calibrate.pixels import usable_pixels, without_edges
 from rim_camera_ros.calibrate.pose_errors import settled_poses, wider_poses_note
-from rim_camera_ros.calibrate.prediction import Forward
 from rim_camera_ros.calibrate.provenance import Source, checksum, provenance
 from rim_camera_ros.calibrate.solution import Solution, high_correlations, stated
 from rim_camera_ros.calibrate.stations import Dataset, merged, reduce_recording

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.prediction import Forward
+from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.camera import Validity
 
 Array = NDArray[Any]

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import Fit, Problem, after_nuisances, fit
-from rim_camera_ros.calibrate.library import present_priors
-from rim_camera_ros.calibrate.normal_equations import effect_block
+from rim_camera_ros.calibrate.blocks import effect_block, present_priors
 from rim_camera_ros.calibrate.search import Result
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera

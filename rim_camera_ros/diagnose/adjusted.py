@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from rim_camera_ros.calibrate.adjustment import Fit
-from rim_camera_ros.calibrate.library import UNFITTED
-from rim_camera_ros.calibrate.prediction import Forward, Prediction
-from rim_camera_ros.calibrate.search import contribution
+from rim_camera_ros.calibrate.blocks import UNFITTED
+from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.sizes import contribution
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers
 

@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from rim_camera_ros.calibrate.adjustment import Fit
+from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.library import OF_SURFACES
 from rim_camera_ros.calibrate.light_curves import PREFIX, SURFACES, LightCurves
-from rim_camera_ros.calibrate.search import Exploration, Result
+from rim_camera_ros.calibrate.search import Result
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.diagnose.codes import MissingCodes
@@ -74,7 +75,7 @@ def missing_effect(
 
 
 def _size(fitted: Fit, name: str) -> float | None:
-    from rim_camera_ros.calibrate.search import contribution
+    from rim_camera_ros.calibrate.sizes import contribution
 
     values = []
     for one in fitted.forward.predictions():

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rim_camera_ros.calibrate.search import ALARM_RATE, LEAST_SHARE, gumbel_quantile
+from rim_camera_ros.calibrate.exploration import ALARM_RATE, gumbel_quantile
+from rim_camera_ros.calibrate.needs import LEAST_SHARE
 from rim_camera_ros.diagnose import page_words as words
 from rim_camera_ros.diagnose.page_classes import region
 from rim_camera_ros.diagnose.page_evidence import Evidence

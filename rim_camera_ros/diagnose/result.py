@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from rim_camera_ros.calibrate.search import Exploration, Found
+from rim_camera_ros.calibrate.exploration import Exploration
+from rim_camera_ros.calibrate.needs import Found
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import Accuracy
 from rim_camera_ros.diagnose.adjusted import Adjusted

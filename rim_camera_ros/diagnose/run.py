@@ -17,9 +17,11 @@ from rim_camera_ros.calibrate.coarser import (
     finer_camera,
     finer_image,
 )
+from rim_camera_ros.calibrate.exploration import Exploration, explore
+from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import OF_SURFACES, Facts
-from rim_camera_ros.calibrate.prediction import Forward
-from rim_camera_ros.calibrate.search import OF_POSES, Exploration, Result, explore, search
+from rim_camera_ros.calibrate.needs import OF_POSES
+from rim_camera_ros.calibrate.search import Result, search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera

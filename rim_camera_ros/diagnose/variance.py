@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from rim_camera_ros.calibrate.prediction import Forward
+from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.noise import Noise
 

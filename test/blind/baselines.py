@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from rim_camera_ros.calibrate.library import Facts, candidates, present_blocks
-from rim_camera_ros.calibrate.prediction import Forward, Prediction
+from rim_camera_ros.calibrate.blocks import present_blocks
+from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.library import Facts, candidates
+from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.stations import reduce_recording
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.scene import load_scene

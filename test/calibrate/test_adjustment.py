@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate.adjustment import Problem, fit
-from rim_camera_ros.calibrate.library import Facts, candidates, present_priors
+from rim_camera_ros.calibrate.blocks import present_priors
+from rim_camera_ros.calibrate.exploration import explore
+from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
+from rim_camera_ros.calibrate.library import Facts, candidates
 from rim_camera_ros.calibrate.nulls import null_scores
-from rim_camera_ros.calibrate.prediction import AmplitudeModel, Forward
-from rim_camera_ros.calibrate.search import explore, search
+from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.calibrate.selection import Scores, folds_of
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_effects, with_numbers

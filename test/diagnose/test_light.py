@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.light_curves import DIFFUSE, GLOSS, RIPPLES, SURFACES, LightCurves
-from rim_camera_ros.calibrate.prediction import Forward
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.run import diagnose

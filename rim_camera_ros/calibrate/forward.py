@@ -1,0 +1,366 @@
+"""Predictions of all stations of a dataset by a camera, in order of time: the forward chain with its latent
+amplitude.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from rim_camera_ros.calibrate.light_curves import LightCurves
+from rim_camera_ros.calibrate.prediction import KEPT, Prediction
+from rim_camera_ros.calibrate.stations import Dataset, Station
+from rim_camera_ros.calibrate.views import View, Views
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects import registry
+from rim_camera_ros.effects.base import ComplexEffect, Context, DistanceTerm, Effect, Signal, from_phasor
+from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
+from rim_camera_ros.effects.multipath import TOLERANCE
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.noise import sigma_amplitude
+from rim_camera_ros.phasor import to_phasor, wrap_residual
+from rim_camera_ros.scene import Scene
+
+Array = NDArray[Any]
+
+
+#: Effects without a mean that could be predicted, or that do not change the measurement.
+_SILENT = ("interference", "reference_path")
+
+
+#: Effects that pass on a change of the light relative to it, pixel by pixel.
+_LOCAL = ("emission_pattern", "emitter_offset")
+
+
+#: Relative change of the light up to which its bounces are not computed anew.
+_SAME_LIGHT = 0.01
+
+
+_SPREADING = ("mixed_pixels", "scattering")
+
+
+@dataclass
+class AmplitudeModel:
+    """How well the amplitude is predicted: relative 1-sigma ``tau`` per pixel, gain of every pose."""
+
+    gains: dict[tuple[int, int], float] = field(default_factory=dict)
+    tau: float = 0.0
+
+
+class Forward:
+    """Predictions of a dataset's stations by one camera, in order of time.
+
+    ``masks`` of each station and channel, where given, restrict the pixels that are used, so that fits by
+    different cameras can be compared. ``shifts`` of each station and channel are what another simulation
+    says beyond this one's prediction at the start. ``light_curves`` change the light beside
+    the camera file's effects.
+    """
+
+    def __init__(self, dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None) -> None:
+        self.dataset, self.scene, self.camera = dataset, scene, camera
+        self.views = views if views is not None and views.fits(camera) else Views(camera, scene)
+        self.notes: set[str] = set()
+        self.amplitude_model = AmplitudeModel()
+        self.masks: Sequence[tuple[Array, Array]] | None = None
+        self.shifts: Sequence[tuple[Array, Array]] | None = None
+        self.light_curves: LightCurves | None = None
+        self._order = {name: i for i, name in enumerate(registry())}
+
+    def estimate_amplitudes(self, gains: Mapping[tuple[int, int], float] | None = None) -> AmplitudeModel:
+        """Estimate the gain of every pose and the relative error of predicted amplitudes (robustly).
+
+        Known ``gains`` are kept. Without variation from pose to pose (``radiometry.gain_sigma`` 0) there
+        is one gain for all.
+        """
+        ratios: dict[tuple[int, int], list[Array]] = {}
+        errors, variances = [], []
+        for one in self.predictions(AmplitudeModel(tau=0.0), slopes=False):
+            pixels = one.amplitude_used & (one.model_amplitude > 0) & (one.station.amplitude > 0)
+            if not pixels.any():
+                continue
+            measured = self._expanded(one.station.amplitude[pixels].astype(float))
+            ratio = np.log(measured / one.model_amplitude[pixels])
+            noise = one.amplitude_sigma[pixels] / one.model_amplitude[pixels]
+            sharp = noise <= np.quantile(noise, 0.5)
+            key = (one.station.recording, one.station.pose)
+            ratios.setdefault(key, []).append(ratio[sharp])
+            errors.append((key, ratio[sharp]))
+            variances.append(noise[sharp] ** 2)
+        if gains is None:
+            gains = {key: float(np.exp(np.median(np.concatenate(r)))) for key, r in ratios.items()}
+            if self.camera.radiometry.gain_sigma == 0 and gains:
+                everything = np.concatenate([r for parts in ratios.values() for r in parts])
+                gains = dict.fromkeys(gains, float(np.exp(np.median(everything))))
+        tau = 0.0
+        if errors:
+            rest = np.concatenate([r - np.log(gains.get(key, 1.0)) for key, r in errors])
+            tau = excess(rest, np.concatenate(variances))
+        self.amplitude_model = AmplitudeModel(dict(gains), tau)
+        return self.amplitude_model
+
+    def predictions(
+        self, model: AmplitudeModel | None = None, *, slopes: bool = True
+    ) -> Iterator[Prediction]:
+        """Yield the prediction of each station, in order."""
+        model = self.amplitude_model if model is None else model
+        memory: dict[str, Any] = {}
+        recording = None
+        for number, station in enumerate(self.dataset.stations):
+            if station.recording != recording:
+                memory, recording = {}, station.recording
+            one = self._predict(station, memory, model, slopes)
+            if self.shifts is not None:
+                one.residual = one.residual - self.shifts[number][0]
+                one.amplitude_residual = one.amplitude_residual - self.shifts[number][1]
+                one.used &= np.isfinite(one.residual)
+                one.amplitude_used &= one.used
+            if self.masks is not None:
+                # the same pixels whatever the camera predicts, or likelihoods could not be compared
+                possible = np.isfinite(one.residual) & np.isfinite(one.sigma) & (one.station.count > 0)
+                one.used = self.masks[number][0] & possible
+                one.amplitude_used = self.masks[number][1] & possible
+            yield one
+
+    def shifts_to(self, other: Dataset) -> list[tuple[Array, Array]]:
+        """Return what another recording of the same stations measures beyond these predictions.
+
+        Raises `InputError` where it does not have the same stations.
+        """
+        if len(other.stations) != len(self.dataset.stations):
+            raise InputError(
+                f"holds {len(other.stations)} stations, the recording {len(self.dataset.stations)}",
+                file=other.files[0] if other.files else None,
+                remedy="simulate it with --poses BAG of the recording",
+            )
+        own = Forward(other, self.scene, self.camera, views=self.views)
+        result = []
+        for one, mine in zip(own.predictions(slopes=False), self.dataset.stations, strict=True):
+            if one.station.truth != mine.truth:
+                raise InputError(
+                    f"its station at {one.station.time:.3f} s has other poses than the recording's",
+                    file=other.files[0] if other.files else None,
+                    remedy="simulate it with --poses BAG of the recording",
+                )
+            distance = np.where(one.station.count > 0, one.residual, np.nan)
+            result.append((distance, one.amplitude_residual))
+        return result
+
+    def pixels_used(self) -> list[tuple[Array, Array]]:
+        """Return the pixels of each station that are fitted: both channels, (H, W) each."""
+        return [(one.used, one.amplitude_used) for one in self.predictions(slopes=False)]
+
+    def _expanded(self, published: Array) -> Array:
+        effect: Any = self.camera.effects.get("amplitude_nonlinearity")
+        if effect is None:
+            return published
+        if self.light_curves is not None and self.light_curves.responds:
+            return self.light_curves.light_of(published, effect.compressed)
+        return np.asarray(effect.expanded(published))
+
+    def _predict(
+        self, station: Station, memory: dict[str, Any], model: AmplitudeModel, slopes: bool
+    ) -> Prediction:
+        camera = self.camera
+        view = self.views.view(station)
+        geometry = view.geometry
+        settings = replace(station.settings, integration_time=camera.integration_time(station.settings))
+        gain = model.gains.get((station.recording, station.pose), 1.0)
+        with np.errstate(invalid="ignore"):
+            ideal = (
+                (camera.radiometry.gain * camera.integration_time(settings) * gain)
+                * geometry.reflectivity
+                * geometry.cos_incidence
+                / geometry.distance**2
+            )
+        if self.light_curves is not None:
+            ideal = ideal * self.light_curves.factor(geometry, camera.sensor.ambiguity)
+        ideal = np.where(geometry.hit, ideal, 0.0)
+        motion = self.scene.camera_motion
+
+        def geometry_at(seconds: float) -> tuple[Any, Any]:
+            if not motion.moves or abs(seconds) < 1e-9:
+                return geometry, ideal
+            from rim_camera_ros.scene import see
+
+            moved = {name: motion.carry(pose, seconds) for name, pose in view.poses.items()}
+            there = see(self.scene, moved, camera.rays)
+            with np.errstate(invalid="ignore"):
+                light = (
+                    (camera.radiometry.gain * camera.integration_time(settings) * gain)
+                    * there.reflectivity
+                    * there.cos_incidence
+                    / there.distance**2
+                )
+            if self.light_curves is not None:
+                light = light * self.light_curves.factor(there, camera.sensor.ambiguity)
+            return there, np.where(there.hit, light, 0.0)
+
+        memory[TOLERANCE] = _SAME_LIGHT
+        for name in KEPT:
+            memory.pop(name, None)
+            if name in view.memory:
+                memory[name] = view.memory[name]
+        context = Context(
+            camera=camera,
+            settings=settings,
+            stamp=station.stamp,
+            time=station.time,
+            geometry=geometry,
+            geometry_at=geometry_at,
+            moving=motion.moves,
+            incidence=geometry.incidence,
+            saturated=station.saturated > 0,
+            memory=memory,
+            notes=self.notes,
+        )
+        signal = Signal(geometry.distance, ideal)
+        before: dict[str, Signal] = {}
+        spread: list[Effect] = []
+        terms: list[DistanceTerm] = []
+        published: Any = None
+        for name, effect in camera.effects.items():
+            if name in _SILENT:
+                continue
+            if isinstance(effect, DistanceTerm):
+                terms.append(effect)
+            elif name == "amplitude_nonlinearity":
+                published = effect
+            else:
+                before[name] = signal
+                if isinstance(effect, ComplexEffect):
+                    phasor = to_phasor(signal.distance, signal.amplitude, context.ambiguity)
+                    signal = from_phasor(effect.apply(phasor, context), signal, context)
+                else:
+                    signal = effect.simulate(signal, context)
+                    if name in KEPT and name in memory:
+                        view.memory[name] = memory[name]
+                if name in _SPREADING:
+                    spread.append(effect)
+        return self._compare(
+            station, view, context, before, spread, terms, published, signal, model, slopes, gain
+        )
+
+    def _compare(
+        self,
+        station: Station,
+        view: View,
+        context: Context,
+        before: dict[str, Signal],
+        spread: list[Effect],
+        terms: Sequence[DistanceTerm],
+        published: Any,
+        light: Signal,
+        model: AmplitudeModel,
+        slopes: bool,
+        gain: float,
+    ) -> Prediction:
+        camera = self.camera
+        n = np.maximum(station.count, 1)
+        lit = light.amplitude > 0
+        safe = np.where(lit, light.amplitude, 1.0)
+        latent = self._latent(station, safe, n, model)
+        delivered = Signal(light.distance, np.where(lit, latent, 0.0))
+        total: Any = 0.0
+        by_distance: Any = 1.0
+        by_amplitude: Any = 0.0
+        relative_step, step = 1e-4, 1e-4
+        for term in terms:
+            total = total + term.term(delivered.distance, latent, context)
+            depends = term.depends_on()
+            if not slopes or isinstance(term, FixedPatternOffset):
+                continue
+            if "distance" in depends:
+                up = term.term(delivered.distance + step, latent, context)
+                down = term.term(delivered.distance - step, latent, context)
+                by_distance = by_distance + (up - down) / (2 * step)
+            if "amplitude" in depends:
+                up = term.term(delivered.distance, latent * (1 + relative_step), context)
+                down = term.term(delivered.distance, latent * (1 - relative_step), context)
+                by_amplitude = by_amplitude + (up - down) / (2 * relative_step * latent)
+        distance = delivered.distance + total
+        residual = station.distance - distance
+        if camera.sensor.wraps:
+            residual = wrap_residual(residual, context.ambiguity)
+        slope_published: Any = 1.0
+        if published is not None:
+            slope_published = 1.0 / (1 + published.compression * latent) ** 2
+        model_reading = safe if published is None else published.compressed(safe)
+        if published is not None and self.light_curves is not None:
+            model_reading = model_reading * self.light_curves.response(safe)
+            slope_published = slope_published * self.light_curves.response(latent)
+        variance, amplitude_variance = self._variances(latent, context)
+        variance = (variance + camera.sensor.lsb**2 / 12) / n
+        single_variance = amplitude_variance * slope_published**2 + 1.0 / 12
+        amplitude_variance = single_variance / n + (model.tau * model_reading) ** 2
+        used = view.clean & lit & (station.count > 0) & (station.saturated == 0)
+        used &= np.isfinite(residual) & np.isfinite(variance) & (station.count * 2 > station.frames)
+        threshold = max(camera.sensor.amplitude_threshold, camera.minimum_amplitude or 0.0)
+        single = np.sqrt(single_variance)
+        amplitude_used = used & (np.minimum(safe, latent) > threshold + 3 * single)
+        used &= latent > threshold
+        amplitude_used &= station.count == station.frames
+        return Prediction(
+            station=station,
+            view=view,
+            context=context,
+            order=self._order,
+            before=before,
+            delivered=delivered,
+            distance=distance,
+            amplitude=latent,
+            residual=residual,
+            amplitude_residual=station.amplitude - model_reading,
+            sigma=np.sqrt(variance),
+            amplitude_sigma=np.sqrt(amplitude_variance),
+            used=used,
+            amplitude_used=amplitude_used,
+            slope_distance=by_distance,
+            slope_amplitude=by_amplitude,
+            slope_published=slope_published,
+            pose_columns=view.pose_columns,
+            model_amplitude=safe,
+            model_reading=model_reading,
+            gain=gain,
+            spread=spread,
+            light_curves=self.light_curves,
+        )
+
+    def _variances(self, amplitude: Array, context: Context) -> tuple[Array, Array]:
+        """Return the variances of one frame's distance [m^2] and amplitude [counts^2]."""
+        sigma = self.camera.noise.sigma_distance(amplitude, background=self.camera.background)
+        by_amplitude = sigma_amplitude(sigma, amplitude, ambiguity=context.ambiguity)
+        return sigma**2, by_amplitude**2
+
+    def _latent(self, station: Station, predicted: Array, n: Array, model: AmplitudeModel) -> Array:
+        """Weigh the predicted amplitude against the measured one by their variances.
+
+        A measured amplitude carries noise that would bias coefficients (errors in variables); a predicted
+        one carries the error of reflectivities. With ``tau`` -> 0 it is the prediction, with a large one
+        the measurement.
+        """
+        if model.tau == 0.0:
+            return predicted
+        sigma = self.camera.noise.sigma_distance(predicted, background=self.camera.background)
+        noise = 2 * np.pi / self.camera.sensor.ambiguity * sigma / np.sqrt(n)
+        share = model.tau**2 / (model.tau**2 + noise**2)
+        measured = self._expanded(station.amplitude.astype(float))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.log(np.where(measured > 0, measured / predicted, 1.0))
+        return predicted * np.exp(share * np.clip(ratio, -3.0, 3.0))
+
+
+def excess(deviations: Array, variances: Array) -> float:
+    """Return the robust standard deviation that deviations have beyond their known variances."""
+
+    def spread(tau: float) -> float:
+        return float(1.4826 * np.median(np.abs(deviations) / np.sqrt(variances + tau**2)))
+
+    if spread(0.0) <= 1.03:
+        return 0.0
+    high = 1.4826 * float(np.median(np.abs(deviations))) + 1e-9
+    return float(brentq(lambda tau: spread(tau) - 1.0, 0.0, 2 * high)) if spread(2 * high) < 1.0 else high

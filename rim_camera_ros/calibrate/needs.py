@@ -1,0 +1,91 @@
+"""What a further effect must gain and move: forms that are not quite true leave rests like other effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from rim_camera_ros.calibrate.exploration import Exploration
+from rim_camera_ros.calibrate.sizes import effect_size
+
+#: A further effect must gain this share of what the effects before it gained: more where it is of the kind
+#: of one of them, whose form is never quite the true one and leaves such a rest.
+LEAST_SHARE = 0.0015
+
+
+LEAST_SHARE_OF_KIND = 0.05
+
+
+#: ... and still more beside effects of which no form is near every true one: surfaces out of the view send
+#: light as well.
+LEAST_SHARE_BESIDE_ROUGH = 0.15
+
+
+_ROUGH = {
+    "multipath": frozenset(
+        {"emitter_offset", "camera_constant", "lens_distortion", "distance_scale", "radiometry", "scattering"}
+    ),
+}
+
+
+_KINDS = (
+    frozenset({"scattering", "mixed_pixels", "multipath", "saturation_bleed"}),
+    frozenset({"emission_pattern", "amplitude_nonlinearity", "emitter_offset", "radiometry", "scattering"}),
+    frozenset({"cyclic_error", "distance_scale", "camera_constant", "lens_distortion", "emitter_offset"}),
+    frozenset({"warm_up_drift", "ambient_temperature"}),
+)
+
+
+#: ... unless it changes whole poses, whose errors limit what it can gain.
+LEAST_SHARE_OF_POSES = 0.0005
+
+
+OF_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_offset"})
+
+
+#: A further effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
+LEAST_SIZE = 0.0005
+
+
+#: ... and these shares of what one of its kind, or any other, moves them: the rest that its form leaves.
+LEAST_SIZE_OF_KIND = 0.15
+
+
+LEAST_SIZE_OF_ALL = 0.07
+
+
+@dataclass
+class Found:
+    """An effect that joined: its gain in nats alone at that step, and who else could have explained it."""
+
+    effect: str
+    gain: float
+    rivals: list[tuple[str, float]] = field(default_factory=list)
+    ties: list[str] = field(default_factory=list)
+
+
+def least_size(step: Exploration, chosen: Sequence[str], found: Sequence[Found]) -> float:
+    """Return how far further effects must move distances [m]: more beside others of their kind."""
+    rivals = [
+        one.effect
+        for one in found
+        for name in chosen
+        if any(name in kind and one.effect in kind for kind in _KINDS)
+    ]
+    shares = {one.effect: LEAST_SIZE_OF_ALL for one in found}
+    shares |= dict.fromkeys(rivals, LEAST_SIZE_OF_KIND)
+    sizes = {name: effect_size(step.fit, [name], step.fit.start) for name in shares}
+    return max([LEAST_SIZE, *(share * sizes[name] for name, share in shares.items())])
+
+
+def needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
+    """Return what a candidate must gain [nats] after others were found."""
+    effect = step.candidates[number].effect
+    share = LEAST_SHARE_OF_POSES if effect in OF_POSES else LEAST_SHARE
+    need = share * sum(one.gain for one in found)
+    for one in found:
+        if any(effect in kind and one.effect in kind for kind in _KINDS):
+            need = max(need, LEAST_SHARE_OF_KIND * one.gain)
+        if effect in _ROUGH.get(one.effect, ()):
+            need = max(need, LEAST_SHARE_BESIDE_ROUGH * one.gain)
+    return max(float(step.thresholds[number]), need)

@@ -1,0 +1,77 @@
+"""How far effects move distances, and how much light they change."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.adjustment import Fit
+from rim_camera_ros.calibrate.blocks import optics_block
+from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES
+from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.parameters import flatten
+
+Array = NDArray[Any]
+
+
+def effect_size(fitted: Fit, names: Sequence[str], start: Camera) -> float:
+    """Return how far effects move distances [m], or relative amplitudes times 0.1 m.
+
+    RMS over the 5 % of pixel values that they move most, after the fit of all else.
+    """
+    parts = []
+    for one in fitted.forward.predictions():
+        total: Any = 0.0
+        for name in names:
+            total = total + contribution(one, name, start)
+        parts.append(np.abs(np.broadcast_to(total, one.used.shape)[one.used]))
+    values = np.concatenate(parts) if parts else np.zeros(1)
+    if not values.size:
+        return 0.0
+    top = values[values >= np.quantile(values, 0.95)]
+    return float(np.sqrt(np.mean(top**2)))
+
+
+def contribution(prediction: Prediction, name: str, start: Camera) -> Array:
+    """Return what an effect of the camera does to the measured distance [m] of a station, (H, W).
+
+    For effects on the light, by leaving it out; where it only changes amplitudes, their relative change
+    times 0.1 m; for the camera geometry, by the optics of ``start``.
+    """
+    camera = prediction.context.camera
+    if name in OF_SURFACES:
+        curves = prediction.light_curves
+        if curves is None:
+            return np.zeros(prediction.used.shape)
+        return np.asarray(0.1 * np.log(curves.surfaces(prediction.view.geometry)))
+    if name in GEOMETRY:
+        return _geometry_contribution(prediction, name, start)
+    effect = camera.effects[name]
+    if hasattr(effect, "term"):
+        value = effect.term(prediction.delivered.distance, prediction.amplitude, prediction.context)
+        return np.broadcast_to(np.asarray(value, float), prediction.used.shape)
+    if name == "amplitude_nonlinearity":
+        return np.asarray(0.1 * effect.compression * prediction.amplitude)
+    before = prediction.before_effect(name)
+    after = effect.simulate(before, prediction.context)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.where(before.amplitude > 0, np.log(after.amplitude / before.amplitude), 0.0)
+    by_distance = np.nan_to_num(after.distance - before.distance)
+    moved, _ = prediction.reading_change(by_distance, relative)
+    if name == "emission_pattern":
+        return np.asarray(np.nan_to_num(np.maximum(np.abs(moved), 0.1 * np.abs(relative))))
+    return np.asarray(np.nan_to_num(moved))
+
+
+def _geometry_contribution(prediction: Prediction, name: str, start: Camera) -> Array:
+    block = optics_block(prediction.context.camera, name)
+    before, after = flatten(start.optics), flatten(prediction.context.camera.optics)
+    total = np.zeros(prediction.used.shape)
+    for one, (column, _) in zip(block.regressors, block.columns(prediction), strict=True):
+        path = one.label.removeprefix("optics.")
+        total = total + (after[path] - before[path]) * column
+    return total
