@@ -18,19 +18,8 @@ from rim_camera_ros.effects import SECTIONS, Effect, registry
 from rim_camera_ros.errors import InputError, nearest_name
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.optics import Optics
-from rim_camera_ros.parameters import (
-    ArrayFile,
-    Document,
-    arrays_of,
-    decode,
-    encode,
-    flatten,
-    quantity,
-    read_yaml,
-    with_values,
-    write_whole,
-    write_yaml,
-)
+from rim_camera_ros.parameters import ArrayFile, arrays_of, decode, encode, flatten, quantity, with_values
+from rim_camera_ros.yaml_files import Document, read_yaml, write_whole, write_yaml
 
 CAMERA_FORMAT = "rim_camera/1"
 

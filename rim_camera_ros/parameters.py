@@ -9,23 +9,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import os
-import re
-import tempfile
 import types
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
-from rim_camera_ros.errors import InputError, RimError, nearest_name
-
-_MAXIMUM_FILE_SIZE = 64 * 2**20
+from rim_camera_ros.errors import nearest_name
+from rim_camera_ros.yaml_files import Document
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,128 +78,6 @@ def quantity(
         "typical": typical,
     }
     return dataclasses.field(default=default, metadata=metadata)
-
-
-@dataclass(frozen=True)
-class Document:
-    """A parsed YAML file: plain values, and the line (from 1) of each by path."""
-
-    path: Path
-    data: Any
-    lines: Mapping[tuple[Any, ...], int]
-
-    @property
-    def folder(self) -> Path:
-        return self.path.parent
-
-    def error(self, place: tuple[Any, ...], problem: str, remedy: str | None = None) -> InputError:
-        """Return an error that names this file and the place with its line."""
-        known = place
-        while known and known not in self.lines:
-            known = known[:-1]
-        line = self.lines.get(known)
-        text = ".".join(str(part) for part in place)
-        if line is not None:
-            text = f"{text} (line {line})" if text else f"line {line}"
-        return InputError(problem, file=self.path, place=text or None, remedy=remedy)
-
-
-class _Loader(yaml.SafeLoader):
-    """Safe YAML in which 1e-3 is a number (as in YAML 1.2) and aliases are refused."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            event = self.peek_event()  # type: ignore[no-untyped-call]
-            raise yaml.constructor.ConstructorError(
-                None, None, "aliases (*name) are not supported", event.start_mark
-            )
-        return super().compose_node(parent, index)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)[eE][-+]?[0-9]+$"),
-    list("-+0123456789."),
-)
-
-
-def read_yaml(path: str | os.PathLike[str]) -> Document:
-    """Read a YAML file safely, with the line of every value.
-
-    Raises `InputError` where the file is absent, unreadable, not YAML, holds a key twice or an alias.
-    """
-    path = Path(path)
-    try:
-        if path.stat().st_size > _MAXIMUM_FILE_SIZE:
-            raise InputError("is larger than 64 MiB", file=path, remedy="is this the right file?")
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise InputError("is not a text file", file=path, remedy="give a YAML file") from None
-    except OSError as error:
-        raise InputError(_os_reason(error), file=path, remedy="check the path and permissions") from None
-    lines: dict[tuple[Any, ...], int] = {}
-    try:
-        loader = _Loader(text)
-        try:
-            node = loader.get_single_node()
-            data = None if node is None else _construct(loader, node, (), lines, path)
-        finally:
-            loader.dispose()
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        place = f"line {mark.line + 1}" if mark else None
-        problem = f"not valid YAML: {error.problem or error.context}"
-        raise InputError(problem, file=path, place=place, remedy="mend the syntax") from None
-    except (yaml.YAMLError, ValueError, OverflowError) as error:
-        raise InputError(f"not valid YAML: {error}", file=path, remedy="mend the syntax") from None
-    except RecursionError:
-        raise InputError("nested too deeply", file=path, remedy="is this the right file?") from None
-    return Document(path, data, lines)
-
-
-def _construct(
-    loader: _Loader, node: Any, place: tuple[Any, ...], lines: dict[tuple[Any, ...], int], path: Path
-) -> Any:
-    lines[place] = node.start_mark.line + 1
-    plain = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
-    if not isinstance(node, yaml.ScalarNode) and node.tag not in plain:
-        raise yaml.constructor.ConstructorError(
-            None, None, f"could not determine a constructor for the tag '{node.tag}'", node.start_mark
-        )
-    if isinstance(node, yaml.MappingNode):
-        result: dict[Any, Any] = {}
-        for key_node, value_node in node.value:
-            if not isinstance(key_node, yaml.ScalarNode):
-                raise yaml.constructor.ConstructorError(
-                    None, None, "a key must be a plain word or number", key_node.start_mark
-                )
-            key = loader.construct_object(key_node)
-            if key in result:
-                where = ".".join(str(part) for part in (*place, key))
-                raise InputError(
-                    "key given twice",
-                    file=path,
-                    place=f"{where} (line {key_node.start_mark.line + 1})",
-                    remedy="keep one",
-                )
-            result[key] = _construct(loader, value_node, (*place, key), lines, path)
-        return result
-    if isinstance(node, yaml.SequenceNode):
-        return [_construct(loader, one, (*place, i), lines, path) for i, one in enumerate(node.value)]
-    return loader.construct_object(node)
-
-
-def _os_reason(error: OSError) -> str:
-    reasons: dict[type, str] = {
-        FileNotFoundError: "no such file",
-        IsADirectoryError: "is a folder, not a file",
-        PermissionError: "no permission to read it",
-        NotADirectoryError: "no such file",
-    }
-    return reasons.get(type(error), f"cannot be read: {error.strerror or error}")
-
-
-# --- decoding -----------------------------------------------------------------------------------
 
 
 def decode[T](cls: type[T], data: Any, document: Document, place: tuple[Any, ...] = ()) -> T:
@@ -397,9 +270,6 @@ def _nested_list(
     return NestedList(values)
 
 
-# --- encoding -----------------------------------------------------------------------------------
-
-
 def encode(value: Any) -> Any:
     """Return plain YAML data for a parameter dataclass; the inverse of `decode`."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type | ArrayFile | NestedList):
@@ -434,56 +304,6 @@ def arrays_of(value: Any) -> Iterator[ArrayFile]:
     elif isinstance(value, tuple):
         for inner in value:
             yield from arrays_of(inner)
-
-
-class _Dumper(yaml.SafeDumper):
-    """Leaf lists and groups on one line."""
-
-    ignore_aliases: ClassVar[Any] = lambda self, data: True
-
-
-def write_yaml(path: str | os.PathLike[str], data: Any, *, header: str = "") -> None:
-    """Write plain data as YAML, whole or not at all."""
-    text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=110)
-    write_whole(path, lambda stream: stream.write((header + text).encode()))
-
-
-def write_whole(path: str | os.PathLike[str], write: Callable[[Any], Any]) -> None:
-    """Call ``write`` with a binary stream whose content replaces ``path`` once it is complete.
-
-    Raises `RimError` where the file cannot be written; nothing is left behind then.
-    """
-    path = Path(path)
-    temporary = None
-    try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        with os.fdopen(handle, "wb") as stream:
-            write(stream)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, path)
-    except OSError as error:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
-        raise RimError(
-            f"cannot be written: {error.strerror or error}",
-            file=path,
-            remedy="check the folder, its permissions and the free space; nothing was left behind",
-        ) from None
-    except BaseException:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
-        raise
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
-# --- numbers by dotted path ---------------------------------------------------------------------
 
 
 def flatten(value: Any, prefix: str = "") -> dict[str, float]:

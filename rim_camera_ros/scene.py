@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Pose
-from rim_camera_ros.parameters import NestedList, decode, quantity, read_yaml
+from rim_camera_ros.parameters import NestedList, decode, quantity
+from rim_camera_ros.yaml_files import read_yaml
 
 Array = NDArray[np.float64]
 

@@ -21,18 +21,15 @@ from hypothesis import strategies as st
 from rim_camera_ros.errors import InputError, RimError, nearest_name
 from rim_camera_ros.parameters import (
     ArrayFile,
-    Document,
     NestedList,
     arrays_of,
     decode,
     encode,
     flatten,
     quantity,
-    read_yaml,
     with_values,
-    write_whole,
-    write_yaml,
 )
+from rim_camera_ros.yaml_files import Document, read_yaml, write_whole, write_yaml
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Regressors of a joint fit: columns by parameters of effects, poses, power, optics and the light's curves."""
+"""Regressors of a joint fit: columns by parameters of effects, poses, power, optics, the light's curves."""
 
 from __future__ import annotations
 

@@ -28,8 +28,8 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera
 from rim_camera_ros.frame import CorrectedFrame, RawFrame
 from rim_camera_ros.info.text import several
-from rim_camera_ros.parameters import write_whole
 from rim_camera_ros.pipeline.correct import Correction
+from rim_camera_ros.yaml_files import write_whole
 
 _EXAMPLES = """
 rim correct bag --camera camera.yaml --out corrected_bag

@@ -16,8 +16,8 @@ from rim_camera_ros.info.camera import camera_facts, camera_text
 from rim_camera_ros.info.recording import recording_facts, recording_text
 from rim_camera_ros.info.scene import scene_facts, scene_text
 from rim_camera_ros.info.usb import usb_facts, usb_text
-from rim_camera_ros.parameters import read_yaml
 from rim_camera_ros.scene import SCENE_FORMAT, load_scene
+from rim_camera_ros.yaml_files import read_yaml
 
 #: Bytes at the beginning of a file that tell what it is.
 _BEGIN = 1 << 16

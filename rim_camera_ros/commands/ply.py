@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.parameters import write_whole
+from rim_camera_ros.yaml_files import write_whole
 
 
 def write_ply(path: str | os.PathLike[str], points: NDArray[Any], *, comment: str = "") -> int:

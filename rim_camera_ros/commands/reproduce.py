@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from rim_camera_ros.commands.common import Stages, add_command, check_file, check_outputs
 from rim_camera_ros.errors import InputError
-from rim_camera_ros.parameters import write_whole
+from rim_camera_ros.yaml_files import write_whole
 
 if TYPE_CHECKING:
     from rim_camera_ros.reproduce.run import Done

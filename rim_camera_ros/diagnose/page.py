@@ -14,8 +14,8 @@ from rim_camera_ros.diagnose.page_evidence import OF_AMPLITUDE, evidence
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.info.text import several
-from rim_camera_ros.parameters import write_whole
 from rim_camera_ros.reports import html
+from rim_camera_ros.yaml_files import write_whole
 
 Array = NDArray[Any]
 

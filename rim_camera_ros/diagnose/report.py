@@ -12,7 +12,8 @@ import numpy as np
 
 from rim_camera_ros.camera_file import save_camera
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
-from rim_camera_ros.parameters import encode, write_whole
+from rim_camera_ros.parameters import encode
+from rim_camera_ros.yaml_files import write_whole
 
 FORMAT = "rim_diagnosis/1"
 MODEL = "camera.yaml"

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from rim_camera_ros.frame import NANOSECONDS
-from rim_camera_ros.parameters import write_whole
+from rim_camera_ros.yaml_files import write_whole
 
 #: Seconds to wait for frames that are still on their way.
 _GRACE = 1.0

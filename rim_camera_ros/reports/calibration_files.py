@@ -7,7 +7,7 @@ from pathlib import Path
 from rim_camera_ros.calibrate.run import Calibration
 from rim_camera_ros.camera_file import save_camera_apart
 from rim_camera_ros.info.text import several
-from rim_camera_ros.parameters import write_whole
+from rim_camera_ros.yaml_files import write_whole
 
 
 def page_of(result: Calibration, *, title: str) -> tuple[bytes | None, list[str]]:
