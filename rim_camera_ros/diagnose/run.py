@@ -20,12 +20,10 @@ from rim_camera_ros.calibrate.coarser import (
 from rim_camera_ros.calibrate.exploration import Exploration, explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import OF_SURFACES, Facts
-from rim_camera_ros.calibrate.needs import OF_POSES
-from rim_camera_ros.calibrate.search import Result, search
+from rim_camera_ros.calibrate.search import MOST_EFFECTS, Result, search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.diagnose.accuracy import accuracy
 from rim_camera_ros.diagnose.adjusted import LEAST_GAIN, LEAST_TOTAL, adjusted_terms, total_change
 from rim_camera_ros.diagnose.codes import MissingCodes, missing_codes
@@ -59,6 +57,7 @@ BEYOND = 1.2
 _VISIBLE_RIPPLE = 0.005
 #: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
 _COMMON_LIGHT = 0.1
+_BESIDE_A_SECOND_CAMERA = "a second camera shines in: what else the camera file leaves out cannot be told, record with it switched off"
 
 
 def diagnose(
@@ -118,16 +117,18 @@ def _diagnose(
     problem = Problem(dataset, scene, shifts=shifts, stray_light=light)
     samples = axes_of(forward, seed=seed)
     smooth = single_terms(samples)
+    # the light of a second camera has a pattern and a phase of its own, which many effects can imitate
+    alone = variance.pixels_vary_together
     try:
-        result = search(problem, camera, facts, further=smooth, seed=seed, progress=say)
+        most = 0 if alone else MOST_EFFECTS
+        result = search(problem, camera, facts, most=most, further=smooth, seed=seed, progress=say)
     except (RimError, np.linalg.LinAlgError):
         return _hopeless(problem, camera, variance, seed)
     baseline, final = result.explorations[0], result.explorations[-1]
-    if variance.pixels_vary_together:
-        # the light of a second camera shifts whole poses at random, which a drift can imitate
-        result.found = [one for one in result.found if one.effect not in OF_POSES]
+    if alone:
+        dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
     say("looking for what no named effect explains")
-    unknown = best_rest(result, samples, problem, seed)
+    unknown = None if alone else best_rest(result, samples, problem, seed)
     variance = examine_variance(final.fit.forward)
     codes = missing_codes(dataset.codes, noise=camera.noise.floor / camera.sensor.lsb)
     named = result.log_likelihood - result.start_log_likelihood
@@ -236,10 +237,6 @@ def _verdict(
     ties = [sorted({one.effect, *one.ties}) for one in result.found if one.ties]
     missing: list[Missing] = []
     model = fitted.camera
-    if variance.pixels_vary_together:
-        named = {one.effect for one in result.found}
-        dropped = {name for name in OF_POSES if name not in camera.effects and name not in named}
-        model = with_effects(model, {name: one for name, one in model.effects.items() if name not in dropped})
     origin = camera
     where = nowhere(fitted)
     if reason is not None:
@@ -266,7 +263,7 @@ def _verdict(
         verdict = "consistent"
     adjusted = adjusted_terms(camera, baseline.fit if verdict == "consistent" else fitted)
     if verdict == "consistent":
-        if adjusted and _parameters_matter(camera, result):
+        if adjusted and not variance.pixels_vary_together and _parameters_matter(camera, result):
             verdict = "wrong_parameters"
             where = of_change(fitted, camera)
         else:
