@@ -28,6 +28,7 @@ from rim_camera_ros.scene import Scene
 _EXAMPLES = """
 rim diagnose bag --camera camera.yaml --scene scene.yaml --out diagnosis
 rim diagnose bag --camera sr3000 --scene board --out diagnosis --against simulated_bag
+rim diagnose bag --camera camera.yaml --scene scene.yaml --out diagnosis --without-poses 36,38
 """
 
 
@@ -51,6 +52,13 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         type=Path,
         metavar="BAG",
         help="a recording of the simulation, compared with instead of simulating anew",
+    )
+    parser.add_argument(
+        "--without-poses",
+        type=_numbers,
+        default=(),
+        metavar="N,N,...",
+        help="poses to leave out, by the numbers that a report of an inconsistent setup names",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the simulated nulls (0)")
     add_topics(parser)
@@ -97,6 +105,16 @@ def run(given: argparse.Namespace) -> int:
     return 0
 
 
+def _numbers(text: str) -> tuple[int, ...]:
+    try:
+        numbers = tuple(int(one) for one in text.split(","))
+    except ValueError:
+        numbers = (-1,)
+    if min(numbers) < 0:
+        raise argparse.ArgumentTypeError(f"'{text}' is no list of numbers of poses, as 3,17")
+    return numbers
+
+
 def _check_folder(folder: Path, *, force: bool) -> None:
     if not folder.exists():
         return
@@ -116,4 +134,16 @@ def _stations(given: argparse.Namespace, path: Path, camera: Camera, scene: Scen
     with Progress("read", None, quiet=given.quiet) as progress:
         dataset = reduce_recording(path, camera, topics=topics_of(given), progress=progress.over)
     dataset.with_poses(scene, path)
+    poses = {one.pose for one in dataset.stations}
+    unknown = sorted(set(given.without_poses) - poses)
+    if unknown:
+        raise InputError(
+            f"there is no pose {unknown[0]}",
+            place="--without-poses",
+            remedy=f"the recording's are numbered {min(poses)} to {max(poses)}" if poses else None,
+        )
+    dataset.stations = [one for one in dataset.stations if one.pose not in given.without_poses]
+    if given.without_poses:
+        left_out = ", ".join(map(str, sorted(set(given.without_poses))))
+        dataset.notes.append(f"poses left out as asked for: {left_out}")
     return dataset

@@ -57,7 +57,7 @@ BEYOND = 1.2
 _VISIBLE_RIPPLE = 0.005
 #: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
 _COMMON_LIGHT = 0.1
-_BESIDE_A_SECOND_CAMERA = "a second camera shines in: what else the camera file leaves out cannot be told, record with it switched off"
+_BESIDE_A_SECOND_CAMERA = "a second camera shines in: nothing else can be told; record with it switched off"
 
 
 def diagnose(

@@ -150,7 +150,11 @@ def _few(poses: list[PoseCheck], factor: float) -> str | None:
         if first.error > factor * FAR
         else f"pose {first.key[1]} at {first.time:.1f} s: chi-square per value {first.chi_square:.1f}"
     )
-    return f"{len(bad)} of {len(poses)} poses do not agree with the rest ({names}); {detail}"
+    numbers = ",".join(str(one.key[1]) for one in sorted(bad, key=lambda one: one.key))
+    return (
+        f"{len(bad)} of {len(poses)} poses do not agree with the rest ({names}); {detail}; "
+        f"--without-poses {numbers} leaves them out"
+    )
 
 
 def standard_errors(fitted: Fit) -> Mapping[str, float]:
