@@ -29,6 +29,7 @@ from rim_camera_ros.calibrate.steps import (
     in_units,
     moved_light,
     moved_scene,
+    of_shape,
     poles_of,
     power_factor,
     stepped,
@@ -47,6 +48,12 @@ ROBUST_LIMIT = 4.0
 #: How well amplitudes are predicted is estimated anew in this many iterations, then kept.
 _SETTLED = 3
 _SETTLED_WARM = 1
+_SETTLED_NEW = 7
+#: Iterations in which the shapes (widths, lags) of effects that are new to a fit are held, and how firmly.
+_SHAPES_HELD = 2
+_HOLD = 1e9
+#: Times that a step of such a fit is halved where it makes things worse.
+_MOST_HALVED = 4
 #: Change of chi-square between two iterations below which the adjustment has converged.
 _LEVEL = 0.5
 
@@ -150,7 +157,7 @@ def fit(
     if warm is not None and warm.forward.amplitude_model.gains:
         model = warm.forward.amplitude_model
         tau, pattern = model.tau, warm.pattern
-        settled = _SETTLED_WARM if warm.camera.effects.keys() == camera.effects.keys() else _SETTLED
+        settled = _SETTLED_WARM if warm.camera.effects.keys() == camera.effects.keys() else _SETTLED_NEW
         gains = {
             key: g * power_factor(warm.nuisances.get(f"{key[0]}.{key[1]}.gain", 0.0))
             for key, g in model.gains.items()
@@ -159,8 +166,11 @@ def fit(
         if warm.forward.light_curves is not None:
             allowed = {label for labels in _light_groups(problem, camera) for label in labels}
             offsets.update({k: v for k, v in warm.forward.light_curves.values.items() if k in allowed})
+    new = set() if warm is None else camera.effects.keys() - warm.camera.effects.keys()
     converged = stuck = False
-    for count in range(iterations + 1):
+    solved: _Solved | None = None
+    objective, halved = np.inf, 0
+    for count in range(iterations + 2):
         forward = _forward(problem, scene, camera, None if moved else views, offsets)
         views = forward.views
         if gains is None:
@@ -179,7 +189,7 @@ def fit(
         blocks = _blocks(problem, camera, scene)
         owned = sum(len(block.regressors) for block in blocks)
         weigh = _huber(pattern, nuisances) if problem.robust and (count > 0 or warm is not None) else None
-        final = count == iterations or converged
+        final = count >= iterations or converged
         equations = accumulate(
             forward,
             [*blocks, *further] if final else blocks,
@@ -200,12 +210,32 @@ def fit(
         away = np.array([offsets.get(one.label, 0.0) for one in regressors])
         own = slice(0, owned)
         matrix = reduced.gram[own, own] + np.diag(prior**-2)
+        held = [i for i, one in enumerate(regressors) if of_shape(one.label) and one.owner in new]
+        if count < _SHAPES_HELD:
+            # from a linear guess the strengths come first: shapes would leave for good
+            matrix[held, held] *= _HOLD
         right = reduced.right[own] - away / prior**2
         factor = linalg.cho_factor(matrix)
         step = linalg.cho_solve(factor, right)
         covariance = linalg.cho_solve(factor, np.eye(owned))
         sigma = np.sqrt(np.diag(covariance))
         here = float(reduced.square) + float(np.sum((away / prior) ** 2))
+        reached = here + 2 * reduced.log_norm
+        worse = new and reached > objective + _LEVEL and halved < _MOST_HALVED and count <= iterations
+        if worse and solved is not None:
+            # the step went too far: half of it, or none where no more may be tried
+            halved = _MOST_HALVED if final else halved + 1
+            share = 0.0 if halved == _MOST_HALVED else 0.5**halved
+            shorter = {path: share * change for path, change in solved.changes.items()}
+            camera, offsets = stepped(start, solved.offsets, shorter, lows, highs, numbers)
+            _within_bounds(offsets, camera, numbers)
+            scene, moved = moved_scene(problem.scene, offsets)
+            tau = solved.tau
+            nuisances, gains, found = solved.errors(share, pattern)
+            pattern = found if problem.pattern else pattern
+            converged |= share == 0.0
+            continue
+        objective, halved = reached, 0
         best = Fit(
             start=start,
             camera=camera,
@@ -232,26 +262,21 @@ def fit(
             progress(f"iteration {count + 1}: chi-square per value {here / max(reduced.rows, 1):.4f}")
         if not np.all(np.isfinite(step)):
             raise RimError("the adjustment found no finite solution", remedy="check scene and camera file")
-        nuisances, flat = reduced.recover(np.concatenate([step, np.zeros(reduced.gram.shape[0] - owned)]))
-        if problem.pattern:
-            pattern = flat.reshape(camera.shape)
-        gains = {
-            key: g * power_factor(nuisances.get(f"{key[0]}.{key[1]}.gain", 0.0)) for key, g in gains.items()
-        }
-        nuisances = {name: e for name, e in nuisances.items() if not name.endswith(".gain")}
-        converged = bool(np.all(np.abs(step) <= tolerance * sigma)) if owned else True
-        # parameters that the data hardly tell apart wander along a valley whose floor is level
-        converged |= count >= settled and abs(previous - here) < _LEVEL
-        previous = here
         changes = dict(zip((one.label for one in regressors), step.tolist(), strict=True))
+        solved = _Solved(reduced, step, tau, dict(gains), dict(offsets), changes)
+        nuisances, gains, found = solved.errors(1.0, pattern)
+        pattern = found if problem.pattern else pattern
+        converged = bool(np.all(np.abs(step) <= tolerance * sigma)) if owned else True
+        converged &= not held or count >= _SHAPES_HELD
+        # parameters that the data hardly tell apart wander along a valley whose floor is level
+        converged |= count >= min(settled, _SETTLED) and abs(previous - here) < _LEVEL
+        previous = here
         try:
             camera, offsets = stepped(start, offsets, changes, lows, highs, numbers)
         except (InputError, ValueError):
             stuck = converged = True
             continue
-        for path in changes:
-            if path in numbers and path != GAIN:
-                offsets[path] = camera_numbers(camera)[path] - numbers[path]
+        _within_bounds(offsets, camera, numbers)
         scene, moved = moved_scene(problem.scene, offsets)
         last_step = changes
     assert best is not None
@@ -262,6 +287,42 @@ def fit(
         worst = max(last_step, key=lambda path: abs(last_step[path]) / max(best.sigma.get(path, 1.0), 1e-300))
         best.notes.append(f"not converged after {iterations} iterations: {worst} still moves")
     return best
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """Where a step began: equations, the step, errors of amplitudes, powers, offsets; its changes by label."""
+
+    reduced: Reduced
+    step: Array
+    tau: float
+    gains: Mapping[tuple[int, int], float]
+    offsets: Mapping[str, float]
+    changes: Mapping[str, float]
+
+    def errors(
+        self, share: float, pattern: Array
+    ) -> tuple[dict[str, float], dict[tuple[int, int], float], Array]:
+        """Return errors of poses, powers and the pattern for a share of the step.
+
+        The pattern has the shape of ``pattern``, which is returned where none is estimated.
+        """
+        values = np.zeros(self.reduced.gram.shape[0])
+        values[: len(self.step)] = share * self.step
+        found, flat = self.reduced.recover(values)
+        gains = {
+            key: g * power_factor(found.get(f"{key[0]}.{key[1]}.gain", 0.0)) for key, g in self.gains.items()
+        }
+        nuisances = {name: e for name, e in found.items() if not name.endswith(".gain")}
+        return nuisances, gains, flat.reshape(pattern.shape) if flat.size == pattern.size else pattern
+
+
+def _within_bounds(offsets: dict[str, float], camera: Camera, numbers: Mapping[str, float]) -> None:
+    """Take back of the offsets what the bounds of the parameters did not let through."""
+    reached = camera_numbers(camera)
+    for path in offsets:
+        if path in numbers and path != GAIN:
+            offsets[path] = reached[path] - numbers[path]
 
 
 def _forward(

@@ -26,6 +26,8 @@ MOST_EFFECTS = 4
 
 #: Leaders that may prove wrong when they are fitted, until the search ends.
 _MOST_FAILURES = 2
+#: Iterations of fits that add an effect.
+_ITERATIONS = 12
 
 
 #: Variants of an effect that are looked at again once another effect was found.
@@ -176,6 +178,7 @@ def _refined(
             warm=step.fit,
             seed=seed,
             replicates=0,
+            iterations=_ITERATIONS,
         )
         if "amplitude_nonlinearity" in names:
             # its one parameter first: together with a free response it would not find the way

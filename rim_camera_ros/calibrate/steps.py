@@ -20,6 +20,8 @@ from rim_camera_ros.scene import Scene, ScenePose, quaternion, rotation_matrix
 Array = NDArray[Any]
 
 GAIN = "radiometry.gain"
+#: Relative change of a width or a lag in one step.
+_SHAPE_STEP = 0.25
 _OPTICAL = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
 #: Share of a station's values below whose amplitude a pole of a term may lie.
 _DARKEST = 0.01
@@ -41,6 +43,9 @@ def stepped(
     while True:
         moved = dict(offsets)
         for path, change in changes.items():
+            if of_shape(path):
+                most = _SHAPE_STEP * max(abs(numbers[path] + moved.get(path, 0.0)), 1e-9)
+                change = float(np.clip(change, -most, most))
             moved[path] = moved.get(path, 0.0) + share * change
         try:
             return _moved(start, moved, lows, highs, numbers), moved
@@ -91,6 +96,11 @@ def value_of(path: str, camera: Camera, offsets: Mapping[str, float]) -> float:
     return offsets.get(path, 0.0) if of_scene(path) else camera_numbers(camera)[path]
 
 
+def of_shape(path: str) -> bool:
+    """Whether a parameter is a width or a lag, in which readings are far from linear."""
+    return path.endswith(("time_constant", "blur")) or ".sigma." in path
+
+
 def of_scene(path: str) -> bool:
     """Whether a parameter belongs to the scene: an error of a pose, or how surfaces reflect."""
     return path.startswith("scene.") or of_light(path)
@@ -126,7 +136,7 @@ def _moved(
             numbers[path] * float(np.exp(np.clip(offset, -3, 3))) if path == GAIN else numbers[path] + offset
         )
         low, high = lows.get(path, -np.inf), highs.get(path, np.inf)
-        if path.endswith(("time_constant", "blur")) or ".sigma." in path:
+        if of_shape(path):
             low = max(low, 0.2 * abs(numbers[path]))
             high = min(high, 5.0 * abs(numbers[path]) + 1e-9)
         if path.endswith(".b"):
