@@ -25,6 +25,7 @@ from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.calibrate.steps import (
     GAIN,
+    Solved,
     bounds_of,
     in_units,
     moved_light,
@@ -34,6 +35,7 @@ from rim_camera_ros.calibrate.steps import (
     power_factor,
     stepped,
     value_of,
+    within_bounds,
 )
 from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
@@ -168,7 +170,7 @@ def fit(
             offsets.update({k: v for k, v in warm.forward.light_curves.values.items() if k in allowed})
     new = set() if warm is None else camera.effects.keys() - warm.camera.effects.keys()
     converged = stuck = False
-    solved: _Solved | None = None
+    solved: Solved | None = None
     objective, halved = np.inf, 0
     for count in range(iterations + 2):
         forward = _forward(problem, scene, camera, None if moved else views, offsets)
@@ -228,7 +230,7 @@ def fit(
             share = 0.0 if halved == _MOST_HALVED else 0.5**halved
             shorter = {path: share * change for path, change in solved.changes.items()}
             camera, offsets = stepped(start, solved.offsets, shorter, lows, highs, numbers)
-            _within_bounds(offsets, camera, numbers)
+            within_bounds(offsets, camera, numbers)
             scene, moved = moved_scene(problem.scene, offsets)
             tau = solved.tau
             nuisances, gains, found = solved.errors(share, pattern)
@@ -263,7 +265,7 @@ def fit(
         if not np.all(np.isfinite(step)):
             raise RimError("the adjustment found no finite solution", remedy="check scene and camera file")
         changes = dict(zip((one.label for one in regressors), step.tolist(), strict=True))
-        solved = _Solved(reduced, step, tau, dict(gains), dict(offsets), changes)
+        solved = Solved(reduced, step, tau, dict(gains), dict(offsets), changes)
         nuisances, gains, found = solved.errors(1.0, pattern)
         pattern = found if problem.pattern else pattern
         converged = bool(np.all(np.abs(step) <= tolerance * sigma)) if owned else True
@@ -276,7 +278,7 @@ def fit(
         except (InputError, ValueError):
             stuck = converged = True
             continue
-        _within_bounds(offsets, camera, numbers)
+        within_bounds(offsets, camera, numbers)
         scene, moved = moved_scene(problem.scene, offsets)
         last_step = changes
     assert best is not None
@@ -287,42 +289,6 @@ def fit(
         worst = max(last_step, key=lambda path: abs(last_step[path]) / max(best.sigma.get(path, 1.0), 1e-300))
         best.notes.append(f"not converged after {iterations} iterations: {worst} still moves")
     return best
-
-
-@dataclass(frozen=True)
-class _Solved:
-    """Where a step began: equations, the step, errors of amplitudes, powers, offsets; its changes by label."""
-
-    reduced: Reduced
-    step: Array
-    tau: float
-    gains: Mapping[tuple[int, int], float]
-    offsets: Mapping[str, float]
-    changes: Mapping[str, float]
-
-    def errors(
-        self, share: float, pattern: Array
-    ) -> tuple[dict[str, float], dict[tuple[int, int], float], Array]:
-        """Return errors of poses, powers and the pattern for a share of the step.
-
-        The pattern has the shape of ``pattern``, which is returned where none is estimated.
-        """
-        values = np.zeros(self.reduced.gram.shape[0])
-        values[: len(self.step)] = share * self.step
-        found, flat = self.reduced.recover(values)
-        gains = {
-            key: g * power_factor(found.get(f"{key[0]}.{key[1]}.gain", 0.0)) for key, g in self.gains.items()
-        }
-        nuisances = {name: e for name, e in found.items() if not name.endswith(".gain")}
-        return nuisances, gains, flat.reshape(pattern.shape) if flat.size == pattern.size else pattern
-
-
-def _within_bounds(offsets: dict[str, float], camera: Camera, numbers: Mapping[str, float]) -> None:
-    """Take back of the offsets what the bounds of the parameters did not let through."""
-    reached = camera_numbers(camera)
-    for path in offsets:
-        if path in numbers and path != GAIN:
-            offsets[path] = reached[path] - numbers[path]
 
 
 def _forward(

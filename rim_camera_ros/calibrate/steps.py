@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.light_curves import LightCurves, of_light
+from rim_camera_ros.calibrate.normal_equations import Reduced
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
@@ -25,6 +26,34 @@ _SHAPE_STEP = 0.25
 _OPTICAL = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
 #: Share of a station's values below whose amplitude a pole of a term may lie.
 _DARKEST = 0.01
+
+
+@dataclass(frozen=True)
+class Solved:
+    """Where a step began: equations, the step, errors of amplitudes, powers, offsets; changes by label."""
+
+    reduced: Reduced
+    step: Array
+    tau: float
+    gains: Mapping[tuple[int, int], float]
+    offsets: Mapping[str, float]
+    changes: Mapping[str, float]
+
+    def errors(
+        self, share: float, pattern: Array
+    ) -> tuple[dict[str, float], dict[tuple[int, int], float], Array]:
+        """Return errors of poses, powers and the pattern for a share of the step.
+
+        The pattern has the shape of ``pattern``, which is returned where none is estimated.
+        """
+        values = np.zeros(self.reduced.gram.shape[0])
+        values[: len(self.step)] = share * self.step
+        found, flat = self.reduced.recover(values)
+        gains = {
+            key: g * power_factor(found.get(f"{key[0]}.{key[1]}.gain", 0.0)) for key, g in self.gains.items()
+        }
+        nuisances = {name: e for name, e in found.items() if not name.endswith(".gain")}
+        return nuisances, gains, flat.reshape(pattern.shape) if flat.size == pattern.size else pattern
 
 
 def stepped(
@@ -166,3 +195,11 @@ def moved_scene(scene: Scene, offsets: Mapping[str, float]) -> tuple[Scene, bool
             pose = replace(pose, position=position, orientation=quaternion(rotation))
         surfaces.append(replace(one, pose=pose))
     return replace(scene, surfaces=tuple(surfaces)), True
+
+
+def within_bounds(offsets: dict[str, float], camera: Camera, numbers: Mapping[str, float]) -> None:
+    """Take back of the offsets what the bounds of the parameters did not let through."""
+    reached = camera_numbers(camera)
+    for path in offsets:
+        if path in numbers and path != GAIN:
+            offsets[path] = reached[path] - numbers[path]
