@@ -156,7 +156,7 @@ def better_fit(result: Diagnosis) -> Fit:
     if result.verdict in ("consistent", "inconsistent_setup"):
         return final
     for one in (final, baseline):
-        if one.camera.effects == result.camera.effects and one.camera.optics == result.camera.optics:
+        if one.camera.effects == result.model.effects and one.camera.optics == result.model.optics:
             return one
     frozen = Problem(
         final.forward.dataset,
@@ -167,12 +167,12 @@ def better_fit(result: Diagnosis) -> Fit:
         masks=final.forward.masks,
         shifts=final.forward.shifts,
     )
-    return fit(frozen, result.camera, iterations=1, views=final.forward.views)
+    return fit(frozen, result.model, iterations=1, views=final.forward.views)
 
 
 def changed_effects(result: Diagnosis) -> tuple[str, ...]:
     """Return the effects whose contribution is shown, by their names in the improved camera."""
-    present = set(result.camera.effects) | set(GEOMETRY) | {"radiometry"}
+    present = set(result.model.effects) | set(GEOMETRY) | {"radiometry"}
     missing = ["empirical" if one.effect == UNKNOWN else one.effect for one in result.missing]
     names = missing or [one.effect for one in result.adjusted]
     return tuple(name for name in names if name in present)

@@ -52,3 +52,9 @@ class Diagnosis:
     unseen: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     smooth_rest: tuple[str, float] | None = None
+    looked_at: Camera | None = None
+
+    @property
+    def model(self) -> Camera:
+        """The improved camera, of as many pixels as were looked at."""
+        return self.camera if self.looked_at is None else self.looked_at

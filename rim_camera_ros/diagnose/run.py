@@ -89,7 +89,7 @@ def diagnose(
         seed,
         say,
     )
-    result.camera = finer_camera(result.camera, camera, step)
+    result.looked_at, result.camera = result.camera, finer_camera(result.camera, camera, step)
     pixels = finer_image(result.where.pixels, camera.shape, step)
     result.where = replace(result.where, pixels=pixels)
     result.notes.append(f"every {step}th pixel of every {step}th row was looked at")

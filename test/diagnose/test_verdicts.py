@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -130,3 +131,16 @@ def test_open_cases(name: str) -> None:
         assert named == set(truth)
         assert result.verdict == ("missing_physics" if truth else "consistent")
     assert result.accuracy.chi2_after == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("3,x", r"argument --without-poses: '3,x' is no list of numbers of poses, as 3,17"),
+        ("-4", r"--without-poses"),
+    ],
+)
+def test_poses_to_leave_out_are_numbers(given: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    told = ["bag", "--camera", "sr3000", "--scene", "wall", "--out", "never"]
+    assert main(["diagnose", *told, f"--without-poses={given}"]) == 2
+    assert re.search(message, capsys.readouterr().err)
