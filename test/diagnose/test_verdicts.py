@@ -18,6 +18,7 @@ from rim_camera_ros.diagnose.report import as_json
 from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.emission_pattern import EmissionPattern
+from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.scene import load_scene
 
@@ -144,3 +145,17 @@ def test_poses_to_leave_out_are_numbers(given: str, message: str, capsys: pytest
     told = ["bag", "--camera", "sr3000", "--scene", "wall", "--out", "never"]
     assert main(["diagnose", *told, f"--without-poses={given}"]) == 2
     assert re.search(message, capsys.readouterr().err)
+
+
+def test_stray_light_on_a_board_is_told_from_what_darkens_slopes(tmp_path: Path) -> None:
+    """From a linear guess its widths once left for good, and surfaces unlike Lambert's took its place."""
+    light = Scattering((Kernel(0.05, (5.0, 4.0)), Kernel(0.04, (17.0, 14.0))))
+    truth, board = camera(tmp_path, *KNOWN, light), scene(tmp_path)
+    told = camera(tmp_path, *KNOWN)
+    result = diagnose(record(truth, board, seed=27), board, told)
+    assert [one.effect for one in result.missing] == ["scattering"]
+    found = result.camera.effects["scattering"]
+    assert isinstance(found, Scattering)
+    assert sum(one.weight for one in found.kernels) == pytest.approx(0.09, abs=0.02)
+    assert result.accuracy.chi2_after == pytest.approx(1.0, abs=0.04)
+    assert result.accuracy.chi2_before > 1.3
