@@ -57,6 +57,12 @@ BEYOND = 1.2
 _VISIBLE_RIPPLE = 0.005
 #: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
 _COMMON_LIGHT = 0.1
+#: Ratio of held-out distances' RMS above which the improved camera is none, and what is said then.
+_WORSE = 1.1
+_NO_BETTER = (
+    "distances of held-out poses got worse although amplitudes got better: what is named stands for something "
+    "else, do not use camera.yaml"
+)
 _BESIDE_A_SECOND_CAMERA = "a second camera shines in: nothing else can be told; record with it switched off"
 
 
@@ -126,7 +132,13 @@ def _diagnose(
         return _hopeless(problem, camera, variance, seed)
     baseline, final = result.explorations[0], result.explorations[-1]
     if alone:
-        dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
+        dataset = replace(dataset, notes=[*dataset.notes, #: Ratio of held-out distances' RMS above which the improved camera is none, and what is said then.
+_WORSE = 1.1
+_NO_BETTER = (
+    "distances of held-out poses got worse although amplitudes got better: what is named stands for something "
+    "else, do not use camera.yaml"
+)
+_BESIDE_A_SECOND_CAMERA])
     say("looking for what no named effect explains")
     unknown = None if alone else best_rest(result, samples, problem, seed)
     variance = examine_variance(final.fit.forward)
@@ -277,6 +289,8 @@ def _verdict(
         verdict, missing = "unknown_physics", [missing_codes_of(codes, camera)]
         where = of_residuals(fitted)
     measure = accuracy(camera, model, result, unknown if verdict == "unknown_physics" else None)
+    if measure.rms_after > _WORSE * measure.rms_before:
+        notes.append(_NO_BETTER)
     return Diagnosis(
         verdict=verdict,
         missing=missing,
