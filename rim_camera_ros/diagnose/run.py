@@ -60,8 +60,8 @@ _COMMON_LIGHT = 0.1
 #: Ratio of held-out distances' RMS above which the improved camera is none, and what is said then.
 _WORSE = 1.1
 _NO_BETTER = (
-    "distances of held-out poses got worse although amplitudes got better: what is named stands for something "
-    "else, do not use camera.yaml"
+    "distances of held-out poses got worse although amplitudes got better: what is named stands for "
+    "something else, do not use camera.yaml"
 )
 _BESIDE_A_SECOND_CAMERA = "a second camera shines in: nothing else can be told; record with it switched off"
 
@@ -132,13 +132,7 @@ def _diagnose(
         return _hopeless(problem, camera, variance, seed)
     baseline, final = result.explorations[0], result.explorations[-1]
     if alone:
-        dataset = replace(dataset, notes=[*dataset.notes, #: Ratio of held-out distances' RMS above which the improved camera is none, and what is said then.
-_WORSE = 1.1
-_NO_BETTER = (
-    "distances of held-out poses got worse although amplitudes got better: what is named stands for something "
-    "else, do not use camera.yaml"
-)
-_BESIDE_A_SECOND_CAMERA])
+        dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
     say("looking for what no named effect explains")
     unknown = None if alone else best_rest(result, samples, problem, seed)
     variance = examine_variance(final.fit.forward)
