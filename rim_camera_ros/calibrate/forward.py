@@ -24,7 +24,7 @@ from rim_camera_ros.effects.multipath import TOLERANCE
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.noise import sigma_amplitude
 from rim_camera_ros.phasor import to_phasor, wrap_residual
-from rim_camera_ros.scene import Scene
+from rim_camera_ros.scene import Geometry, Scene
 
 Array = NDArray[Any]
 
@@ -162,6 +162,14 @@ class Forward:
             return self.light_curves.light_of(published, effect.compressed)
         return np.asarray(effect.expanded(published))
 
+    def _light(self, geometry: Geometry, power: float) -> Array:
+        """Return the amplitude [counts] before all effects: power rho cos(incidence) / d^2; [counts m^2]."""
+        with np.errstate(invalid="ignore"):
+            light = power * geometry.reflectivity * geometry.cos_incidence / geometry.distance**2
+        if self.light_curves is not None:
+            light = light * self.light_curves.factor(geometry, self.camera.sensor.ambiguity)
+        return np.where(geometry.hit, light, 0.0)
+
     def _predict(
         self, station: Station, memory: dict[str, Any], model: AmplitudeModel, slopes: bool
     ) -> Prediction:
@@ -170,16 +178,8 @@ class Forward:
         geometry = view.geometry
         settings = replace(station.settings, integration_time=camera.integration_time(station.settings))
         gain = model.gains.get((station.recording, station.pose), 1.0)
-        with np.errstate(invalid="ignore"):
-            ideal = (
-                (camera.radiometry.gain * camera.integration_time(settings) * gain)
-                * geometry.reflectivity
-                * geometry.cos_incidence
-                / geometry.distance**2
-            )
-        if self.light_curves is not None:
-            ideal = ideal * self.light_curves.factor(geometry, camera.sensor.ambiguity)
-        ideal = np.where(geometry.hit, ideal, 0.0)
+        power = camera.radiometry.gain * camera.integration_time(settings) * gain
+        ideal = self._light(geometry, power)
         motion = self.scene.camera_motion
 
         def geometry_at(seconds: float) -> tuple[Any, Any]:
@@ -189,16 +189,7 @@ class Forward:
 
             moved = {name: motion.carry(pose, seconds) for name, pose in view.poses.items()}
             there = see(self.scene, moved, camera.rays)
-            with np.errstate(invalid="ignore"):
-                light = (
-                    (camera.radiometry.gain * camera.integration_time(settings) * gain)
-                    * there.reflectivity
-                    * there.cos_incidence
-                    / there.distance**2
-                )
-            if self.light_curves is not None:
-                light = light * self.light_curves.factor(there, camera.sensor.ambiguity)
-            return there, np.where(there.hit, light, 0.0)
+            return there, self._light(there, power)
 
         memory[TOLERANCE] = _SAME_LIGHT
         for name in KEPT:

@@ -22,8 +22,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser = add_command(
         commands,
         "plan",
-        "Find out before recording which of the shipped experiments determine which effects of a camera, all "
-        "of them unknown at once, and print the shortest set that determines as much as all together.",
+        "Find the recordings that determine a camera. Says before recording which of the shipped experiments "
+        "determine which effects, all of them unknown at once, and prints the shortest set that "
+        "determines as much as all together.",
         _EXAMPLES,
     )
     parser.add_argument("--camera", required=True, help="camera file, or the name of a shipped one")

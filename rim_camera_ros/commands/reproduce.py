@@ -33,8 +33,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser = add_command(
         commands,
         "reproduce",
-        "Simulate the experiments of the thesis with the shipped cameras, reduce them as the thesis did, and "
-        "print its numbers, ours and the deviations (about two minutes).",
+        "Repeat the measurements of the thesis. Simulates its experiments with the shipped cameras, reduces "
+        "them as the thesis did, and prints its numbers, ours and the deviations (about two minutes).",
         _EXAMPLES,
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the page with pictures")

@@ -27,7 +27,7 @@ logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
 BEFORE, AFTER = "#b9632f", "#1f6f8b"
 COLOURS = ("#1f6f8b", "#b9632f", "#5d8a3a", "#7a4f9a", "#a8324a", "#4c5b6b")
 _GREY = "#5b6878"
-_STYLE: Any = {
+STYLE: Any = {
     "font.family": "sans-serif",
     "font.size": 9,
     "axes.edgecolor": "#9aa5b1",
@@ -49,7 +49,7 @@ _STYLE: Any = {
     "svg.hashsalt": "rim_camera_ros",
 }
 #: Parameters of matplotlib are global.
-_LOCK = threading.Lock()
+LOCK = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -85,14 +85,14 @@ def panels(items: Sequence[Panel], *, columns: int = 3, height: float = 2.5, wid
     def draw(figure: Any) -> None:
         axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
         for one, axis in zip(items, axes, strict=False):
-            _draw_panel(axis, one)
+            draw_panel(axis, one)
         for axis in axes[len(items) :]:
             axis.set_visible(False)
 
-    return _svg((width * columns, height * rows), draw)
+    return svg((width * columns, height * rows), draw)
 
 
-def _draw_panel(axis: Any, panel: Panel) -> None:
+def draw_panel(axis: Any, panel: Panel) -> None:
     for number, one in enumerate(panel.curves):
         colour = one.colour or COLOURS[number % len(COLOURS)]
         band = None if one.sigma is None else 1.96 * one.sigma
@@ -147,7 +147,7 @@ def residuals(
                 if number == 0:
                     axis.set_title(title)
 
-    return _svg((10.4, 2.15 * len(covariates)), draw)
+    return svg((10.4, 2.15 * len(covariates)), draw)
 
 
 def class_edges(values: Array, count: int, *, log: bool) -> Array:
@@ -204,25 +204,30 @@ def maps(items: Sequence[Map], unit: str) -> bytes:
     def draw(figure: Any) -> None:
         axes = figure.subplots(1, len(items), squeeze=False)[0]
         for axis, one in zip(axes, items, strict=True):
-            finite = one.image[np.isfinite(one.image)]
-            limit = one.limit
-            if limit is None:
-                limit = float(np.quantile(np.abs(finite), 0.98)) if finite.size else 1.0
-            limit = max(limit, 1e-9)
-            axis.grid(False)
-            picture = axis.imshow(
-                one.image,
-                cmap="viridis" if one.from_zero else "RdBu_r",
-                vmin=0.0 if one.from_zero else -limit,
-                vmax=limit,
-                interpolation="nearest",
-            )
-            axis.set(title=one.title, xlabel="column [px]", ylabel="row [px]")
-            bar = figure.colorbar(picture, ax=axis, shrink=0.82, pad=0.02)
-            bar.set_label(unit, color=_GREY)
-            bar.outline.set_visible(False)
+            draw_map(figure, axis, one, unit)
 
-    return _svg((10.4, 3.0 if len(items) > 2 else 3.8), draw)
+    return svg((10.4, 3.0 if len(items) > 2 else 3.8), draw)
+
+
+def draw_map(figure: Any, axis: Any, one: Map, unit: str) -> None:
+    """Draw an image over the array into an axis, with its colour bar in ``unit``."""
+    finite = one.image[np.isfinite(one.image)]
+    limit = one.limit
+    if limit is None:
+        limit = float(np.quantile(np.abs(finite), 0.98)) if finite.size else 1.0
+    limit = max(limit, 1e-9)
+    axis.grid(False)
+    picture = axis.imshow(
+        one.image,
+        cmap="viridis" if one.from_zero else "RdBu_r",
+        vmin=0.0 if one.from_zero else -limit,
+        vmax=limit,
+        interpolation="nearest",
+    )
+    axis.set(title=one.title, xlabel="column [px]", ylabel="row [px]")
+    bar = figure.colorbar(picture, ax=axis, shrink=0.82, pad=0.02)
+    bar.set_label(unit, color=_GREY)
+    bar.outline.set_visible(False)
 
 
 def matrix(labels: Sequence[str], values: Array) -> bytes:
@@ -244,11 +249,11 @@ def matrix(labels: Sequence[str], values: Array) -> bytes:
         bar.set_label("correlation", color=_GREY)
         bar.outline.set_visible(False)
 
-    return _svg((size, size * 0.9), draw)
+    return svg((size, size * 0.9), draw)
 
 
-def _svg(size: tuple[float, float], draw: Any) -> bytes:
-    with _LOCK, matplotlib.rc_context(_STYLE):
+def svg(size: tuple[float, float], draw: Any) -> bytes:
+    with LOCK, matplotlib.rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained", dpi=100)
         FigureCanvasSVG(figure)
         draw(figure)

@@ -6,11 +6,10 @@ import io
 from typing import Any
 
 import matplotlib
-import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from rim_camera_ros.reports.figures import _LOCK, _STYLE, Map, _draw_panel
+from rim_camera_ros.reports.figures import LOCK, STYLE, draw_map, draw_panel
 from rim_camera_ros.reproduce.results import Picture
 
 _DOTS_PER_INCH = 80
@@ -18,7 +17,7 @@ _DOTS_PER_INCH = 80
 
 def png(picture: Picture) -> bytes:
     """Return a picture as PNG; the same picture gives the same bytes."""
-    with _LOCK, matplotlib.rc_context(_STYLE):
+    with LOCK, matplotlib.rc_context(STYLE):
         figure = Figure(figsize=_size(picture), layout="constrained", facecolor="white")
         FigureCanvasAgg(figure)
         if picture.panels:
@@ -46,7 +45,7 @@ def _panels(figure: Any, picture: Picture) -> None:
     rows, columns = _grid(picture)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for one, axis in zip(picture.panels, axes, strict=False):
-        _draw_panel(axis, one)
+        draw_panel(axis, one)
     for axis in axes[len(picture.panels) :]:
         axis.set_visible(False)
 
@@ -54,21 +53,4 @@ def _panels(figure: Any, picture: Picture) -> None:
 def _maps(figure: Any, picture: Picture) -> None:
     axes = figure.subplots(1, len(picture.maps), squeeze=False)[0]
     for axis, one in zip(axes, picture.maps, strict=True):
-        _draw_map(figure, axis, one, picture.unit)
-
-
-def _draw_map(figure: Any, axis: Any, one: Map, unit: str) -> None:
-    finite = one.image[np.isfinite(one.image)]
-    limit = float(np.quantile(np.abs(finite), 0.98)) if one.limit is None else one.limit
-    axis.grid(False)
-    image = axis.imshow(
-        one.image,
-        cmap="viridis" if one.from_zero else "RdBu_r",
-        vmin=0.0 if one.from_zero else -limit,
-        vmax=limit,
-        interpolation="nearest",
-    )
-    axis.set(title=one.title, xlabel="column [px]", ylabel="row [px]")
-    bar = figure.colorbar(image, ax=axis, shrink=0.82, pad=0.02)
-    bar.set_label(unit)
-    bar.outline.set_visible(False)
+        draw_map(figure, axis, one, picture.unit)

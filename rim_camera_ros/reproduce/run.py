@@ -78,7 +78,7 @@ def chosen(names: Sequence[str] | None) -> tuple[Experiment, ...]:
             raise InputError(
                 f"no experiment '{name}'",
                 place="--only",
-                remedy=f"{nearest_name(name, known)}; known: {', '.join(known)}",
+                remedy=nearest_name(name, known),
             )
     return tuple(one for one in EXPERIMENTS if one.name in names)
 
