@@ -121,7 +121,7 @@ def test_folder_page_and_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     [
         (
             ["--only", "grey_wege"],
-            r"--only: no experiment 'grey_wege' \(did you mean 'grey_wedge'\?; known: ",
+            r"--only: no experiment 'grey_wege' \(did you mean 'grey_wedge'\?\)",
         ),
         (["--page", "a.md"], r"--page needs --out, the folder of its pictures"),
         (["--out", "o", "--page", "a.txt"], r"a\.txt: --page: a Markdown page ends in \.md"),
