@@ -45,6 +45,7 @@ PATIENCE = 30.0
 
 RELIABLE = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+START = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(
     depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
@@ -359,8 +360,16 @@ class Chain:
         self.frame_info = world.collect(DiagnosticArray, "frame_info")
         self.amplitude = world.collect(Image, "amplitude/image_raw")
         self.distance = world.collect(Image, "distance/image_raw")
-        ends = {"exit_at_end": True, "wait_for_subscribers": 2}
+        ends = {"exit_at_end": True, "wait_for_subscribers": 3}
         self.driver = world.start("driver_node", **{**LOSSLESS_DRIVER, **ends, **driver})
+        # A publisher knows of a subscriber before that subscriber knows of it, and frames in between are
+        # lost. The third subscriber, for which the driver waits, comes when the others know.
+        raw = (self.frame_info, self.amplitude, self.distance)
+        if world.until(lambda: all(one.matched for one in raw) or not self.driver.running):
+            kinds = (DiagnosticArray, Image, Image)
+            self._start = [
+                world.collect(kind, one.topic, START) for kind, one in zip(kinds, raw, strict=True)
+            ]
 
     def finish(self, seconds: float = 120.0) -> None:
         """Wait until the driver has ended and all that it published has come back corrected."""
