@@ -1,5 +1,7 @@
 """A camera (or its simulator, or a recording) and its correction, in one namespace.
 
+With ``people:=true`` and ``calibration:=true`` the nodes that follow people and that calibrate, too.
+
 An argument left empty leaves the matter to the parameter file and to the node's own default.
 
     ros2 launch rim_camera_ros camera.launch.py source:=playback recording:=/path/to/bag
@@ -22,7 +24,7 @@ SHOWN = ("points", "amplitude/image_raw", "sigma/image", "people/markers")
 def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
-            DeclareLaunchArgument("namespace", default_value="camera", description="namespace of both nodes"),
+            DeclareLaunchArgument("namespace", default_value="camera", description="namespace of the nodes"),
             DeclareLaunchArgument(
                 "source",
                 default_value="",
@@ -41,6 +43,31 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("frame_id", default_value="", description="optical frame of the images"),
             DeclareLaunchArgument(
                 "base_frame", default_value="", description="frame the camera is mounted at"
+            ),
+            DeclareLaunchArgument(
+                "people",
+                default_value="false",
+                choices=["true", "false"],
+                description="true: follow people who walk through the view",
+            ),
+            DeclareLaunchArgument(
+                "people_parameters",
+                default_value="",
+                description="parameter file (YAML) of the people node: how the camera is mounted, say",
+            ),
+            DeclareLaunchArgument(
+                "calibration",
+                default_value="false",
+                choices=["true", "false"],
+                description="true: calibrate when asked to, by services",
+            ),
+            DeclareLaunchArgument(
+                "calibration_parameters",
+                default_value="",
+                description="parameter file (YAML) of the calibration node",
+            ),
+            DeclareLaunchArgument(
+                "calibration_scene", default_value="", description="scene file of what is recorded"
             ),
             DeclareLaunchArgument(
                 "rviz", default_value="false", description="true: show points and amplitude"
@@ -62,7 +89,6 @@ def start_nodes(context: LaunchContext) -> list[Node]:
             if value(argument)
         }
 
-    file = value("driver_parameters")
     driver = given(
         source="source",
         scene="scene",
@@ -71,22 +97,25 @@ def start_nodes(context: LaunchContext) -> list[Node]:
         frame_id="frame_id",
         base_frame="base_frame",
     )
-    correction = given(camera="correction_camera")
+    # a parameter file comes before the arguments, which override it
+    started = {
+        "driver_node": (value("driver_parameters"), driver),
+        "correction_node": ("", given(camera="correction_camera")),
+    }
+    if value("people") == "true":
+        started["people_node"] = (value("people_parameters"), {})
+    if value("calibration") == "true":
+        own = given(camera="correction_camera", scene="calibration_scene")
+        started["calibration_node"] = (value("calibration_parameters"), own)
     nodes = [
         Node(
             package=PACKAGE,
-            executable="driver_node",
+            executable=executable,
             namespace=value("namespace"),
-            parameters=[entry for entry in (file, driver) if entry],
+            parameters=[entry for entry in entries if entry],
             output="screen",
-        ),
-        Node(
-            package=PACKAGE,
-            executable="correction_node",
-            namespace=value("namespace"),
-            parameters=[entry for entry in (correction,) if entry],
-            output="screen",
-        ),
+        )
+        for executable, entries in started.items()
     ]
     if value("rviz").lower() == "true":
         view = Path(get_package_share_directory(PACKAGE)) / "config" / "camera.rviz"

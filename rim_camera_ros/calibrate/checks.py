@@ -34,6 +34,8 @@ LEAST_DEPTH = 0.05
 #: Pixels of a surface from which on its distance in a pose counts, and poses that an error names.
 LEAST_PIXELS = 20
 _NAMED = 4
+#: Poses of one setting from which on their distances are looked at over the amplitude.
+_LEAST_POSES = 8
 
 
 @dataclass(frozen=True)
@@ -153,8 +155,9 @@ def with_known_poses(dataset: Dataset, scene: Scene) -> Dataset:
 def with_plausible_poses(dataset: Dataset, scene: Scene, camera: Camera, tick: Callable[[], None]) -> Dataset:
     """Return the stations whose distances agree with the scene within a few decimetres, and say which do not.
 
-    Poses are compared with the median of all of their setting, so that an unknown offset of the camera does
-    not count. ``tick`` is called for each station. Raises `InputError` for a scene that describes another
+    Poses are compared with the median of all of their setting, and with a line over one by the amplitude, so
+    that an unknown offset of the camera does not count, nor one that grows as the light goes.
+    ``tick`` is called for each station. Raises `InputError` for a scene that describes another
     recording, naming the poses that are off, and how far.
     """
     found = list(_medians(dataset, scene, camera, tick))
@@ -175,12 +178,15 @@ def with_plausible_poses(dataset: Dataset, scene: Scene, camera: Camera, tick: C
     # few poses of one setting: their own median may be the wrong one
     off = np.where(np.abs(off) > np.abs(value - centre), value - centre, off)
     far = np.abs(off) > FAR_POSE
+    if far.any():
+        off = _beside_amplitudes(setting, value, np.array([one[3] for one in found]), off)
+        far = np.abs(off) > FAR_POSE
     if not far.any():
         return dataset
     named = []
     for i in np.flatnonzero(far)[np.argsort(-np.abs(off[far]))][:_NAMED]:
         one = dataset.stations[int(number[i])]
-        surface = found[int(i)][3]
+        surface = found[int(i)][4]
         named.append(f"'{surface}' in pose {one.pose} at {one.time:.1f} s by {off[i]:+.2f} m")
     left = {dataset.stations[int(i)].recording: i for i in number[far]}
     bad = {(dataset.stations[int(i)].recording, dataset.stations[int(i)].pose) for i in number[far]}
@@ -202,10 +208,29 @@ def with_plausible_poses(dataset: Dataset, scene: Scene, camera: Camera, tick: C
     )
 
 
+def _beside_amplitudes(setting: Array, value: Array, amplitude: Array, off: Array) -> Array:
+    """Return how far poses are off, less what an error in proportion to one by the amplitude explains.
+
+    The line of each setting is Siegel's, which half of its poses may not be on. Settings of few poses stay
+    as they are.
+    """
+    from scipy.stats import siegelslopes
+
+    result = off.copy()
+    for t in np.unique(setting):
+        mine = np.flatnonzero(setting == t)
+        if len(mine) < _LEAST_POSES or np.ptp(amplitude[mine]) == 0:
+            continue
+        line = siegelslopes(value[mine], 1.0 / amplitude[mine])
+        rest = value[mine] - line.intercept - line.slope / amplitude[mine]
+        result[mine] = np.where(np.abs(rest) < np.abs(off[mine]), rest, off[mine])
+    return result
+
+
 def _medians(
     dataset: Dataset, scene: Scene, camera: Camera, tick: Callable[[], None]
-) -> Iterator[tuple[int, float, float, str]]:
-    """Yield number of the station, setting, median residual [m] and name of each surface that it sees."""
+) -> Iterator[tuple[int, float, float, float, str]]:
+    """Yield for each station and surface: its number, setting, median residual [m], amplitude, surface."""
     for number, station in enumerate(dataset.stations):
         tick()
         setting = camera.integration_time(station.settings)
@@ -215,7 +240,8 @@ def _medians(
         for i, surface in enumerate(scene.surfaces):
             mine = valid & (geometry.surface == i)
             if mine.sum() >= LEAST_PIXELS:
-                yield number, setting, float(np.median(difference[mine])), surface.name
+                amplitude = max(float(np.median(station.amplitude[mine])), 1.0)
+                yield number, setting, float(np.median(difference[mine])), amplitude, surface.name
 
 
 def require_variety(dataset: Dataset, scene: Scene, camera: Camera, effects: Sequence[str] | None) -> None:

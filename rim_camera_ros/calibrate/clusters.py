@@ -28,6 +28,8 @@ Key = tuple[int, int]
 LEAST_POSES = 10
 _PRIOR_LOOKS = 10.0
 _LOOKS_PER_POSE = 0.5
+#: Least share of a parameter's variance that residuals of several poses must be able to show.
+_LEAST_SHARED = 0.2
 
 
 def widening(fitted: Fit, scores: Scores, blocks: Sequence[Block]) -> dict[str, float]:
@@ -61,11 +63,15 @@ def widening(fitted: Fit, scores: Scores, blocks: Sequence[Block]) -> dict[str, 
         gram = grams[key]
         # residuals are smaller than errors by what the pose itself drew the fit
         expected += np.diag(covariance @ (gram - gram @ covariance @ gram) @ covariance)
-    ratio = found / np.maximum(expected, 1e-300)
+    # what one pose alone determines, that pose follows: its residuals tell nothing of the scatter of poses
+    shared = expected > _LEAST_SHARED * np.diag(covariance)
+    ratio = found / np.where(shared, expected, 1.0)
     owners = [scores.regressors[int(scores.base[i])].owner for i in place]
     result = {}
     for owner in dict.fromkeys(owners):
-        mine = ratio[[i for i, name in enumerate(owners) if name == owner]]
+        mine = ratio[[i for i, name in enumerate(owners) if name == owner and shared[i]]]
+        if not mine.size:
+            continue
         looks = _LOOKS_PER_POSE * len(gradients) * len(mine)
         level = (looks * float(np.mean(mine)) + _PRIOR_LOOKS) / (looks + _PRIOR_LOOKS)
         result[owner] = max(1.0, level)

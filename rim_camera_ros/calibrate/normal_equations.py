@@ -8,7 +8,7 @@ weighted sums per pixel that the elimination of the pattern needs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,6 +25,8 @@ Array = NDArray[Any]
 
 #: 1-sigma of the fixed pattern's prior [m]: as good as unknown.
 PATTERN_PRIOR = 0.05
+#: Pixels of which the sums are put together at once.
+_BLOCK = 4096
 
 
 @dataclass
@@ -78,24 +80,39 @@ class Reduced:
     recover: Callable[[Array], tuple[dict[str, float], Array]]
 
 
-def _stacked(folds: Sequence[Fold], count: int) -> tuple[Array, Array, Array, list[tuple[str, float, float]]]:
-    """Put folds together: Gram matrix, sums per pixel, weights, nuisances; order regressors, nuisances, y."""
+def _stacked(folds: Sequence[Fold], count: int) -> tuple[Array, Array, list[tuple[str, float, float]]]:
+    """Put folds together: Gram matrix, weights, nuisances; order regressors, nuisances, observations."""
     nuisances = [one for fold in folds for one in fold.nuisances]
     size = count + len(nuisances) + 1
-    pixels = len(folds[0].weight)
     gram = np.zeros((size, size))
-    pixel = np.zeros((pixels, size), folds[0].pixel.dtype)
-    weight = np.zeros(pixels)
+    weight = np.zeros(len(folds[0].weight))
     start = count
     for fold in folds:
         own = np.r_[np.arange(count), start + np.arange(len(fold.nuisances)), size - 1]
         gram[np.ix_(own, own)] += fold.gram
-        pixel[:, :count] += fold.pixel[:, :count]
-        pixel[:, start : start + len(fold.nuisances)] = fold.pixel[:, count:-1]
-        pixel[:, -1] += fold.pixel[:, -1]
         weight += fold.weight
         start += len(fold.nuisances)
-    return gram, pixel, weight, nuisances
+    return gram, weight, nuisances
+
+
+def pixel_blocks(folds: Sequence[Fold], count: int) -> Iterator[tuple[slice, Array]]:
+    """Yield rows of pixels and their sums (N, M) in the order of `_stacked`, block by block.
+
+    The sums of all pixels at once would be the largest array of an adjustment.
+    """
+    pixels = len(folds[0].weight)
+    size = count + sum(len(fold.nuisances) for fold in folds) + 1
+    for first in range(0, pixels, _BLOCK):
+        rows = slice(first, min(first + _BLOCK, pixels))
+        block = np.zeros((rows.stop - first, size), folds[0].pixel.dtype)
+        start = count
+        for fold in folds:
+            own = fold.pixel[rows]
+            block[:, :count] += own[:, :count]
+            block[:, start : start + len(fold.nuisances)] = own[:, count:-1]
+            block[:, -1] += own[:, -1]
+            start += len(fold.nuisances)
+        yield rows, block
 
 
 def _times(folds: Sequence[Fold], count: int, values: Array) -> Array:
@@ -135,13 +152,18 @@ def reduce_folds(
     ``replicates`` of each fold, right-hand sides (M - 1, R) and sums per pixel (P, R), take the place of the
     observations.
     """
-    gram, pixel, weight, nuisances = _stacked(folds, count)
+    full, weight, nuisances = _stacked(folds, count)
     scale = 1.0 / (weight + pattern_prior**-2)
-    scaled = pixel * np.sqrt(scale)[:, None].astype(pixel.dtype)
-    full = gram - (scaled.T @ scaled).astype(np.float64)
+    if replicates is not None:
+        drawn, summed = _stacked_replicates(folds, count, replicates)
+    for rows, block in pixel_blocks(folds, count):
+        if replicates is not None:
+            drawn -= block[:, :-1].T @ (summed[rows] * scale[rows, None].astype(summed.dtype))
+        block *= np.sqrt(scale[rows])[:, None].astype(block.dtype)
+        full -= block.T @ block
     inner = slice(count, count + len(nuisances))
     keep = np.r_[np.arange(count), full.shape[0] - 1]
-    block = full[inner, inner] + np.diag([p**-2 for _, p, _ in nuisances])
+    errors = full[inner, inner] + np.diag([p**-2 for _, p, _ in nuisances])
     cross = full[inner][:, keep]
     log_norm = sum(fold.log_sigma for fold in folds)
     log_norm += 0.5 * float(np.sum(np.log1p(weight * pattern_prior**2)))
@@ -149,7 +171,7 @@ def reduce_folds(
     full[-1, -1] += sum((at / p) ** 2 for _, p, at in nuisances)
     if nuisances:
         cross[:, -1] -= pull
-        factor = linalg.cho_factor(block, check_finite=False)
+        factor = linalg.cho_factor(errors, check_finite=False)
         solved = linalg.cho_solve(factor, cross, check_finite=False)
         reduced = full[np.ix_(keep, keep)] - cross.T @ solved
         log_norm += float(np.sum(np.log(np.diag(factor[0]))) + sum(np.log(p) for _, p, _ in nuisances))
@@ -158,19 +180,17 @@ def reduce_folds(
         reduced = full[np.ix_(keep, keep)]
     right = reduced[:-1, -1]
     if replicates is not None:
-        drawn, summed = _stacked_replicates(folds, count, replicates)
-        drawn -= pixel[:, :-1].T @ (summed * scale[:, None].astype(summed.dtype))
         right = drawn[:count]
         if nuisances:
             right = right - cross[:, :-1].T @ linalg.cho_solve(factor, drawn[count:], check_finite=False)
 
     # the sums per pixel are put together anew when they are asked for: kept, they would fill the memory
     def recover(values: Array) -> tuple[dict[str, float], Array]:
-        errors = solved[:, -1] - solved[:, :-1] @ values if nuisances else np.zeros(0)
-        everything = np.concatenate([values, errors, [-1.0]])
+        found = solved[:, -1] - solved[:, :-1] @ values if nuisances else np.zeros(0)
+        everything = np.concatenate([values, found, [-1.0]])
         total = -_times(folds, count, everything)
         pattern = total / (sum(fold.weight for fold in folds) + pattern_prior**-2)
-        return {name: float(e) for (name, _, _), e in zip(nuisances, errors, strict=True)}, pattern
+        return {name: float(e) for (name, _, _), e in zip(nuisances, found, strict=True)}, pattern
 
     return Reduced(
         gram=(reduced[:-1, :-1] + reduced[:-1, :-1].T) / 2,

@@ -14,7 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.calibrate.normal_equations import Fold, NormalEquations, reduce_folds
+from rim_camera_ros.calibrate.normal_equations import (
+    Fold,
+    NormalEquations,
+    pixel_blocks,
+    reduce_folds,
+)
 from rim_camera_ros.calibrate.selection import Scores
 
 Array = NDArray[Any]
@@ -46,8 +51,7 @@ def null_scores(
     """
     rng = np.random.default_rng([seed, 41])
     shapes = _error_shapes(equations, errors or {})
-    draws = [_draw(fold, replicates, rng, shapes) for fold in equations.folds]
-    factor = np.sqrt(temper)
+    draws = [_draw(fold, replicates, rng, shapes, np.sqrt(temper)) for fold in equations.folds]
     scores = Scores.__new__(Scores)
     scores.regressors = equations.regressors
     scores.base = np.array(sorted(base), int)
@@ -61,7 +65,7 @@ def null_scores(
             [equations.folds[i] for i in kept],
             count,
             equations.pattern_prior,
-            replicates=[(factor * draws[i].right, factor * draws[i].pixel) for i in kept],
+            replicates=[(draws[i].right, draws[i].pixel) for i in kept],
         )
 
     scores.full = reduced(None)
@@ -91,7 +95,9 @@ def kind_of_error(name: str) -> str:
     return kind.rpartition(".")[0] if kind.startswith("light.") else kind
 
 
-def _draw(fold: Fold, replicates: int, rng: np.random.Generator, shapes: Mapping[str, Array]) -> _Draw:
+def _draw(
+    fold: Fold, replicates: int, rng: np.random.Generator, shapes: Mapping[str, Array], factor: float
+) -> _Draw:
     size = fold.gram.shape[0] - 1
     count = size - len(fold.nuisances)
     design = fold.pixel[:, :size]
@@ -101,15 +107,18 @@ def _draw(fold: Fold, replicates: int, rng: np.random.Generator, shapes: Mapping
     noise = root[:, None] * rng.standard_normal((len(weight), replicates), dtype=np.float32)
     inverse = np.where(lit, 1.0 / np.where(lit, weight, 1.0), 0.0)
     mean = design.T @ (noise * inverse[:, None].astype(np.float32))
-    scaled = design * np.sqrt(inverse)[:, None]
-    rest = fold.gram[:size, :size] - scaled.T @ scaled
+    rest = fold.gram[:size, :size].copy()
+    for rows, block in pixel_blocks([fold], count):
+        scaled = block[:, :size] * np.sqrt(inverse[rows])[:, None]
+        rest -= scaled.T @ scaled
     # columns differ by many orders of magnitude
     diagonal = np.diag(rest)
     unit = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = linalg.eigh((rest + rest.T) / 2 / unit[:, None] / unit[None, :])
     spread = unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     right = mean.astype(float) + spread @ rng.standard_normal((size, replicates))
-    pixel = noise
+    noise *= np.float32(factor)
+    right *= factor
     if fold.nuisances:
         errors = np.empty((len(fold.nuisances), replicates))
         for i, (name, prior, _) in enumerate(fold.nuisances):
@@ -118,6 +127,7 @@ def _draw(fold: Fold, replicates: int, rng: np.random.Generator, shapes: Mapping
                 errors[i] = prior * rng.standard_normal(replicates)
             else:
                 errors[i] = prior * rng.choice(shape, replicates) * rng.choice((-1.0, 1.0), replicates)
-        right = right + fold.gram[:size, count:size] @ errors
-        pixel = pixel + (design[:, count:] @ errors.astype(design.dtype)).astype(np.float32)
-    return _Draw(right, pixel)
+        errors *= factor
+        right += fold.gram[:size, count:size] @ errors
+        noise += design[:, count:] @ errors.astype(design.dtype)
+    return _Draw(right, noise)

@@ -11,6 +11,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from rim_camera_ros.calibrate.adjustment import ROBUST_LIMIT, Fit, after_nuisances
 from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.effects.reference_path import ReferencePath
 from rim_camera_ros.scene import Geometry
 
 Array = NDArray[Any]
@@ -36,14 +37,19 @@ def usable_pixels(forward: Forward) -> tuple[Masks, int]:
     """Return the pixels of each station for both channels, (H, W) each, and the number of gross outliers.
 
     One of them among thousands, metres off, would rule the first steps of an adjustment. Pixels so dark that
-    their noise wraps, and terms of the amplitude are steep, take no part.
+    their noise wraps, and terms of the amplitude are steep, take no part, nor do those of the internal
+    reference.
     """
     masks: Masks = []
     gross = 0
     darkest = NOISIEST * forward.camera.sensor.ambiguity
+    path = forward.camera.effects.get("reference_path")
+    reference = path.region() if isinstance(path, ReferencePath) else None
     for one in forward.predictions(slopes=False):
         # by the predicted amplitude: picking by the measured one would pick the bright half of the noise
         used = one.used & (one.sigma * np.sqrt(np.maximum(one.station.count, 1)) < darkest)
+        if reference is not None:
+            used[reference] = False
         if used.any():
             centre = np.median(one.residual[used])
             away = np.abs(one.residual - centre)

@@ -54,6 +54,7 @@ class Prediction:
     gain: float
     spread: list[Effect] = field(default_factory=list)
     light_curves: LightCurves | None = None
+    _images: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
     def light_change(self, after: str | None, change: Array) -> tuple[Array, Array]:
         """Carry a relative change of the complex image through the optics that follow an effect.
@@ -67,15 +68,23 @@ class Prediction:
             if self.order[effect.name] <= start:
                 continue
             assert isinstance(effect, ComplexEffect)
-            before = to_phasor(
-                self.before[effect.name].distance, self.before[effect.name].amplitude, self.context.ambiguity
-            )
+            before, inverse = self._through(effect)
             moved = effect.apply(np.where(np.isfinite(relative), relative, 0) * before, self.context)
-            image = effect.apply(before, self.context)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                relative = np.where(image == 0, 0, moved / image)
+            relative = moved * inverse
         by_distance = relative.imag * (self.context.ambiguity / (2 * np.pi))
         return self.reading_change(by_distance, relative.real)
+
+    def _through(self, effect: ComplexEffect) -> tuple[Array, Array]:
+        """Return the image before an effect that spreads light, and one over that after it (0 where dark)."""
+        found = self._images.get(effect.name)
+        if found is None:
+            light = self.before[effect.name]
+            before = to_phasor(light.distance, light.amplitude, self.context.ambiguity)
+            image = effect.apply(before, self.context)
+            dark = image == 0
+            found = (before, np.where(dark, 0, 1.0 / np.where(dark, 1.0, image)))
+            self._images[effect.name] = found
+        return found
 
     def reading_change(self, by_distance: Array | float, relative: Array | float) -> tuple[Array, Array]:
         """Return the changes of the readings for changes of delivered distance [m] and log amplitude."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from rim_camera_ros.bags import Topics
 from rim_camera_ros.calibrate import checks
@@ -24,6 +25,8 @@ from rim_camera_ros.calibrate.noise_fit import POOR, NoiseFit, fit_noise
 from rim_camera_ros.calibrate.pixels import usable_pixels, without_edges
 from rim_camera_ros.calibrate.pose_errors import settled_poses, wider_poses_note
 from rim_camera_ros.calibrate.provenance import Source, checksum, provenance
+from rim_camera_ros.calibrate.reference_scale import NAME as REFERENCE
+from rim_camera_ros.calibrate.reference_scale import PATHS, FittedReference, fit_reference, with_reference
 from rim_camera_ros.calibrate.solution import Solution, high_correlations, stated
 from rim_camera_ros.calibrate.stations import Dataset, merged, reduce_recording
 from rim_camera_ros.calibrate.validity import supported
@@ -159,6 +162,8 @@ def calibrate(
     )
     only_integral = request.effects is not None and tuple(request.effects) == (_INTEGRAL,)
     words = () if only_integral else request.effects
+    if words is not None:
+        words = tuple(word for word in words if word != REFERENCE)
     forward = Forward(dataset, scene, camera)
     forward.estimate_amplitudes()
     # the same pixels throughout, or a term could grow by losing those that contradict it
@@ -210,11 +215,19 @@ def _finished(
     solution = outcome.solution
     statuses = outcome.tell()
     fitted = solution.fit
+    asked = request.effects is not None and REFERENCE in request.effects
+    path: FittedReference | None = None
+    if asked or request.effects is None:
+        watch.say("internal reference")
+        path = fit_reference(solution, asked=asked)
+        statuses = [path.status if path is not None and one.effect == REFERENCE else one for one in statuses]
     forward = fitted.forward
     watch.say("held-out poses")
     masks = [used for used, _ in forward.pixels_used()]
     numbers = range(len(solution.scores.trained))
-    cameras = {k: solution.camera(k) for k in numbers} or {0: solution.camera()}
+    cameras = {k: with_reference(solution.camera(k), path, leave_out=k) for k in numbers} or {
+        0: with_reference(solution.camera(), path)
+    }
     arguments = (dataset, fitted.scene, forward.views)
     split = solution.folds if numbers else {}
     accuracy = evaluate(
@@ -230,7 +243,9 @@ def _finished(
             *arguments, made, split, request.camera, masks, held_out=bool(numbers), tick=watch.tick
         )
     paths, covariance = solution.covariance()
-    camera = solution.camera()
+    camera = with_reference(solution.camera(), path)
+    if path is not None and path.effect is not None:
+        paths, covariance = [*paths, *PATHS], block_diag(covariance, path.covariance)
     if only_integral:
         assert table is not None
         camera = table.cameras([None])[None]

@@ -16,6 +16,7 @@ from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera, Covariance
 from rim_camera_ros.camera_file import camera_numbers, with_effects, with_numbers
 from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.parameters import ArrayFile, NestedList
 
 Array = NDArray[Any]
@@ -27,6 +28,8 @@ UNTOLD = 0.9
 HIGH_CORRELATION = 0.9
 #: Width [px] over which the smooth part of the fixed pattern is averaged.
 _SMOOTH = 3.0
+#: Share of a change of parameters below which none of it is made.
+_LEAST_SHARE = 1e-3
 _GAIN = "radiometry.gain"
 _EMPIRICAL = "effects.empirical.values."
 
@@ -119,8 +122,20 @@ class Solution:
 def moved_by(camera: Camera, changes: Mapping[str, float]) -> Camera:
     """Return the camera with its numbers changed by the values of regressors, kept within bounds.
 
-    Errors of scene poses among the changes are passed over.
+    So much of the change is made as leads to a possible camera (falloff that leaves light in every corner,
+    say). Errors of scene poses among the changes are passed over.
     """
+    share = 1.0
+    while True:
+        try:
+            return _moved_by(camera, {label: share * change for label, change in changes.items()})
+        except (InputError, ValueError):
+            share /= 2
+            if share < _LEAST_SHARE:
+                return camera
+
+
+def _moved_by(camera: Camera, changes: Mapping[str, float]) -> Camera:
     numbers = camera_numbers(camera)
     limits = {
         f"effects.{name}.{path}": limit

@@ -20,7 +20,9 @@ Array = NDArray[Any]
 OUTLINE_MARGIN = 0.4
 TILE_MARGIN = 0.3
 #: Geometries are kept up to this many bytes; beyond, they are computed again in each pass.
-_KEPT_BYTES = 600_000_000
+_KEPT_BYTES = 400_000_000
+#: Bytes that a pixel of a view takes, by the arrays of its geometry and of the errors of a pose.
+_PIXEL_BYTES = 140
 
 _OPTICAL = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -61,7 +63,7 @@ class Views:
     def __init__(self, camera: Camera, scene: Scene) -> None:
         self.camera, self.scene = camera, scene
         height, width = camera.shape
-        self._most = max(4, _KEPT_BYTES // (height * width * 75))
+        self._most = max(4, _KEPT_BYTES // (height * width * _PIXEL_BYTES))
         self._kept: dict[Any, View] = {}
         self._around = {m: _rays_around(camera.rays, m) for m in (OUTLINE_MARGIN, TILE_MARGIN)}
 

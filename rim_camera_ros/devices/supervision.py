@@ -55,7 +55,7 @@ class AcquisitionProcess:
                 pass_fds=descriptors,
                 stdin=subprocess.DEVNULL,
                 stdout=2,  # the library writes messages; standard output belongs to the program
-                env=_environment(),
+                env=child_environment(),
                 start_new_session=True,  # Ctrl-C ends the supervisor, and that ends the process
             )
         except OSError as error:
@@ -155,12 +155,7 @@ class AcquisitionProcess:
             status = self._process.wait(_KILL_TIMEOUT)
         except subprocess.TimeoutExpired:
             return "closed its connection"
-        if status >= 0:
-            return f"ended with status {status}"
-        try:
-            return f"was ended by {signal.Signals(-status).name}"
-        except ValueError:
-            return f"was ended by signal {-status}"
+        return how_it_ended(status)
 
 
 def probe_library(path: str | None) -> dict[str, str]:
@@ -175,7 +170,7 @@ def probe_library(path: str | None) -> dict[str, str]:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             timeout=_PROBE_TIMEOUT,
-            env=_environment(),
+            env=child_environment(),
             check=False,
         )
     except subprocess.TimeoutExpired:
@@ -199,8 +194,18 @@ def error_of(plain: dict[str, Any]) -> RimError:
     return kind(plain["problem"], file=plain["file"], place=plain["place"], remedy=plain["remedy"])
 
 
-def _environment() -> dict[str, str]:
-    """Return the environment with which the process finds this package, wherever it was imported from."""
+def how_it_ended(status: int) -> str:
+    """Return the end of a process in words, from its ``returncode``."""
+    if status >= 0:
+        return f"ended with status {status}"
+    try:
+        return f"was ended by {signal.Signals(-status).name}"
+    except ValueError:
+        return f"was ended by signal {-status}"
+
+
+def child_environment() -> dict[str, str]:
+    """Return the environment with which a process finds this package, wherever it was imported from."""
     here = str(Path(__file__).resolve().parents[2])
     paths = [here, *filter(None, [os.environ.get("PYTHONPATH")])]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}

@@ -5,14 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
+from rim_camera_ros.devices.supervision import child_environment, how_it_ended
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.nodes.calibration_link import CANCEL, FINISH
 
@@ -45,7 +44,7 @@ class WorkProcess:
                 [sys.executable, "-m", _MODULES[work]],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                env=_environment(),
+                env=child_environment(),
                 start_new_session=True,  # Ctrl-C ends the node, and that ends the process
             )
         except OSError as error:
@@ -88,7 +87,9 @@ class WorkProcess:
             self._end = {"cancelled": True}
         else:
             remedy = "see what it wrote to standard error, and the memory; then start again"
-            self._end = {"failed": f"the {self.work} process {self._how_it_ended()} ({remedy})"}
+            self._end = {
+                "failed": f"the {self.work} process {how_it_ended(self._process.returncode)} ({remedy})"
+            }
         self._free()
         return progress, self._end
 
@@ -147,19 +148,3 @@ class WorkProcess:
             if stream is not None:
                 with contextlib.suppress(OSError):
                     stream.close()
-
-    def _how_it_ended(self) -> str:
-        status = self._process.returncode
-        if status >= 0:
-            return f"ended with status {status}"
-        try:
-            return f"was ended by {signal.Signals(-status).name}"
-        except ValueError:
-            return f"was ended by signal {-status}"
-
-
-def _environment() -> dict[str, str]:
-    """Return the environment with which the process finds this package, wherever it was imported from."""
-    here = str(Path(__file__).resolve().parents[2])
-    paths = [here, *filter(None, [os.environ.get("PYTHONPATH")])]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}

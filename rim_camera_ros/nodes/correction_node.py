@@ -6,6 +6,7 @@ Topics are relative to the node's namespace, which is ``/camera`` unless one is 
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from collections.abc import Set
@@ -18,12 +19,14 @@ from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from rim_camera_ros.bags.topics import CAMERA_INFO, ROLES
+from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera, save_camera
 from rim_camera_ros.effects import registry
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.files import find_camera
-from rim_camera_ros.frame import CorrectedDistance, CorrectedFrame, RawFrame
+from rim_camera_ros.frame import CorrectedDistance, CorrectedFrame, RawFrame, Settings
 from rim_camera_ros.nodes import messages, qos
+from rim_camera_ros.nodes.aside import Aside
 from rim_camera_ros.nodes.correction_parameters import EFFECT, SPECS, correction_of, effect_spec, warm_up
 from rim_camera_ros.nodes.correction_status import CorrectionStatus
 from rim_camera_ros.nodes.diagnostics import Diagnostics
@@ -32,6 +35,7 @@ from rim_camera_ros.nodes.lifecycle import ManagedNode
 from rim_camera_ros.nodes.pairing import StampPairing
 from rim_camera_ros.nodes.parameters import Apply, Parameters, Values
 from rim_camera_ros.nodes.run import Throttle, run
+from rim_camera_ros.pipeline.correct import Correction
 
 #: Outputs that are images of the corrected frame, beside the cloud.
 _IMAGES = ("sigma", "flags", "corrected_distance", "depth")
@@ -39,8 +43,10 @@ _IMAGES = ("sigma", "flags", "corrected_distance", "depth")
 _TICK = 0.1
 #: Pixels by which camera_info may differ from the camera file before it is said.
 _SAME_OPTICS = 2.0
-#: Messages of a topic that may wait while tables are made: half a second at 100 Hz.
+#: Messages of a topic that may wait while the tables of a new integration time are made: 0.5 s at 100 Hz.
 _QUEUE = 50
+#: Integration times lately seen whose tables another camera file or effect makes before it takes effect.
+_SEEN = 4
 #: Sentences that are said once; more of them are not said at all.
 _NOTES_AT_MOST = 200
 
@@ -64,11 +70,14 @@ class CorrectionNode:
         self._use(values)
         self._frame_id = ""
         self._last: RawFrame | None = None
+        self._seen: dict[float | None, Settings] = {}
+        self._read: Camera | None = None
         self._noted: set[str] = set()
         self._left_out: dict[str, int] = {}
         self._to: dict[str, Publisher] = {}
         self._from: dict[str, Subscription] = {}
         self._pairing = self._new_pairing()
+        self._aside = Aside(self._from.values, self._look_for_overdue)
         self._parameters.watch(self._prepare, also=self._effects_of_file)
         self._parameters.warn_unknown()
         self.node.start(self, autostart=values["autostart"])
@@ -92,6 +101,7 @@ class CorrectionNode:
     def close(self) -> None:
         """Let go of all topics."""
         self.node.end()
+        self._aside.close()
 
     # --- lifecycle ------------------------------------------------------------------------------
 
@@ -218,6 +228,7 @@ class CorrectionNode:
     def _correct(self, frames: list[RawFrame]) -> None:
         for frame in frames:
             self._last = frame
+            self._note_setting(frame.settings)
             wanted = {role for role, one in self._to.items() if one.get_subscription_count() > 0}
             begun = time.monotonic()
             try:
@@ -238,6 +249,12 @@ class CorrectionNode:
             if count > self._left_out.get(reason, 0):
                 self._left_out[reason] = count
                 self._throttle.warn(reason, f"{reason}: {count} left out so far")
+
+    def _note_setting(self, settings: Settings) -> None:
+        self._seen.pop(settings.integration_time, None)
+        self._seen[settings.integration_time] = settings
+        if len(self._seen) > _SEEN:
+            del self._seen[next(iter(self._seen))]
 
     def _correct_one(self, frame: RawFrame, wanted: set[str], *, whole: bool) -> CorrectedFrame | None:
         """Correct and publish what is wanted; ``whole``: return the frame with sigma and flags."""
@@ -272,40 +289,53 @@ class CorrectionNode:
 
     def _effects_of_file(self, values: Values, changed: Values) -> Values:
         """Return which effects are on with another camera file: all of its own that were not switched off."""
+        self._read = None
         if "camera" not in changed:
             return {}
         try:
             self._folders.check(values["camera"], kind="calibration", place="camera")
-            camera = load_camera(find_camera(values["camera"]))
+            camera = self._aside.run(lambda: load_camera(find_camera(values["camera"])))
         except RimError:
             return {}  # the check says it
+        self._read = camera
         off = {name for name in self._camera.effects if not self._parameters.values[EFFECT + name]}
         return {EFFECT + name: name in camera.effects and name not in off for name in registry()}
 
     def _prepare(self, values: Values, changed: Set[str]) -> Apply:
-        """Check new values and build the correction that they ask for; return what puts it into effect."""
+        """Check new values and build the correction that they ask for; return what puts it into effect.
+
+        It is built, with its tables, in another thread, and frames go on being corrected as before. This
+        returns, and the service answers, when all is ready.
+        """
         if not changed - {"save_as"}:
             return lambda: None
         anew = "camera" in changed
         if anew:
             self._folders.check(values["camera"], kind="calibration", place="camera")
-        camera = load_camera(find_camera(values["camera"])) if anew else self._camera
-        correction = correction_of(camera, values)
-        correction.carry_on(self._correction)
-        last = self._last
-        if last is not None and last.shape != camera.shape:
-            (height, width), (rows, columns) = last.shape, camera.shape
+        known, self._read = self._read if anew else self._camera, None
+        last, seen = self._last, list(self._seen.values())
+
+        def build() -> tuple[Camera, Correction]:
+            camera = load_camera(find_camera(values["camera"])) if known is None else known
+            correction = correction_of(camera, values)
+            if last is not None and last.shape == camera.shape:
+                correction.correct(last)  # whether it can
+                for settings in seen:
+                    with contextlib.suppress(RimError):
+                        correction.minimum_for(settings)  # so that no frame waits for its tables
+            return camera, correction
+
+        camera, correction = self._aside.run(build)
+        if self._last is not None and self._last.shape != camera.shape:
+            (height, width), (rows, columns) = self._last.shape, camera.shape
             raise InputError(
                 f"the file is for {columns} x {rows} px, the images are {width} x {height}",
                 file=values["camera"],
                 remedy="give the file of this sensor",
             )
-        if last is not None:
-            correction.correct(
-                last
-            )  # whether it can, and so that the next frame need not wait for its tables
 
         def apply() -> None:
+            correction.carry_on(self._correction)  # as the last frame left it
             self._camera, self._correction = camera, correction
             self._use(values)
             if anew:

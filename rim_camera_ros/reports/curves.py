@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
 from rim_camera_ros.effects.base import Context, row_name
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.reports.figures import Curve, Panel
 
@@ -59,13 +61,19 @@ class _Bands:
         slopes = []
         for path, sigma in zip(self._paths, sigmas, strict=True):
             step = max(float(sigma), _STEP * abs(numbers[path]), 1e-15) * 0.1
-            sides = [
-                shape(with_numbers(self._camera, {path: numbers[path] + sign * step}), x) for sign in (1, -1)
-            ]
-            slopes.append((sides[0] - sides[1]) / (2 * step) * scale)
+            slopes.append(self._slope(path, numbers[path], step, shape, x) * scale)
         jacobian = np.stack(slopes)
         variance = np.einsum("ix,ij,jx->x", jacobian, self._covariance, jacobian)
         return Curve(x, y, np.sqrt(np.maximum(variance, 0.0)), label, points=points)
+
+    def _slope(self, path: str, value: float, step: float, shape: Shape, x: Array) -> Array:
+        """Return the change of a curve by a parameter, to one side where the other is no possible camera."""
+        sides = []
+        for at in (value + step, value - step, value):
+            with contextlib.suppress(InputError, ValueError):
+                sides.append((at, shape(with_numbers(self._camera, {path: at}), x)))
+        (a, upper), (b, lower) = sides[:2]
+        return (upper - lower) / (a - b)
 
 
 def _old(before: Camera | None, name: str, x: Array, shape: Shape, scale: float = 1e3) -> tuple[Curve, ...]:

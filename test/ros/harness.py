@@ -167,6 +167,7 @@ class World:
         self.domain = next_domain()
         self._folder = folder
         self._processes: list[Process] = []
+        self._clients: dict[str, AsyncParameterClient] = {}
         self.environment = os.environ | {
             "ROS_DOMAIN_ID": str(self.domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -330,7 +331,10 @@ class World:
         return Diagnosed(self.collect(DiagnosticArray, "/diagnostics"))
 
     def _client(self, node: str) -> AsyncParameterClient:
-        client = AsyncParameterClient(self.node, f"{self.namespace}/{node}")
+        # one for each node: a node remembers every client that it has ever met, and each has six services
+        client = self._clients.get(node)
+        if client is None:
+            client = self._clients[node] = AsyncParameterClient(self.node, f"{self.namespace}/{node}")
         assert self.until(client.services_are_ready), f"no node {node}\n{self.output()}"
         return client
 

@@ -10,11 +10,17 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
+pytest.importorskip("sklearn", reason="scikit-learn is an optional extra, for the people node")
 
 import yaml
 from sensor_msgs.msg import CameraInfo, Image
 
-from rim_camera_ros.nodes import calibration_parameters, correction_parameters, driver_parameters
+from rim_camera_ros.nodes import (
+    calibration_parameters,
+    correction_parameters,
+    driver_parameters,
+    people_parameters,
+)
 from rim_camera_ros.nodes.transforms import mount, optical_rotation
 from test.ros.harness import BEST_EFFORT, World
 
@@ -27,6 +33,7 @@ _SPECS = {
     "driver": driver_parameters.SPECS,
     "correction": correction_parameters.SPECS,
     "calibration": calibration_parameters.SPECS,
+    "people": people_parameters.SPECS,
 }
 _EVERY_TOPIC = ("/rosout", "/parameter_events")
 _EVERY_SERVICE = (
@@ -51,7 +58,9 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Any:
         world.start("correction_node")
         diagnostics = world.diagnostics()
         world.start("calibration_node")
-        assert world.until(lambda: diagnostics.of("/camera/calibration: work")), world.output()
+        world.start("people_node")
+        for name in ("/camera/calibration: work", "/camera/people: people"):
+            assert world.until(lambda name=name: diagnostics.of(name)), world.output()
         images = world.collect(Image, "distance/image", BEST_EFFORT)
         assert world.until(lambda: len(images) > 2), world.output()
         yield world

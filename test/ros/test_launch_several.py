@@ -21,6 +21,7 @@ from test.test_launch_files import (
     ParameterValue,
     launch_stand_ins,  # noqa: F401 -- a fixture
 )
+from test.test_launch_files import launched as launched_one
 
 
 def launched(**arguments: str) -> list[Node]:
@@ -63,6 +64,27 @@ def test_each_camera_has_its_namespace_frame_and_file(tmp_path: Path) -> None:
 def test_wrong_arguments_are_refused(arguments: dict[str, str], problem: str) -> None:
     with pytest.raises(ValueError, match=problem):
         launched(**arguments)
+
+
+@pytest.mark.usefixtures("launch_stand_ins")
+def test_one_camera_with_the_nodes_that_follow_people_and_calibrate() -> None:
+    nodes = launched_one(
+        namespace="front",
+        correction_camera="mine.yaml",
+        people="true",
+        people_parameters="people.yaml",
+        calibration="true",
+        calibration_parameters="calibration.yaml",
+        calibration_scene="board_by_hand_experiment",
+    )
+    assert set(nodes) == {"driver_node", "correction_node", "people_node", "calibration_node"}
+    assert {node.namespace for node in nodes.values()} == {"front"}
+    assert nodes["people_node"].parameters == ["people.yaml"]
+    given = {
+        "camera": ParameterValue("mine.yaml", str),
+        "scene": ParameterValue("board_by_hand_experiment", str),
+    }
+    assert nodes["calibration_node"].parameters == ["calibration.yaml", given]
 
 
 def test_two_chains_side_by_side(world: World) -> None:

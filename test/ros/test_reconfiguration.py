@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from pathlib import Path
 from typing import Any
 
@@ -61,10 +62,13 @@ def test_another_camera_file_without_losing_a_frame(world: World, tmp_path: Path
     # at a rate that a busy machine holds: frames must not be lost for the change (the soak goes to 50 Hz)
     world.start("driver_node", scene="wall", frame_rate=20.0, wait_for_subscribers=1, **LOSSLESS_DRIVER)
     assert world.until(lambda: len(points) > 10), world.output()
+    held: list[tuple[str, int, int]] = []  # file, and the time from the answer to the next change
     for file in files * 4:
         assert world.set("correction", camera=file) == ""
+        answered = time.time_ns()
         count = len(points)
         assert world.until(lambda count=count: len(points) > count + 5), world.output()
+        held.append((file, answered, time.time_ns()))
     # by service: the file of the parameter, which has become another one
     (tmp_path / "plain.yaml").write_text((tmp_path / "shifted.yaml").read_text())
     assert world.call(Trigger, "correction/load_camera").success
@@ -79,6 +83,12 @@ def test_another_camera_file_without_losing_a_frame(world: World, tmp_path: Path
     assert np.ptp(levels) == pytest.approx(0.5, abs=0.03)
     jumps = np.abs(np.diff(levels)) > 0.25
     assert jumps.sum() == 9  # each change is between two frames: no frame with half of one
+    # what was stamped after the answer was corrected by the new file, before any other change
+    for file, answered, until in held:
+        expected = levels.min() if file == files[0] else levels.max()
+        while_held = [i for i, one in enumerate(points) if answered < stamp_of(one) < until]
+        assert len(while_held) >= 3
+        assert np.abs(levels[while_held] - expected).max() < 0.03
     assert ((np.abs(levels - levels.max()) < 0.03) | (np.abs(levels - levels.min()) < 0.03)).all()
 
 

@@ -23,6 +23,8 @@ def rows(duration: float) -> dict[str, Callable[[Path], Any]]:
         "readers": lambda folder: faults.readers(folder, seconds=max(3.0, 3 * share)),
         "clock_jumps": lambda folder: faults.clock_jumps(folder),
         "full_disk": lambda folder: faults.full_disk(folder),
+        # ten times as fast as recorded
+        "playback": lambda folder: faults.playback(folder, minutes=max(1.0, min(30.0, share * 10 / 6))),
         "damaged_files": lambda folder: mutations.run(
             folder, count=max(150, min(10_000, int(20 * share * 25)))
         ),

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import psutil
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from sensor_msgs.msg import Image, Temperature
+from sensor_msgs.msg import Image, PointCloud2, Temperature
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -24,7 +24,16 @@ from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.files import find_camera
 from test.devices.conftest import SOURCE
 from test.devices.standin import CONTROL_VARIABLE, Control
-from test.ros.harness import BEST_EFFORT, RELIABLE, Process, World
+from test.helpers_bags import STEP, exposure, stamp_at, write_bag
+from test.ros.harness import (
+    BEST_EFFORT,
+    LOSSLESS_CORRECTION,
+    LOSSLESS_DRIVER,
+    RELIABLE,
+    Process,
+    World,
+    stamp_of,
+)
 from test.soak.watch import Listener, descriptors, resident
 
 Figures = dict[str, Any]
@@ -43,12 +52,14 @@ def stand_in(folder: Path) -> str:
 def kills(folder: Path, *, count: int, seed: int = 1) -> Figures:
     """Kill driver, correction or acquisition process at random; a killed node is started anew at once.
 
-    ``back_s``: from then until points come (of a frame that was taken after it). ``stale``: clouds that came
-    after it of frames older than 0.5 s before it. ``wrong``: clouds that are not those of their raw frame.
+    ``back_s``: from then until points come (of a frame that was taken after it); ``up_s``: until the node
+    says that it works, what follows is the middleware's. ``stale``: clouds that came after it of frames older
+    than 0.5 s before it. ``wrong``: clouds that are not those of their raw frame.
     """
     rng = random.Random(seed)
     library = stand_in(folder)
-    figures: Figures = {"kills": 0, "back_s": [], "stale": 0, "backwards": 0, "paired": 0, "wrong": 0}
+    figures: Figures = {"kills": 0, "back_s": [], "up_s": []}
+    figures |= {"stale": 0, "backwards": 0, "paired": 0, "wrong": 0}
     with World(folder) as world:
         parameters: dict[str, Any] = {"frame_rate": 25.0}
         if library:
@@ -85,6 +96,10 @@ def kills(folder: Path, *, count: int, seed: int = 1) -> Figures:
             def back(begun: float = begun, newest: int = newest) -> bool:
                 return max(listener.points) > max(newest, int(begun * 1e9))
 
+            if victim != "acquisition":
+                working = {"driver": "publishing ", "correction": "correcting "}[victim]
+                assert world.until(lambda: working in nodes[victim].text), nodes[victim].text  # noqa: B023
+                figures["up_s"].append((victim, time.time() - begun))
             assert world.until(back), f"{victim} did not come back\n{world.output()[-3000:]}"
             figures["back_s"].append((victim, time.time() - begun))
             figures["stale"] += sum(
@@ -94,9 +109,23 @@ def kills(folder: Path, *, count: int, seed: int = 1) -> Figures:
             paired, wrong = listener.wrong_pairs()
             figures["paired"] += paired
             figures["wrong"] += wrong
+        figures["summary_s"] = {
+            f"{victim} {what}": summary([s for one, s in figures[what] if one == victim])
+            for what in ("back_s", "up_s")
+            for victim in ("driver", "correction", "acquisition")
+        }
+        figures["load"] = os.getloadavg()
         figures["backwards"] = listener.backwards
         figures["tracebacks"] = world.output().count("Traceback")
     return figures
+
+
+def summary(values: list[float]) -> dict[str, float]:
+    """Return number, median, 99th percentile and greatest of some values."""
+    if not values:
+        return {"count": 0}
+    median, p99 = np.percentile(values, (50, 99))
+    return {"count": len(values), "median": float(median), "p99": float(p99), "worst": max(values)}
 
 
 class Sender:
@@ -272,6 +301,7 @@ def reconfiguration(folder: Path, *, seconds: float, rate: float = 50.0, seed: i
         before = [said.values(one) for one in names]
         count = listener.points_count
         memory = []
+        opened = [descriptors(driver.pid), descriptors(correction.pid)]
         changes = refused = 0
         begun = time.monotonic()
         while time.monotonic() - begun < seconds:
@@ -303,7 +333,6 @@ def reconfiguration(folder: Path, *, seconds: float, rate: float = 50.0, seed: i
         ]
         late = np.array([one for _, one in listener.latency]) * 1e3
         quarters = np.array_split(late, 4)
-        third = max(len(memory) // 4, 1)
         return {
             "seconds": elapsed,
             "changes": changes,
@@ -313,15 +342,71 @@ def reconfiguration(folder: Path, *, seconds: float, rate: float = 50.0, seed: i
             "seen": listener.points_count - count,
             "median_ms": [float(np.median(one)) for one in quarters],
             "p99_ms": [float(np.percentile(one, 99)) for one in quarters],
+            "worst_ms": [float(one.max()) for one in quarters],
             "memory_mb": {
-                name: [
-                    float(np.mean([one[i] for one in part]))
-                    for part in (memory[third : 2 * third], memory[-third:])
-                ]
+                name: [float(np.mean(part)) for part in np.array_split(np.array(memory)[:, i], 4)]
+                for i, name in enumerate(("driver", "correction"))
+            },
+            "descriptors": [opened, [descriptors(driver.pid), descriptors(correction.pid)]],
+            "load": os.getloadavg(),
+            "tracebacks": world.output().count("Traceback"),
+        }
+
+
+def playback(folder: Path, *, minutes: float, rate: float = 10.0) -> Figures:
+    """Play so many minutes of a recording at 5 Hz back, ``rate`` times faster, with simulated time.
+
+    ``missing``: recorded frames, from the first that came, without a cloud of their stamp; ``others``: clouds
+    of a stamp that was not recorded. Memory by quarters of the time.
+    """
+    every = 5  # steps of helpers_bags: 0.2 s
+    count = int(minutes * 60e9 / (every * STEP))
+    bag = write_bag(folder / "day", (one for i in range(count) for one in exposure(every * i, (144, 176))))
+    recorded = [stamp_at(every * i) for i in range(count)]
+    stamps: list[int] = []
+    with World(folder) as world:
+        correction = world.start("correction_node", use_sim_time=True, **LOSSLESS_CORRECTION)
+        world.node.create_subscription(
+            PointCloud2, f"{world.namespace}/points", lambda one: stamps.append(stamp_of(one)), RELIABLE
+        )
+        assert world.until(lambda: world.node.count_publishers(f"{world.namespace}/points") == 1)
+        world.until(lambda: False, 1.0)
+        driver = world.start(
+            "driver_node",
+            use_sim_time=True,
+            source="playback",
+            recording=str(bag),
+            playback_rate=rate,
+            loop=False,
+            stamps="recorded",
+            publish_clock=True,
+            wait_for_subscribers=1,
+            **LOSSLESS_DRIVER,
+        )
+        assert world.until(lambda: stamps), world.output()
+        begun = time.monotonic()
+        memory = []
+        while "is at its end" not in driver.text:
+            world.until(lambda: False, 1.0)
+            memory.append((resident(driver.pid), resident(correction.pid)))
+            assert time.monotonic() - begun < 120 * minutes / rate + 60, world.output()[-3000:]
+        took = time.monotonic() - begun
+        world.until(lambda: stamps[-1] == recorded[-1], 5.0)
+        return {
+            "frames": count,
+            "seconds": took,
+            "clouds": len(stamps),
+            "missing": len(set(recorded[recorded.index(stamps[0]) :]) - set(stamps)),
+            "others": len(set(stamps) - set(recorded)),
+            "before_first": recorded.index(stamps[0]),
+            "in_order": stamps == sorted(stamps),
+            "memory_mb": {
+                name: [float(np.mean(part)) for part in np.array_split(np.array(memory)[:, i], 4)]
                 for i, name in enumerate(("driver", "correction"))
             },
             "descriptors": [descriptors(driver.pid), descriptors(correction.pid)],
             "tracebacks": world.output().count("Traceback"),
+            "load": os.getloadavg(),
         }
 
 
@@ -427,4 +512,13 @@ def full_disk(folder: Path) -> Figures:
     return figures
 
 
-__all__ = ["BEST_EFFORT", "clock_jumps", "full_disk", "hostile", "kills", "readers", "reconfiguration"]
+__all__ = [
+    "BEST_EFFORT",
+    "clock_jumps",
+    "full_disk",
+    "hostile",
+    "kills",
+    "playback",
+    "readers",
+    "reconfiguration",
+]

@@ -50,9 +50,25 @@ def test_reconfiguration_every_second(tmp_path: Path, seconds: float) -> None:
     assert found["driver"]["not_published"] == 0
     # frames are counted at two moments of the same second
     assert abs(correction["frames"] - found["driver"]["frames"]) <= 60
-    for early, late in found["memory_mb"].values():
+    for _, early, _, late in found["memory_mb"].values():
         assert late < early + 20.0
-    assert all(count < 100 for count in found["descriptors"])
+    before, after = found["descriptors"]
+    assert all(count < 100 for count in after)
+    assert after[0] <= before[0] + 2
+    assert after[1] <= before[1] + 2
+
+
+@pytest.mark.parametrize(
+    "minutes", [1.0, pytest.param(30.0, marks=[pytest.mark.slow, pytest.mark.timeout(900)])]
+)
+def test_playback_of_a_day(tmp_path: Path, minutes: float) -> None:
+    found = faults.playback(tmp_path, minutes=minutes)
+    assert found["frames"] == 300 * minutes
+    assert found["missing"] == found["others"] == found["tracebacks"] == 0
+    assert found["before_first"] < 5  # topics are found one by one
+    assert found["in_order"]
+    for _, early, _, late in found["memory_mb"].values():
+        assert late < early + 10.0
 
 
 def test_many_readers_and_one_that_never_reads(tmp_path: Path) -> None:

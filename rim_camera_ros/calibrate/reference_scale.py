@@ -1,0 +1,181 @@
+"""The internal reference path's scale and nominal reading from the drift that recordings show (eq. 4.5)."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.adjustment import after_nuisances
+from rim_camera_ros.calibrate.determined import EffectStatus
+from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.solution import Solution
+from rim_camera_ros.calibrate.stations import Station
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.effects.reference_path import (
+    ReferencePath,
+    ReferenceScale,
+    estimate_reference_scale,
+    mean_reading,
+)
+from rim_camera_ros.errors import InputError
+
+Array = NDArray[Any]
+
+NAME = ReferencePath.name
+PATHS = (f"effects.{NAME}.nominal", f"effects.{NAME}.scale")
+#: The terms that a reading of the reference replaces.
+DRIFTS = ("warm_up_drift", "ambient_temperature")
+#: Stations with a reading below which no scale is estimated.
+_FEWEST = 6
+#: Least 1-sigma [m] of a station's drift: noise is not all that differs between stations.
+_LEAST_SIGMA = 2e-5
+
+
+@dataclass(frozen=True)
+class ReferenceDrift:
+    """What the scene drifted and what the reference read, station by station (N,), in m.
+
+    ``fold`` (N,) of the station's pose; ``sigma`` of the drift, ``reading_sigma`` of the reading.
+    """
+
+    drift: Array
+    reading: Array
+    sigma: Array
+    reading_sigma: float
+    fold: Array
+
+    def scale(self, *, leave_out: int | None = None) -> ReferenceScale:
+        """Return scale and nominal from all stations, or from those of all folds but one.
+
+        Raises `InputError` where they do not tell the scale.
+        """
+        kept = np.ones(len(self.drift), bool) if leave_out is None else self.fold != leave_out
+        return estimate_reference_scale(
+            drift=self.drift[kept],
+            reading=self.reading[kept],
+            drift_sigma=self.sigma[kept],
+            reading_sigma=self.reading_sigma,
+        )
+
+
+@dataclass(frozen=True)
+class FittedReference:
+    """The fitted path, also without each fold of poses, and what is said of it.
+
+    ``effect`` None: the recordings do not tell it. ``covariance`` (2, 2) of `PATHS`.
+    """
+
+    status: EffectStatus
+    effect: ReferencePath | None = None
+    folds: Mapping[int, ReferencePath] = field(default_factory=dict)
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+
+def with_reference(camera: Camera, path: FittedReference | None, *, leave_out: int | None = None) -> Camera:
+    """Return the camera with the fitted path, by all stations or by those of all folds but one."""
+    if path is None or path.effect is None:
+        return camera
+    effect = path.effect if leave_out is None else path.folds.get(leave_out, path.effect)
+    return with_effects(camera, {**camera.effects, NAME: effect})
+
+
+def fit_reference(solution: Solution, *, asked: bool) -> FittedReference | None:
+    """Estimate the reference path after the joint fit, in whose drift terms and residuals the drift is.
+
+    The readings are those of the camera's reference pixels, else of the reference topic. ``asked``: the
+    path is to be fitted by name; else it is where the file has it or the topic was recorded. None where
+    nothing speaks of a reference. A reading is taken as it is, so that the scale holds the slope of the
+    reference's own cyclic error (eq. 4.5), as in the correction.
+    """
+    start = solution.fit.camera.effects.get(NAME)
+    assert start is None or isinstance(start, ReferencePath)
+    region = None if start is None else start.region()
+    readings = [_reading(one, region) for one in solution.fit.forward.dataset.stations]
+    told = sum(one is not None for one in readings)
+    if told == 0 and start is None and not asked:
+        return None
+    if told < _FEWEST:
+        source = "topic /reference" if region is None else "reference pixels"
+        text = f"{told} stations have a reading of the {source}, {_FEWEST} are needed"
+        return FittedReference(_untold(text, known=start is not None))
+    measured = _drifts(solution, readings)
+    try:
+        found = measured.scale()
+    except InputError as error:
+        return FittedReference(_untold(str(error), known=start is not None))
+    words = "fitted" if start is not None else "fitted; not in the file before"
+    start = ReferencePath(nominal=found.nominal) if start is None else start
+    folds = {}
+    for k in {int(one) for one in measured.fold}:
+        with contextlib.suppress(InputError):  # too little is left: that fold takes the path of all
+            part = measured.scale(leave_out=k)
+            folds[k] = replace(start, nominal=part.nominal, scale=part.scale)
+    status = EffectStatus(
+        NAME,
+        "fitted",
+        f"{words}: the scene drifts {found.scale:.3f} +- {found.scale_sigma:.2g} times as much as the "
+        f"reference; {found.rms * 1e3:.2g} mm RMS of the stations' drift is left",
+    )
+    effect = replace(start, nominal=found.nominal, scale=found.scale)
+    return FittedReference(status, effect, folds, np.diag([found.nominal_sigma**2, found.scale_sigma**2]))
+
+
+def _untold(text: str, *, known: bool) -> EffectStatus:
+    if known:
+        return EffectStatus(NAME, "kept", f"as in the file: {text}")
+    return EffectStatus(NAME, "undetermined", f"cannot be determined from these recordings: {text}")
+
+
+def _reading(station: Station, region: tuple[slice, slice] | None) -> float | None:
+    if region is None:
+        return station.settings.reference_distance
+    return mean_reading(station.distance[region])
+
+
+def _drifts(solution: Solution, readings: Sequence[float | None]) -> ReferenceDrift:
+    """Return drift and reading of the stations that have a reading and pixels that are used."""
+    fitted = solution.fit
+    forward = fitted.forward
+    without = Forward(
+        forward.dataset,
+        fitted.scene,
+        with_effects(
+            fitted.camera, {name: one for name, one in fitted.camera.effects.items() if name not in DRIFTS}
+        ),
+        views=forward.views,
+    )
+    without.amplitude_model, without.masks = forward.amplitude_model, forward.masks
+    without.shifts, without.light_curves = forward.shifts, forward.light_curves
+    rows = []
+    pairs = zip(forward.predictions(), without.predictions(), readings, strict=True)
+    for one, bare, reading in pairs:
+        used = one.used & bare.used
+        if reading is None or not used.any():
+            continue
+        rest, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
+        weight = 1.0 / one.sigma[used] ** 2
+        drift = np.average((rest + bare.residual - one.residual)[used], weights=weight)
+        sigma = max(float(weight.sum()) ** -0.5, _LEAST_SIGMA)
+        station = one.station
+        fold = solution.folds.get((station.recording, station.pose), 0)
+        rows.append((float(drift), reading, sigma, fold, station.recording))
+    table = np.array(rows, float).reshape(-1, 5)
+    return ReferenceDrift(
+        table[:, 0], table[:, 1], table[:, 2], _reading_sigma(table[:, 1], table[:, 4]), table[:, 3]
+    )
+
+
+def _reading_sigma(reading: Array, recording: Array) -> float:
+    """Return the 1-sigma of readings from how they depart from a line through their neighbours (robustly)."""
+    same = (recording[2:] == recording[:-2]) if len(reading) > 2 else np.zeros(0, bool)
+    second = np.diff(reading, 2)[same]
+    if not second.size:
+        return _LEAST_SIGMA
+    return max(1.4826 * float(np.median(np.abs(second))) / math.sqrt(6.0), _LEAST_SIGMA)

@@ -1,0 +1,53 @@
+"""Work in a thread of its own while the messages of a node go on being taken, in the middle of a callback."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import TypeVar
+
+from rclpy.subscription import Subscription
+
+_Result = TypeVar("_Result")
+
+#: Seconds between two looks for messages.
+_LOOK = 0.001
+
+
+class Aside:
+    """One thread for what takes longer than a frame may wait.
+
+    A callback of the node (a service that must not answer before something is made) calls `run`, and
+    meanwhile the callbacks of ``subscriptions`` are called as the executor would, in the same thread:
+    nothing of the node ever runs in two threads at once, except the work itself. ``idle`` is called where no
+    message waits.
+    """
+
+    def __init__(self, subscriptions: Callable[[], Iterable[Subscription]], idle: Callable[[], None]) -> None:
+        self._subscriptions = subscriptions
+        self._idle = idle
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="aside")
+
+    def run(self, work: Callable[[], _Result]) -> _Result:
+        """Return what the work returns, or raise what it raises."""
+        future = self._thread.submit(work)
+        while not future.done():
+            if not self._take_messages():
+                self._idle()
+                wait([future], _LOOK)
+        return future.result()
+
+    def close(self) -> None:
+        """Begin no more work."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
+
+    def _take_messages(self) -> bool:
+        """Take one message of each subscription; False where there was none."""
+        found = False
+        for one in list(self._subscriptions()):
+            with one.handle:
+                taken = one.handle.take_message(one.msg_type, one.raw)
+            if taken is not None:
+                found = True
+                one.callback(taken[0])
+        return found
