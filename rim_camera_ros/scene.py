@@ -234,13 +234,18 @@ class Geometry:
 
 
 def see(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> Geometry:
-    """Return what the rays (H, W, 3) from the origin meet: the nearest surface at positive length."""
+    """Return what the rays (H, W, 3) from the origin meet: the nearest surface at positive length.
+
+    Surfaces without a pose in ``poses`` are not there.
+    """
     shape = rays.shape[:2]
     directions = rays.reshape(-1, 3)
     origin = np.zeros(3)
     nearest = np.full(len(directions), np.inf)
     index = np.full(len(directions), -1, np.int16)
     for i, surface in enumerate(scene.surfaces):
+        if surface.name not in poses:
+            continue
         length = surface.lengths(poses[surface.name], origin, directions)
         closer = length < nearest
         nearest[closer] = length[closer]

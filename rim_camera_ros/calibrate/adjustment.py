@@ -56,7 +56,9 @@ _SHAPES_HELD = 2
 _HOLD = 1e9
 #: Times that a step of such a fit is halved where it makes things worse.
 _MOST_HALVED = 4
-#: Change of chi-square between two iterations below which the adjustment has converged.
+#: Step of a parameter in units of its sigma, and change of chi-square between two iterations (for that
+#: tolerance), below which the adjustment has converged.
+_TOLERANCE = 0.05
 _LEVEL = 0.5
 
 Progress = Callable[[str], None]
@@ -128,7 +130,7 @@ def fit(
     fold_of: Mapping[tuple[int, int], int] | None = None,
     further: Sequence[Block] = (),
     iterations: int = 8,
-    tolerance: float = 0.05,
+    tolerance: float = _TOLERANCE,
     views: Views | None = None,
     warm: Fit | None = None,
     progress: Progress | None = None,
@@ -271,7 +273,9 @@ def fit(
         converged = bool(np.all(np.abs(step) <= tolerance * sigma)) if owned else True
         converged &= not held or count >= _SHAPES_HELD
         # parameters that the data hardly tell apart wander along a valley whose floor is level
-        converged |= count >= min(settled, _SETTLED) and abs(previous - here) < _LEVEL
+        converged |= (
+            count >= min(settled, _SETTLED) and abs(previous - here) < _LEVEL * (tolerance / _TOLERANCE) ** 2
+        )
         previous = here
         try:
             camera, offsets = stepped(start, offsets, changes, lows, highs, numbers)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.bags import Recording, Topics
+from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.held_out import wrapped
 from rim_camera_ros.calibrate.stations import Dataset, check_frame
 from rim_camera_ros.camera import Camera
@@ -106,6 +107,21 @@ def agree(recordings: Sequence[RecordingFacts]) -> list[str]:
     return notes
 
 
+def scenes_of(recordings: Sequence[RecordingFacts], given: Scene | Sequence[Scene] | None) -> list[Scene]:
+    """Return the scene of each recording: the one of all, or theirs in order. Raises as `require_scene`."""
+    if given is None or isinstance(given, Scene):
+        return [require_scene(recordings, given)] * len(recordings)
+    if len(given) == 1:
+        return [require_scene(recordings, given[0])] * len(recordings)
+    if len(given) != len(recordings):
+        raise InputError(
+            f"{len(given)} scenes for {len(recordings)} recordings",
+            place="--scene",
+            remedy="give one scene for all recordings, or one for each in their order",
+        )
+    return [require_scene([one], scene) for one, scene in zip(recordings, given, strict=True)]
+
+
 def require_scene(recordings: Sequence[RecordingFacts], scene: Scene | None) -> Scene:
     """Return the scene. Raises `InputError` where there is none, or a recording lacks a pose it needs."""
     if scene is None:
@@ -155,8 +171,9 @@ def with_known_poses(dataset: Dataset, scene: Scene) -> Dataset:
 def with_plausible_poses(dataset: Dataset, scene: Scene, camera: Camera, tick: Callable[[], None]) -> Dataset:
     """Return the stations whose distances agree with the scene within a few decimetres, and say which do not.
 
-    Poses are compared with the median of all of their setting, and with a line over one by the amplitude, so
-    that an unknown offset of the camera does not count, nor one that grows as the light goes.
+    Poses are compared with the median of all of their setting, with a line over one by the amplitude, and
+    with what the camera file predicts, so that an unknown offset of the camera does not count, nor one that
+    grows as the light goes, nor stray light that the file knows.
     ``tick`` is called for each station. Raises `InputError` for a scene that describes another
     recording, naming the poses that are off, and how far.
     """
@@ -180,6 +197,11 @@ def with_plausible_poses(dataset: Dataset, scene: Scene, camera: Camera, tick: C
     far = np.abs(off) > FAR_POSE
     if far.any():
         off = _beside_amplitudes(setting, value, np.array([one[3] for one in found]), off)
+        far = np.abs(off) > FAR_POSE
+    if far.any():
+        predicted = _beside_predictions(dataset, scene, camera, tick)
+        rest = np.array([predicted.get((one[0], one[4]), 0.0) for one in found])
+        off = np.where(np.abs(rest) < np.abs(off), rest, off)
         far = np.abs(off) > FAR_POSE
     if not far.any():
         return dataset
@@ -225,6 +247,26 @@ def _beside_amplitudes(setting: Array, value: Array, amplitude: Array, off: Arra
         rest = value[mine] - line.intercept - line.slope / amplitude[mine]
         result[mine] = np.where(np.abs(rest) < np.abs(off[mine]), rest, off[mine])
     return result
+
+
+def _beside_predictions(
+    dataset: Dataset, scene: Scene, camera: Camera, tick: Callable[[], None]
+) -> dict[tuple[int, str], float]:
+    """Return the median residual [m] of each station and surface by the camera file, beside that of all.
+
+    Surfaces that are too dark to be judged are not among them.
+    """
+    forward = Forward(dataset, scene, camera)
+    forward.estimate_amplitudes()
+    result = {}
+    for number, one in enumerate(forward.predictions(slopes=False)):
+        tick()
+        for i, surface in enumerate(scene.surfaces):
+            mine = one.used & (one.view.geometry.surface == i)
+            if mine.sum() >= LEAST_PIXELS:
+                result[number, surface.name] = float(np.median(one.residual[mine]))
+    centre = float(np.median(list(result.values()))) if result else 0.0
+    return {key: value - centre for key, value in result.items()}
 
 
 def _medians(

@@ -28,13 +28,14 @@ Array = NDArray[Any]
 #: Number of pixels from which a coarser grid is looked at, and how many it has at most.
 MANY_PIXELS = 60_000
 _COARSE_PIXELS = 30_000
-_BY_POSITION = ("integral_table", "empirical", "reference_path")
+#: Effects stated for pixels of the full grid.
+BY_POSITION = ("integral_table", "empirical", "reference_path")
 
 
 def coarseness(camera: Camera) -> int:
     """Return the step of the coarser grid in pixels, 1 where all pixels are looked at."""
     pixels = camera.sensor.width * camera.sensor.height
-    if pixels <= MANY_PIXELS or any(name in camera.effects for name in _BY_POSITION):
+    if pixels <= MANY_PIXELS or any(name in camera.effects for name in BY_POSITION):
         return 1
     return int(np.ceil(np.sqrt(pixels / _COARSE_PIXELS)))
 

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.blocks import Regressor, gain_block, present_blocks
-from rim_camera_ros.calibrate.coarser import coarser_camera
+from rim_camera_ros.calibrate.coarser import BY_POSITION, coarser_camera
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import Candidate, Facts, candidates
 from rim_camera_ros.calibrate.normal_equations import accumulate
 from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.devices.timeline import Timeline
 from rim_camera_ros.frame import NANOSECONDS
 from rim_camera_ros.scene import Scene
@@ -65,6 +66,8 @@ def plan(
     Errors of poses and powers and an offset per pixel are unknown in every experiment.
     """
     step = max(1, round(camera.sensor.width / _COLUMNS))
+    physics = {name: one for name, one in camera.effects.items() if name not in BY_POSITION}
+    camera = with_effects(camera, physics)
     small = coarser_camera(camera, step) if step > 1 else camera
     built = {name: _dataset(scene, small) for name, scene in scenes.items()}
     regressors, experiments = _equations(small, scenes, built, progress)

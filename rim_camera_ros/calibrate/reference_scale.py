@@ -34,6 +34,8 @@ PATHS = (f"effects.{NAME}.nominal", f"effects.{NAME}.scale")
 DRIFTS = ("warm_up_drift", "ambient_temperature")
 #: Stations with a reading below which no scale is estimated.
 _FEWEST = 6
+#: Spread of the readings in units of their noise below which they do not move.
+_LEAST_SPREAD = 2.0
 #: Least 1-sigma [m] of a station's drift: noise is not all that differs between stations.
 _LEAST_SIGMA = 2e-5
 
@@ -56,6 +58,13 @@ class ReferenceDrift:
 
         Raises `InputError` where they do not tell the scale.
         """
+        spread = float(np.std(self.reading))
+        if spread < _LEAST_SPREAD * self.reading_sigma:
+            raise InputError(
+                f"the reference moves by {spread * 1e3:.2g} mm RMS, hardly more than its noise "
+                f"({self.reading_sigma * 1e3:.2g} mm)",
+                remedy="record a fixed scene from power-on, or through a change of temperature",
+            )
         kept = np.ones(len(self.drift), bool) if leave_out is None else self.fold != leave_out
         return estimate_reference_scale(
             drift=self.drift[kept],
@@ -166,16 +175,16 @@ def _drifts(solution: Solution, readings: Sequence[float | None]) -> ReferenceDr
         station = one.station
         fold = solution.folds.get((station.recording, station.pose), 0)
         rows.append((float(drift), reading, sigma, fold, station.recording))
-    table = np.array(rows, float).reshape(-1, 5)
-    return ReferenceDrift(
-        table[:, 0], table[:, 1], table[:, 2], _reading_sigma(table[:, 1], table[:, 4]), table[:, 3]
-    )
+    table: Array = np.array(rows, float).reshape(-1, 5)
+    mean, read, recording = table[:, 0], table[:, 1], table[:, 4]
+    spread = np.hypot(table[:, 2], _scatter(mean, recording))
+    return ReferenceDrift(mean, read, spread, _scatter(read, recording), table[:, 3])
 
 
-def _reading_sigma(reading: Array, recording: Array) -> float:
-    """Return the 1-sigma of readings from how they depart from a line through their neighbours (robustly)."""
-    same = (recording[2:] == recording[:-2]) if len(reading) > 2 else np.zeros(0, bool)
-    second = np.diff(reading, 2)[same]
+def _scatter(values: Array, recording: Array) -> float:
+    """Return the 1-sigma of values [m] by how they depart from a line through their neighbours (robustly)."""
+    same = (recording[2:] == recording[:-2]) if len(values) > 2 else np.zeros(0, bool)
+    second = np.diff(values, 2)[same]
     if not second.size:
         return _LEAST_SIGMA
     return max(1.4826 * float(np.median(np.abs(second))) / math.sqrt(6.0), _LEAST_SIGMA)

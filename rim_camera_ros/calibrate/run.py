@@ -27,6 +27,7 @@ from rim_camera_ros.calibrate.pose_errors import settled_poses, wider_poses_note
 from rim_camera_ros.calibrate.provenance import Source, checksum, provenance
 from rim_camera_ros.calibrate.reference_scale import NAME as REFERENCE
 from rim_camera_ros.calibrate.reference_scale import PATHS, FittedReference, fit_reference, with_reference
+from rim_camera_ros.calibrate.several_scenes import joined
 from rim_camera_ros.calibrate.solution import Solution, high_correlations, stated
 from rim_camera_ros.calibrate.stations import Dataset, merged, reduce_recording
 from rim_camera_ros.calibrate.validity import supported
@@ -57,7 +58,8 @@ class Cancelled(RimError):
 class Request:
     """What is to be calibrated.
 
-    ``recordings`` of one camera, ``camera`` its file so far, ``scene`` what it saw. ``effects`` None: those
+    ``recordings`` of one camera, ``camera`` its file so far, ``scene`` what it saw: one scene for all
+    recordings, or one for each in their order. ``effects`` None: those
     of the camera file and those that the recordings ask for; else exactly those (``empirical:COVARIATE``
     for a
     smooth function of it; ``integral_table`` alone for a table by position). ``geometry`` estimates the
@@ -66,7 +68,7 @@ class Request:
 
     recordings: tuple[Path, ...]
     camera: Camera
-    scene: Scene | None
+    scene: Scene | tuple[Scene, ...] | None
     effects: tuple[str, ...] | None = None
     geometry: bool = False
     topics: Topics | None = None
@@ -136,13 +138,15 @@ def calibrate(
         raise InputError("no recording is given", remedy="give one recording or more")
     recordings = [checks.examine(path, camera, request.topics) for path in request.recordings]
     notes = checks.agree(recordings)
-    scene = checks.require_scene(recordings, request.scene)
+    scenes = checks.scenes_of(recordings, request.scene)
     total = sum(one.frames for one in recordings)
     reduce_all = reducer if reducer is not None else watch.reducer(total)
-    dataset = merged(reduce_all(request.recordings, camera, request.topics))
+    datasets = reduce_all(request.recordings, camera, request.topics)
+    datasets = [checks.with_known_poses(one, scene) for one, scene in zip(datasets, scenes, strict=True)]
+    scene, datasets = joined(scenes, datasets)
+    dataset = merged(datasets)
     notes += dataset.notes
     dataset = replace(dataset, notes=[])
-    dataset = checks.with_known_poses(dataset, scene)
     dataset = checks.with_plausible_poses(dataset, scene, camera, watch.ticking("poses"))
     checks.require_variety(dataset, scene, camera, request.effects)
     notes += dataset.notes
@@ -153,7 +157,12 @@ def calibrate(
         notes += _noise_notes(noise)
     else:
         notes.append("noise as in the camera file: there are too few repeated frames to fit it")
-    facts = Facts.of(dataset, moves=scene.camera_motion.moves, surfaces=len(scene.surfaces), camera=camera)
+    facts = Facts.of(
+        dataset,
+        moves=scene.camera_motion.moves,
+        surfaces=max(len(one.surfaces) for one in scenes),
+        camera=camera,
+    )
     problem = Problem(
         dataset,
         scene,

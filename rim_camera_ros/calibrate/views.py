@@ -74,7 +74,7 @@ class Views:
     def view(self, station: Station) -> View:
         """Return what a station's pixels see. Raises `InputError` for a missing pose."""
         poses = self.scene.poses_for(station.truth)
-        key = tuple(poses[one.name] for one in self.scene.surfaces)
+        key = tuple(poses.get(one.name) for one in self.scene.surfaces)
         found = self._kept.get(key)
         if found is None:
             geometry = see(self.scene, poses, self.camera.rays)
@@ -88,11 +88,12 @@ class Views:
     def _clean(self, geometry: Geometry, poses: Mapping[str, Pose]) -> NDArray[np.bool_]:
         clean = geometry.hit.copy()
         surfaces = self.scene.surfaces
-        uncertain = len(surfaces) > 1 or surfaces[0].type != "plane"
+        there = [one for one in surfaces if one.name in poses]
+        uncertain = len(there) > 1 or there[0].type != "plane"
         if uncertain:
             for rays in self._around[OUTLINE_MARGIN]:
                 clean &= see(self.scene, poses, rays).surface == geometry.surface
-        textured = [i for i, one in enumerate(surfaces) if one.texture is not None]
+        textured = [i for i, one in enumerate(surfaces) if one.texture is not None and one in there]
         for i in textured:
             texture = surfaces[i].texture
             assert texture is not None

@@ -31,7 +31,7 @@ from rim_camera_ros.reports.calibration_text import calibration_text
 
 _EXAMPLES = """
 rim calibrate board_bag --camera sr3000 --scene board.yaml --out calibrated.yaml
-rim calibrate board_bag wall_bag cold_bag --camera sr3000 --scene room.yaml --out calibrated.yaml
+rim calibrate board_bag cold_bag --scene board.yaml --scene wall.yaml --camera sr3000 --out calibrated.yaml
 rim calibrate bag --camera a.yaml --scene s.yaml --out b.yaml --effects cyclic_error,amplitude_offset
 rim calibrate bag --camera a.yaml --scene s.yaml --out b.yaml --effects distance_scale,empirical:amplitude
 rim calibrate bag --camera a.yaml --scene s.yaml --out a.yaml --force    # replace the file that is read
@@ -52,7 +52,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("bags", metavar="BAG", type=Path, nargs="+", help="recordings of one camera")
     parser.add_argument("--camera", required=True, help="camera file to start from, or a shipped one's name")
-    parser.add_argument("--scene", help="scene file of the recordings, or the name of a shipped one")
+    parser.add_argument(
+        "--scene",
+        action="append",
+        help="scene file of the recordings, or the name of a shipped one; given several times: the scene of "
+        "each recording, in their order",
+    )
     parser.add_argument("--out", required=True, type=Path, metavar="CAMERA2", help="camera file to write")
     parser.add_argument(
         "--effects",
@@ -114,8 +119,8 @@ def _checked(given: argparse.Namespace) -> tuple[Request, Path | None]:
     source = find_camera(given.camera)
     check_file(given.out, force=given.force)
     same = given.out.exists() and given.out.resolve() == source.resolve()
-    scene = None if given.scene is None else find_scene(given.scene)
-    inputs: list[str | Path | None] = [*given.bags, scene, *([] if same else [source])]
+    scenes = [find_scene(one) for one in given.scene or ()]
+    inputs: list[str | Path | None] = [*given.bags, *dict.fromkeys(scenes), *([] if same else [source])]
     report = None if given.no_report else given.out.with_name(f"{given.out.stem}.report.html")
     check_outputs({"--out": given.out, "the report": report}, inputs)
     check_file(report, force=given.force)
@@ -134,13 +139,13 @@ def _checked(given: argparse.Namespace) -> tuple[Request, Path | None]:
     request = Request(
         recordings=tuple(given.bags),
         camera=camera_of(given.camera),
-        scene=None if given.scene is None else scene_of(given.scene),
+        scene=tuple(scene_of(one) for one in given.scene) if given.scene else None,
         effects=effects,
         geometry=given.geometry,
         topics=topics_of(given),
         seed=given.seed,
         camera_name=given.camera,
-        scene_name=given.scene,
+        scene_name=", ".join(given.scene) if given.scene else None,
         command=shlex.join(["rim", *_command_line(given)]),
     )
     return request, report

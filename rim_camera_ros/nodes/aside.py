@@ -45,7 +45,7 @@ class Aside:
         """Take one message of each subscription; False where there was none."""
         found = False
         for one in list(self._subscriptions()):
-            with one.handle:
+            with one.handle:  # as rclpy's executor takes them
                 taken = one.handle.take_message(one.msg_type, one.raw)
             if taken is not None:
                 found = True

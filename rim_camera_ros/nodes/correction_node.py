@@ -71,7 +71,6 @@ class CorrectionNode:
         self._frame_id = ""
         self._last: RawFrame | None = None
         self._seen: dict[float | None, Settings] = {}
-        self._read: Camera | None = None
         self._noted: set[str] = set()
         self._left_out: dict[str, int] = {}
         self._to: dict[str, Publisher] = {}
@@ -289,7 +288,6 @@ class CorrectionNode:
 
     def _effects_of_file(self, values: Values, changed: Values) -> Values:
         """Return which effects are on with another camera file: all of its own that were not switched off."""
-        self._read = None
         if "camera" not in changed:
             return {}
         try:
@@ -297,7 +295,6 @@ class CorrectionNode:
             camera = self._aside.run(lambda: load_camera(find_camera(values["camera"])))
         except RimError:
             return {}  # the check says it
-        self._read = camera
         off = {name for name in self._camera.effects if not self._parameters.values[EFFECT + name]}
         return {EFFECT + name: name in camera.effects and name not in off for name in registry()}
 
@@ -312,11 +309,10 @@ class CorrectionNode:
         anew = "camera" in changed
         if anew:
             self._folders.check(values["camera"], kind="calibration", place="camera")
-        known, self._read = self._read if anew else self._camera, None
-        last, seen = self._last, list(self._seen.values())
+        used, last, seen = self._camera, self._last, list(self._seen.values())
 
         def build() -> tuple[Camera, Correction]:
-            camera = load_camera(find_camera(values["camera"])) if known is None else known
+            camera = load_camera(find_camera(values["camera"])) if anew else used
             correction = correction_of(camera, values)
             if last is not None and last.shape == camera.shape:
                 correction.correct(last)  # whether it can

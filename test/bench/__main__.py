@@ -23,7 +23,7 @@ from typing import Any
 import cv2
 
 from rim_camera_ros.pipeline.correct import Correction
-from test.bench import cases
+from test.bench import cases, joint
 from test.bench.rows import Row, all_rows, parts_of_every_effect
 
 #: Rounds of A B, and least seconds of one A or B.
@@ -34,6 +34,8 @@ PARTS = 1.3
 #: Frames whose correction must not let the memory grow by more than this many MB.
 FRAMES = 10_000
 GROWTH = 5.0
+#: The joint adjustment against a general one: times faster, times less memory, farthest apart in sigma.
+FASTER, SMALLER, SAME = 20.0, 10.0, 0.01
 
 
 def repetitions(work: Callable[[], Any]) -> int:
@@ -101,6 +103,23 @@ def parts() -> bool:
     return ok
 
 
+def adjustment() -> bool:
+    """Compare the joint adjustment of a million samples with scipy's least squares: time, memory, result."""
+    given = joint.work()
+    (a, sigma), ours, ours_memory = joint.measured(lambda: joint.ours(given))
+    b, naive, naive_memory = joint.measured(lambda: joint.naive(given))
+    ratio, memories = naive / ours, naive_memory / ours_memory
+    same = float(abs((a - b) / sigma).max())
+    fast, small = ratio >= FASTER and same < SAME, memories >= SMALLER
+    work = f"adjustment, {given.samples / 1e6:.1f}e6 samples"
+    cells = (f"{naive * 1e3:.0f}", f"{ours * 1e3:.0f}", f"{ratio:.0f} x", f"{FASTER:.0f} x")
+    print(line(work, "", *cells, verdict(fast)))
+    cells = (f"{naive_memory:.0f} MB", f"{ours_memory:.1f} MB", f"{memories:.0f} x", f"{SMALLER:.0f} x")
+    print(line("  its memory", "", *cells, verdict(small)))
+    print(line("  farthest apart", "", "", "", f"{same:.4f} sigma", f"<= {SAME}", verdict(same < SAME)))
+    return fast and small
+
+
 def memory() -> bool:
     """Correct many frames and compare the memory before and after."""
     camera = cases.every_effect()
@@ -133,6 +152,7 @@ def main() -> int:
     results = [measured(row) for row in all_rows()]
     results.append(parts())
     results.append(memory())
+    results.append(adjustment())
     return 0 if all(results) else 1
 
 

@@ -1,0 +1,67 @@
+"""Recordings of different scenes in one adjustment: all surfaces in one, each recording with its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.frame import Pose
+from rim_camera_ros.scene import TRUTH, Scene, ScenePose, Surface
+
+
+class JoinedScene(Scene):
+    """The surfaces of several scenes. A surface without a known pose is not there."""
+
+    def poses_for(self, truth: Mapping[str, Pose]) -> dict[str, Pose]:
+        """Return the poses of those surfaces that the recording sees."""
+        return {name: truth[name] for name in self.needs_truth if name in truth}
+
+
+def joined(scenes: Sequence[Scene], datasets: Sequence[Dataset]) -> tuple[Scene, list[Dataset]]:
+    """Return one scene for recordings of one scene each, and the recordings with poses of its surfaces.
+
+    A surface that several scenes describe alike is one; a name that means another surface in another scene
+    gets the scene's number: ``wall (2)``. Raises `InputError` where scenes differ in the camera's motion, or
+    one estimates a pose (``free``).
+    """
+    first = scenes[0]
+    if all(one == first for one in scenes):
+        return first, list(datasets)
+    surfaces: dict[str, Surface] = {}
+    numbers = {id(one): k for k, one in reversed(list(enumerate(scenes, 1)))}
+    placed = []
+    for scene, dataset in zip(scenes, datasets, strict=True):
+        _require_joinable(scene, first)
+        names = {}
+        for surface in scene.surfaces:
+            there = replace(surface, pose=TRUTH)
+            name = surface.name
+            if name in surfaces and surfaces[name] != there:
+                name = f"{name} ({numbers[id(scene)]})"
+                there = replace(there, name=name)
+            surfaces[name] = there
+            names[surface.name] = name
+        stations = [
+            replace(one, truth={names[k]: pose for k, pose in scene.poses_for(one.truth).items()})
+            for one in dataset.stations
+        ]
+        placed.append(replace(dataset, stations=stations))
+    return JoinedScene(tuple(surfaces.values()), camera_motion=first.camera_motion), placed
+
+
+def _require_joinable(scene: Scene, first: Scene) -> None:
+    if scene.camera_motion != first.camera_motion:
+        raise InputError(
+            "the scenes state different motions of the camera",
+            place="camera_motion",
+            remedy="calibrate motion from recordings of one scene",
+        )
+    free = [one.name for one in scene.surfaces if isinstance(one.pose, ScenePose) and one.pose.free]
+    if free:
+        raise InputError(
+            f"the pose of '{free[0]}' is to be estimated, which takes one scene for all recordings",
+            place="free",
+            remedy="calibrate that recording alone, or state the pose",
+        )
