@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate.cluster import reduce_on_cluster
-from rim_camera_ros.calibrate.stations import reduce_recording
+from rim_camera_ros.calibrate.stations import Dataset, reduce_recording
+from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.cli import main
 from rim_camera_ros.errors import InputError
@@ -53,6 +57,35 @@ def test_two_workers_reduce_as_one_machine_does(bags: tuple[Path, list[Path]]) -
             assert np.array_equal(one.distance, other.distance, equal_nan=True)
             assert np.array_equal(one.amplitude, other.amplitude)
             assert one.recording == number
+
+
+def reduced_by_a_worker_that_dies_once(path: Path, camera: Camera, **further: Any) -> Dataset:
+    """Reduce a recording; the first worker that begins the second one is killed."""
+    marker = path.with_name("a_worker_was_lost")
+    if path.name == "bag1" and not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return reduce_recording(path, camera, **further)
+
+
+def test_a_lost_worker_costs_time_and_nothing_else(
+    bags: tuple[Path, list[Path]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is an optional extra")
+    monkeypatch.setattr(
+        "rim_camera_ros.calibrate.cluster.reduce_recording", reduced_by_a_worker_that_dies_once
+    )
+    camera = load_camera(bags[0])
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        parts = reduce_on_cluster(bags[1], camera, scheduler=cluster.scheduler_address)
+    assert (bags[1][0].parent / "a_worker_was_lost").exists()
+    for number, (part, path) in enumerate(zip(parts, bags[1], strict=True)):
+        own = reduce_recording(path, camera, recording=number)
+        assert part.files == [str(path)]
+        for one, other in zip(part.stations, own.stations, strict=True):
+            assert np.array_equal(one.distance, other.distance, equal_nan=True)
 
 
 def test_without_a_scheduler_the_error_names_the_address(

@@ -130,7 +130,7 @@ def held_out(seed: int) -> list[tuple[Pose, float]]:
 
 
 def judged(truth: Camera, found: Camera, *, seed: int) -> tuple[float, float, float, float, int]:
-    """Return RMS errors [mm] of means of 200 frames: raw, corrected, by the true camera; their noise; pixels."""
+    """Return RMS errors [mm] of means of 200 frames: raw, corrected, by the true camera, noise; pixels."""
     wall = Scene((Surface("wall", "plane", "truth", reflectivity=0.8),))
     simulation = Simulation(truth, wall, seed=seed + 1)
     new, best = Correction(found), Correction(truth)
