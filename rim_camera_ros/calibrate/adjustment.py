@@ -387,7 +387,7 @@ def after_nuisances(
             distance = distance - light * by_distance
             amplitude = amplitude - light * by_amplitude
     for column in prediction.pose_columns:
-        error = nuisances.get(f"{key}.{column.path}")
+        error = nuisances.get(f"{station.recording}.{station.placed}.{column.path}")
         if error:
             by_distance, by_amplitude = prediction.pose_change(column)
             distance = distance - error * by_distance

@@ -49,7 +49,7 @@ def widening(fitted: Fit, scores: Scores, blocks: Sequence[Block]) -> dict[str, 
     for one in fitted.forward.predictions():
         if not one.used.any():
             continue
-        key = (one.station.recording, one.station.pose)
+        key = (one.station.recording, one.station.placed)
         gradient, gram = _scores_of(one, fitted, blocks, labels, mean)
         gradients[key] = gradients.get(key, 0.0) + gradient
         grams[key] = grams.get(key, 0.0) + gram
@@ -108,7 +108,8 @@ def _scores_of(
     design.append(np.stack([(zero if a is None else np.asarray(a))[lit] for _, a in pairs], axis=1))
     key = f"{one.station.recording}.{one.station.pose}"
     priors = {name: prior for fold in fitted.equations.folds for name, prior, _ in fold.nuisances}
-    errors = [(c, priors.get(f"{key}.{c.path}")) for c in one.pose_columns]
+    placed = f"{one.station.recording}.{one.station.placed}"
+    errors = [(c, priors.get(f"{placed}.{c.path}")) for c in one.pose_columns]
     changes = [(one.pose_change(c), prior) for c, prior in errors if prior is not None]
     if f"{key}.gain" in priors:
         changes.append((one.gain_column(), priors[f"{key}.gain"]))

@@ -359,7 +359,8 @@ def _nuisances(prediction: Prediction, gain_sigma: float, stray_light: float) ->
         if column.path.startswith("scene."):
             continue
         distance, amplitude = prediction.pose_change(column)
-        result.append((f"{key}.{column.path}", column.prior, 0.0, distance, amplitude))
+        name = f"{station.recording}.{station.placed}.{column.path}"
+        result.append((name, column.prior, 0.0, distance, amplitude))
     if gain_sigma > 0:
         distance, amplitude = prediction.gain_column()
         at = float(np.log(prediction.gain))

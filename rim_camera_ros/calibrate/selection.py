@@ -29,11 +29,12 @@ def folds_of(dataset: Dataset, count: int = 5) -> dict[Key, int]:
     first: dict[Key, tuple[float, float]] = {}
     for one in dataset.stations:
         setting = one.settings.integration_time or 0.0
-        first.setdefault((one.recording, one.pose), (setting, one.time))
+        first.setdefault((one.recording, one.placed), (setting, one.time))
     ordered = sorted(first, key=lambda key: (first[key][0], key))
     count = max(1, min(count, len(ordered)))
     # neighbours in time go to different folds, and each setting to all of them
-    return {key: i % count for i, key in enumerate(ordered)}
+    dealt = {key: i % count for i, key in enumerate(ordered)}
+    return {(one.recording, one.pose): dealt[one.recording, one.placed] for one in dataset.stations}
 
 
 class Scores:

@@ -36,10 +36,11 @@ class Station:
     ``distance`` [m] and ``amplitude`` [counts] (H, W) are means over the valid frames (NaN and 0 without
     one; a wrapping camera's distances are averaged modulo L); ``distance_variance`` [m^2] and
     ``amplitude_variance`` [counts^2] of single frames (NaN below two); ``count`` the valid frames of each
-    pixel; ``saturated`` how many of its frames were saturated. ``pose`` numbers the poses of the recording;
-    ``stamp`` [ns] and ``time`` [s since the first frame] are the middle of the block. ``common`` is the
-    frame-to-frame variation that all pixels share, as chi-square per degree of freedom of the mean complex
-    deviation (1: none; None for one frame).
+    pixel; ``saturated`` how many of its frames were saturated. ``pose`` numbers the poses of the recording,
+    ``placement`` those that were told with other values than the one before (None: all); ``stamp`` [ns] and
+    ``time`` [s since the first frame] are the middle of the block. ``common`` is the frame-to-frame variation
+    that all pixels share, as chi-square per degree of freedom of the mean complex deviation (1: none; None
+    for one frame).
     """
 
     recording: int
@@ -56,6 +57,12 @@ class Station:
     count: Array
     saturated: Array
     common: float | None = None
+    placement: int | None = None
+
+    @property
+    def placed(self) -> int:
+        """Number of the placement, within which the error of the reference instrument is the same."""
+        return self.pose if self.placement is None else self.placement
 
 
 @dataclass
@@ -113,9 +120,9 @@ class Dataset:
 class _Block:
     """Integer sums of the frames of one station."""
 
-    def __init__(self, first: RawFrame, camera: Camera, pose: int) -> None:
+    def __init__(self, first: RawFrame, camera: Camera, pose: int, placement: int) -> None:
         self._camera = camera
-        self.pose = pose
+        self.pose, self.placement = pose, placement
         self.first = first
         self._counts = first.distance.dtype == np.uint16
         self._period = round(camera.sensor.ambiguity / camera.sensor.lsb) if camera.sensor.wraps else 0
@@ -180,6 +187,7 @@ class _Block:
         return Station(
             recording=recording,
             pose=self.pose,
+            placement=self.placement,
             frames=len(self._stamps),
             stamp=middle,
             time=(middle - start) / NANOSECONDS,
@@ -242,19 +250,23 @@ def reduce_frames(
     """
     start: int | None = None
     poses: dict[tuple[tuple[str, int], ...], int] = {}
+    placement, told = -1, None
     block: _Block | None = None
     key: Any = None
     for frame in frames:
         if start is None:
             start = frame.stamp
         check_frame(frame, camera)
+        if frame.truth != told:
+            # a pose that is told again unchanged is the same placement, with the same error
+            placement, told = placement + 1, frame.truth
         messages = tuple(sorted(frame.pose_stamps.items()))
         own = (messages, frame.settings.integration_time)
         late = block is not None and frame.stamp - block.first.stamp > block_seconds * NANOSECONDS
         if block is None or own != key or late:
             if block is not None:
                 yield block.station(recording, start)
-            block, key = _Block(frame, camera, poses.setdefault(messages, len(poses))), own
+            block, key = _Block(frame, camera, poses.setdefault(messages, len(poses)), placement), own
         block.add(frame)
         if codes is not None and frame.distance.dtype == np.uint16:
             codes += np.bincount(frame.distance.ravel(), minlength=FULL_SCALE)

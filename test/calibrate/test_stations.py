@@ -1,0 +1,28 @@
+"""Frames become stations: poses, placements, settings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from rim_camera_ros.calibrate.selection import folds_of
+from rim_camera_ros.calibrate.stations import Dataset, reduce_frames
+
+from .bags import frames
+from .helpers import camera, scene
+
+
+def test_a_pose_told_again_unchanged_is_the_same_placement(tmp_path: Path) -> None:
+    truth = camera(tmp_path)
+    taken = list(frames(truth, scene(tmp_path), poses=4, repeats=2, seed=1))
+    first, second, third, fourth = (one.truth for one in taken[::2])
+    # the second pose is told a second time, as it was; the first one comes back later
+    told = [first, second, second, first]
+    again = [replace(one, truth=told[k // 2]) for k, one in enumerate(taken)]
+    stations = list(reduce_frames(again, truth))
+    assert [one.pose for one in stations] == [0, 1, 2, 3]
+    assert [one.placed for one in stations] == [0, 1, 1, 2]
+    folds = folds_of(Dataset(stations))
+    assert folds[0, 1] == folds[0, 2]
+    assert len(set(folds.values())) == 3
+    assert third != fourth
