@@ -18,7 +18,12 @@ from rim_camera_ros.nodes.parameters import Spec, Values
 SPECS = (
     Spec("recordings", "", "recordings of one camera, joined by ':'; each one that is recorded is added"),
     Spec("camera", "sr3000", "camera file to start from, or the name of a shipped one; it is not changed"),
-    Spec("scene", "", "scene file of the recordings, or the name of a shipped one"),
+    Spec(
+        "scene",
+        "",
+        "scene file of the recordings, or the name of a shipped one; joined by ':': that of each recording "
+        "in their order",
+    ),
     Spec(
         "effects",
         "",
@@ -57,7 +62,12 @@ def recordings_of(values: Values) -> list[str]:
 
 def given_files(values: Values) -> list[str]:
     """Return the files that the node was started with."""
-    return [*recordings_of(values), *(values[name] for name in _FILES)]
+    return [*recordings_of(values), *(one for name in _FILES for one in files_of(values, name))]
+
+
+def files_of(values: Values, name: str) -> list[str]:
+    """Return the files, or names of shipped ones, that ``camera`` or ``scene`` holds."""
+    return [one for one in values[name].split(os.pathsep) if one] if name == "scene" else [values[name]]
 
 
 def check(values: Values, changed: Collection[str], folders: Folders) -> None:
@@ -67,7 +77,8 @@ def check(values: Values, changed: Collection[str], folders: Folders) -> None:
             folders.check(one, place="recordings")
     for name, kind in _FILES.items():
         if name in changed:
-            folders.check(values[name], kind=kind, place=name)
+            for one in files_of(values, name):
+                folders.check(one, kind=kind, place=name)
     for name in NEW:
         if name in changed and values[name] and not _NAME.fullmatch(values[name]):
             raise InputError(
@@ -100,10 +111,11 @@ def calibration_of(values: Values, folders: Folders) -> dict[str, Any]:
     if not values["scene"]:
         raise InputError("is empty", place="scene", remedy="name the scene file of the recordings")
     for name, find in (("camera", find_camera), ("scene", find_scene)):
-        try:
-            find(values[name])
-        except InputError as error:
-            raise InputError(error.problem, file=error.file, place=name, remedy=error.remedy) from None
+        for one in files_of(values, name):
+            try:
+                find(one)
+            except InputError as error:
+                raise InputError(error.problem, file=error.file, place=name, remedy=error.remedy) from None
     output = _new(values, "output", folders)
     report = output.with_name(f"{output.stem}.report.html")
     for path in (output, report):
@@ -113,7 +125,7 @@ def calibration_of(values: Values, folders: Folders) -> dict[str, Any]:
     return {
         "recordings": recordings,
         "camera": values["camera"],
-        "scene": values["scene"],
+        "scene": files_of(values, "scene"),
         "effects": effects,
         "geometry": values["geometry"],
         "output": str(output),
@@ -152,7 +164,8 @@ def _new(values: Values, name: str, folders: Folders) -> Path:
 
 def _command(values: Values, recordings: list[str], effects: list[str], output: Path) -> str:
     """Return the command that does the same, for the provenance."""
-    words = ["rim", "calibrate", *recordings, "--camera", values["camera"], "--scene", values["scene"]]
+    words = ["rim", "calibrate", *recordings, "--camera", values["camera"]]
+    words += [word for one in files_of(values, "scene") for word in ("--scene", one)]
     words += ["--out", str(output)]
     words += ["--effects", ",".join(effects)] if effects else []
     words += ["--geometry"] * values["geometry"]

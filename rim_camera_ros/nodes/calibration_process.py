@@ -36,18 +36,18 @@ def work(link: Link) -> Mapping[str, Any]:
 
 def _work(link: Link) -> Mapping[str, Any]:
     given = link.request
-    camera, scene, out = given["camera"], given["scene"], Path(given["output"])
+    camera, scenes, out = given["camera"], given["scene"], Path(given["output"])
     report = out.with_name(f"{out.stem}.report.html")
     effects = given["effects"]
     link.progress("reading files")
     request = Request(
         recordings=tuple(Path(one) for one in given["recordings"]),
         camera=load_camera(find_camera(camera)),
-        scene=load_scene(find_scene(scene)) if scene else None,
+        scene=tuple(load_scene(find_scene(one)) for one in scenes) or None,
         effects=tuple(effects) if effects else None,
         geometry=given["geometry"],
         camera_name=camera,
-        scene_name=scene or None,
+        scene_name=", ".join(scenes) or None,
         command=given["command"],
     )
     result = calibrate(request, progress=link.progress, cancelled=lambda: link.cancelled)
