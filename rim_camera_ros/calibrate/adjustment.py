@@ -73,6 +73,7 @@ class Problem:
     ``masks`` restrict the pixels, ``shifts`` stand for another simulation (both as in `Forward`);
     ``stray_light`` [counts] as in `accumulate`; ``reflectance`` estimates how surfaces reflect beside
     Lambert's law, ``response`` [counts] what an `amplitude_nonlinearity` leaves, relative to that level.
+    ``tick`` is called for each station in every pass and may raise to end the work.
     """
 
     dataset: Dataset
@@ -88,6 +89,7 @@ class Problem:
     stray_light: float = 0.0
     reflectance: bool = False
     response: float | None = None
+    tick: Callable[[], None] | None = None
 
 
 @dataclass
@@ -299,7 +301,7 @@ def _forward(
     problem: Problem, scene: Scene, camera: Camera, views: Views | None, offsets: Mapping[str, float]
 ) -> Forward:
     forward = Forward(problem.dataset, scene, camera, views=views)
-    forward.masks, forward.shifts = problem.masks, problem.shifts
+    forward.masks, forward.shifts, forward.tick = problem.masks, problem.shifts, problem.tick
     forward.light_curves = moved_light(offsets, problem.response)
     return forward
 

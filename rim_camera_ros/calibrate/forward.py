@@ -4,7 +4,7 @@ amplitude.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -58,7 +58,7 @@ class Forward:
     ``masks`` of each station and channel, where given, restrict the pixels that are used, so that fits by
     different cameras can be compared. ``shifts`` of each station and channel are what another simulation
     says beyond this one's prediction at the start. ``light_curves`` change the light beside
-    the camera file's effects.
+    the camera file's effects. ``tick`` is called for each station and may raise to end the work.
     """
 
     def __init__(self, dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None) -> None:
@@ -69,6 +69,7 @@ class Forward:
         self.masks: Sequence[tuple[Array, Array]] | None = None
         self.shifts: Sequence[tuple[Array, Array]] | None = None
         self.light_curves: LightCurves | None = None
+        self.tick: Callable[[], None] | None = None
         self._order = {name: i for i, name in enumerate(registry())}
 
     def estimate_amplitudes(self, gains: Mapping[tuple[int, int], float] | None = None) -> AmplitudeModel:
@@ -113,6 +114,8 @@ class Forward:
         for number, station in enumerate(self.dataset.stations):
             if station.recording != recording:
                 memory, recording = {}, station.recording
+            if self.tick is not None:
+                self.tick()
             one = self._predict(station, memory, model, slopes)
             if self.shifts is not None:
                 one.residual = one.residual - self.shifts[number][0]

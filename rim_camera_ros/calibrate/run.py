@@ -168,12 +168,14 @@ def calibrate(
         scene,
         geometry=GEOMETRY if request.geometry else (),
         single=camera.shape[0] * camera.shape[1] > _MANY_PIXELS,
+        tick=watch.tick,
     )
     only_integral = request.effects is not None and tuple(request.effects) == (_INTEGRAL,)
     words = () if only_integral else request.effects
     if words is not None:
         words = tuple(word for word in words if word != REFERENCE)
     forward = Forward(dataset, scene, camera)
+    forward.tick = watch.tick
     forward.estimate_amplitudes()
     # the same pixels throughout, or a term could grow by losing those that contradict it
     masks, gross = usable_pixels(forward)
