@@ -34,6 +34,7 @@ def on_floor(point: object) -> np.ndarray:
     return GROUND.from_optical(np.array([[point.x, point.y, point.z]]))[0]  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_two_people_cross_and_stay_who_they_are(world: World) -> None:
     people = world.start("people_node", **{"mount.z": 2.2, "mount.pitch": PITCH, "qos.input": "reliable"})
     world.start("correction_node", camera="sr3000", **LOSSLESS_CORRECTION)

@@ -43,6 +43,7 @@ def test_o3d303_wall(world: World) -> None:
     check_wall(wall_residual(list(chain.clouds().values())))
 
 
+@pytest.mark.slow
 def test_kinect_black_squares(world: World) -> None:
     folder = RECORDINGS / "kinect2_checkerboard"
     chain = play(world, folder)

@@ -71,6 +71,7 @@ def test_playback_of_a_day(tmp_path: Path, minutes: float) -> None:
         assert late < early + 10.0
 
 
+@pytest.mark.slow
 def test_many_readers_and_one_that_never_reads(tmp_path: Path) -> None:
     found = faults.readers(tmp_path, seconds=3.0)
     assert found["running"]
