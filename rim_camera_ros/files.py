@@ -60,10 +60,11 @@ def _find(name: str, kind: str, words: str) -> Path:
     known = _paths(kind)
     if name in known:
         return known[name]
+    near = nearest_name(name, known)
     raise InputError(
         f"no {words} of this name",
         file=name,
-        remedy=f"{nearest_name(name, known)}; shipped: {_listed(sorted(known))}",
+        remedy=f"{near}; shipped: {_listed(sorted(known))}" if near.startswith("did") else near,
     )
 
 
