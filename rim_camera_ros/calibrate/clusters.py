@@ -33,10 +33,10 @@ _LEAST_SHARED = 0.2
 
 
 def widening(fitted: Fit, scores: Scores, blocks: Sequence[Block]) -> dict[str, float]:
-    """Return the factors, at least 1, by which each effect's variances are larger than the model's.
+    """Return the factors, at least 1, by which parameters' variances are larger than the model's, by label.
 
-    ``blocks`` give the columns of regressors of the base; those without stay as they are. Empty for too few
-    poses.
+    The larger of a parameter's own and of its effect's, which has more to judge by. ``blocks`` give the
+    columns of regressors of the base; those without stay as they are. Empty for too few poses.
     """
     labels = [scores.regressors[int(i)].label for i in scores.base]
     own = [(k, one) for block in blocks for k, one in enumerate(block.regressors)]
@@ -68,14 +68,21 @@ def widening(fitted: Fit, scores: Scores, blocks: Sequence[Block]) -> dict[str, 
     ratio = found / np.where(shared, expected, 1.0)
     owners = [scores.regressors[int(scores.base[i])].owner for i in place]
     result = {}
-    for owner in dict.fromkeys(owners):
-        mine = ratio[[i for i, name in enumerate(owners) if name == owner and shared[i]]]
+    for k, column in enumerate(place):
+        mine = ratio[[i for i, name in enumerate(owners) if name == owners[k] and shared[i]]]
         if not mine.size:
             continue
-        looks = _LOOKS_PER_POSE * len(gradients) * len(mine)
-        level = (looks * float(np.mean(mine)) + _PRIOR_LOOKS) / (looks + _PRIOR_LOOKS)
-        result[owner] = max(1.0, level)
+        levels = [_level(mine, len(gradients))]
+        if shared[k]:
+            levels.append(_level(ratio[[k]], len(gradients)))
+        result[labels[column]] = max(1.0, *levels)
     return result
+
+
+def _level(ratios: Array, poses: int) -> float:
+    """Return the mean of ratios, drawn towards its expectation of 1 by how little they have to say."""
+    looks = _LOOKS_PER_POSE * poses * len(ratios)
+    return (looks * float(np.mean(ratios)) + _PRIOR_LOOKS) / (looks + _PRIOR_LOOKS)
 
 
 def _pixel_means(fitted: Fit, scores: Scores, place: Sequence[int]) -> Array | None:

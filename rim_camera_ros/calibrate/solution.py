@@ -39,7 +39,7 @@ class Solution:
     """The fit, its scores (base: all that is fitted), the folds of poses, chi-square per value held out.
 
     ``factor`` is the variance factor a posteriori, at least 1: by it the covariance is scaled, and by
-    ``widened`` that of the parameters of each effect (`clusters.widening`). ``outliers`` is the number of
+    ``widened`` that of each parameter by label (`clusters.widening`). ``outliers`` is the number of
     distances beyond the robust limit among ``values``.
     """
 
@@ -102,8 +102,7 @@ class Solution:
         """Return the paths and the covariance of those parameters of which the data say something."""
         scale = np.array([self._unit(label) for label in self.labels])
         matrix = self.scores.covariance(self.scores.base) * self.factor
-        owners = [self.scores.regressors[int(i)].owner for i in self.scores.base]
-        wider = scale * np.sqrt([self.widened.get(owner, 1.0) for owner in owners])
+        wider = scale * np.sqrt([self.widened.get(label, 1.0) for label in self.labels])
         told = np.sqrt(np.diag(matrix)) < UNTOLD * self.scores.prior[self.scores.base] * np.sqrt(self.factor)
         matrix = matrix * wider[:, None] * wider[None, :]
         # how surfaces reflect is no number of the camera file
