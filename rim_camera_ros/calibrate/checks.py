@@ -23,7 +23,9 @@ from rim_camera_ros.scene import Scene, see
 Array = NDArray[Any]
 
 #: Effects that change with time or setting, and so can be told from one pose.
-WITHOUT_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_offset"})
+WITHOUT_POSES = frozenset(
+    {"warm_up_drift", "ambient_temperature", "integration_time_offset", "reference_path"}
+)
 #: A pose off by more than this [m] from the others is no pose of this scene; all of them off by more than
 #: `WHOLE_SCENE` [m] is another scene.
 FAR_POSE = 0.3

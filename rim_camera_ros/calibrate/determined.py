@@ -34,7 +34,7 @@ MOST_STATIONS = 60
 #: Effects that no joint fit of mean frames can estimate, and what does.
 _ELSEWHERE = {
     "interference": "changes from frame to frame, so that means do not show it: switch the second camera off",
-    "reference_path": "no reading of an internal reference was recorded",
+    "reference_path": "no reading of an internal reference was recorded, or it was not asked for",
     "background_light": "shows in the noise only",
 }
 #: Tables that stand for physics: no candidates, listed only where they are asked for.

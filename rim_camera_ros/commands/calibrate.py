@@ -153,7 +153,8 @@ def _checked(given: argparse.Namespace) -> tuple[Request, Path | None]:
 
 def _command_line(given: argparse.Namespace) -> list[str]:
     words = ["calibrate", *map(str, given.bags), "--camera", given.camera]
-    for name in ("scene", "out", "effects"):
+    words += [word for scene in given.scene or () for word in ("--scene", scene)]
+    for name in ("out", "effects"):
         value = getattr(given, name)
         if value is not None:
             words += [f"--{name}", str(value)]

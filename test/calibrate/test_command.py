@@ -88,6 +88,7 @@ def test_the_camera_file_states_all(folder: Path, written: tuple[Path, str]) -> 
     assert said["recordings"] == [{"path": str(bag), "sha256": whole.hexdigest(), "frames": 45, "poses": 15}]
     assert said["program"].startswith("rim_camera_ros ")
     assert said["command"].startswith("rim calibrate ")
+    assert f"--scene {folder / 'scene.yaml'} --out " in said["command"]
     assert "--effects cyclic_error" in said["command"]
     assert said["fitted"] == ["cyclic_error", "radiometry"]
     assert "no pixel of the recordings is saturated" in said["left_out"]["saturation_bleed"]

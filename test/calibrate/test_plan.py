@@ -33,3 +33,10 @@ def test_the_command_prints_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plan", "--camera", "sr3000", "--json", "--quiet"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert "cold_start_experiment" in result["chosen"]
+
+
+def test_effects_stated_for_pixels_of_the_full_grid_do_not_end_a_plan() -> None:
+    scenes = {"integration_times_experiment": load_scene(find_scene("integration_times_experiment"))}
+    found = plan(load_camera(find_camera("sr3000_every_effect")), scenes)
+    assert found.chosen == ("integration_times_experiment",)
+    assert "integration_time_offset" in found.determined

@@ -98,6 +98,18 @@ def test_the_scale_of_the_reference(tmp_path: Path, pixels: tuple[int, int, int,
     assert status.text.startswith(words + "the scene drifts 0.8")
 
 
+def test_a_wall_alone_does_for_the_reference(tmp_path: Path) -> None:
+    path = ReferencePath(nominal=0.852, scale=0.81)
+    truth = camera(tmp_path, *TRUE, path)
+    bag = cold_start(tmp_path / "cold", truth, seed=6)
+    plain = with_effects(truth, {one.name: one for one in TRUE})
+    found = calibrate(Request((bag,), plain, WALL, effects=("reference_path",)), integral=False)
+    fitted = found.camera.effects["reference_path"]
+    assert isinstance(fitted, ReferencePath)
+    assert fitted.scale == pytest.approx(0.81, abs=4 * found.sigma["effects.reference_path.scale"])
+    assert found.camera.effects["warm_up_drift"] == TRUE[1]
+
+
 def test_a_reference_that_does_not_move_is_said(tmp_path: Path) -> None:
     path = ReferencePath(nominal=0.852, scale=0.81)
     truth = camera(tmp_path, TRUE[0], path)
