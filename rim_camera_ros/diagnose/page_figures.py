@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.diagnose.page_classes import Bins
 from rim_camera_ros.diagnose.result import Diagnosis
-from rim_camera_ros.reports.figures import AFTER, BEFORE
-from rim_camera_ros.reports.figures import svg as svg
+from rim_camera_ros.reports.figures import AFTER, BEFORE, svg
 
 Array = NDArray[Any]
 

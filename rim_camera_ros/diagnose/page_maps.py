@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.diagnose.page_classes import region
 from rim_camera_ros.diagnose.page_evidence import PoseImage
-from rim_camera_ros.reports.figures import svg as svg
+from rim_camera_ros.reports.figures import svg
 
 Array = NDArray[Any]
 
