@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -24,10 +25,18 @@ from test.ros.harness import BEST_EFFORT, Collected, World, stamp_of
 
 
 def fresh(world: World, collected: Collected, count: int = 3) -> Any:
-    """Return the last of so many messages more than there are."""
-    wanted = len(collected) + count
-    assert world.until(lambda: len(collected) >= wanted), world.output()
-    return collected.last
+    """Return the last of so many messages of frames that were taken from now on.
+
+    By their stamps: on a busy machine frames from before a change may still be on their way when the service
+    has answered. The simulator makes the next frame ahead of its time: the first may be of the old settings.
+    """
+    now = time.time_ns()
+
+    def since() -> list[Any]:
+        return [one for one in collected.messages[-100:] if stamp_of(one) >= now]
+
+    assert world.until(lambda: len(since()) >= count), world.output()
+    return since()[-1]
 
 
 def info_of(message: Any) -> dict[str, str]:
