@@ -58,7 +58,7 @@ _HOLD = 1e9
 _MOST_HALVED = 4
 #: Step of a parameter in units of its sigma, and change of chi-square between two iterations (for that
 #: tolerance), below which the adjustment has converged.
-_TOLERANCE = 0.05
+TOLERANCE = 0.05
 _LEVEL = 0.5
 
 Progress = Callable[[str], None]
@@ -132,7 +132,7 @@ def fit(
     fold_of: Mapping[tuple[int, int], int] | None = None,
     further: Sequence[Block] = (),
     iterations: int = 8,
-    tolerance: float = _TOLERANCE,
+    tolerance: float = TOLERANCE,
     views: Views | None = None,
     warm: Fit | None = None,
     progress: Progress | None = None,
@@ -173,6 +173,7 @@ def fit(
             allowed = {label for labels in _light_groups(problem, camera) for label in labels}
             offsets.update({k: v for k, v in warm.forward.light_curves.values.items() if k in allowed})
     new = set() if warm is None else camera.effects.keys() - warm.camera.effects.keys()
+    trying = warm is not None
     converged = stuck = False
     solved: Solved | None = None
     objective, halved = np.inf, 0
@@ -227,7 +228,7 @@ def fit(
         sigma = np.sqrt(np.diag(covariance))
         here = float(reduced.square) + float(np.sum((away / prior) ** 2))
         reached = here + 2 * reduced.log_norm
-        worse = new and reached > objective + _LEVEL and halved < _MOST_HALVED and count <= iterations
+        worse = trying and reached > objective + _LEVEL and halved < _MOST_HALVED and count <= iterations
         if worse and solved is not None:
             # the step went too far: half of it, or none where no more may be tried
             halved = _MOST_HALVED if final else halved + 1
@@ -276,7 +277,7 @@ def fit(
         converged &= not held or count >= _SHAPES_HELD
         # parameters that the data hardly tell apart wander along a valley whose floor is level
         converged |= (
-            count >= min(settled, _SETTLED) and abs(previous - here) < _LEVEL * (tolerance / _TOLERANCE) ** 2
+            count >= min(settled, _SETTLED) and abs(previous - here) < _LEVEL * (tolerance / TOLERANCE) ** 2
         )
         previous = here
         try:

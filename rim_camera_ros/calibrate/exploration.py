@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
+from rim_camera_ros.calibrate.adjustment import TOLERANCE, Fit, Problem, fit
 from rim_camera_ros.calibrate.blocks import Block
 from rim_camera_ros.calibrate.library import Candidate
 from rim_camera_ros.calibrate.nulls import null_scores
@@ -132,9 +132,10 @@ def explore(
     seed: int = 0,
     replicates: int = 200,
     iterations: int = 8,
+    tolerance: float = TOLERANCE,
     progress: Callable[[str], None] | None = None,
 ) -> Exploration:
-    """Fit the camera and score all candidates at the solution."""
+    """Fit the camera to ``tolerance`` of each sigma and score all candidates at the solution."""
     blocks: list[Block] = [one.block for one in (*found, *further)]
     fitted = fit(
         problem,
@@ -144,6 +145,7 @@ def explore(
         views=views,
         warm=warm,
         iterations=iterations,
+        tolerance=tolerance,
         progress=progress,
     )
     return explored(fitted, found, further=further, seed=seed, replicates=replicates)

@@ -56,12 +56,16 @@ LEAST_SIZE_OF_ALL = 0.07
 
 @dataclass
 class Found:
-    """An effect that joined: its gain in nats alone at that step, and who else could have explained it."""
+    """An effect that joined: its gain in nats alone at that step, and who else could have explained it.
+
+    ``step`` is the number of the exploration that it was found in.
+    """
 
     effect: str
     gain: float
     rivals: list[tuple[str, float]] = field(default_factory=list)
     ties: list[str] = field(default_factory=list)
+    step: int = 0
 
 
 def least_size(step: Exploration, chosen: Sequence[str], found: Sequence[Found]) -> float:

@@ -69,7 +69,7 @@ def plan(
     physics = {name: one for name, one in camera.effects.items() if name not in BY_POSITION}
     camera = with_effects(camera, physics)
     small = coarser_camera(camera, step) if step > 1 else camera
-    built = {name: _dataset(scene, small) for name, scene in scenes.items()}
+    built = {name: planned_dataset(scene, small) for name, scene in scenes.items()}
     regressors, experiments = _equations(small, scenes, built, progress)
     owners = [one.owner for one in regressors]
     prior = np.array([one.prior for one in regressors])
@@ -134,11 +134,14 @@ def _equations(
     return regressors, experiments
 
 
-def _dataset(scene: Scene, camera: Camera) -> tuple[Dataset, float]:
-    """Return the stations of a schedule as if they had been recorded, and its duration in minutes."""
+def planned_dataset(scene: Scene, camera: Camera, *, most: int = _STATIONS) -> tuple[Dataset, float]:
+    """Return the stations of a schedule as if they had been recorded, and its duration in minutes.
+
+    Of more than about ``most`` stations some are left out, and the others get their frames.
+    """
     groups = [list(group) for _, group in groupby(Timeline(scene, camera), key=lambda one: one.station)]
     start, end = groups[0][0].stamp, groups[-1][-1].stamp
-    thinned = max(1, len(groups) // _STATIONS)
+    thinned = max(1, len(groups) // most)
     stations = []
     for number, group in enumerate(groups[::thinned]):
         middle = group[len(group) // 2]

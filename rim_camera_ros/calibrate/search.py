@@ -20,16 +20,20 @@ from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import effect_size
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.scattering import Scattering
 
 MOST_EFFECTS = 4
 
 
 #: Leaders that may prove wrong when they are fitted, until the search ends.
 _MOST_FAILURES = 2
-#: Iterations of fits that add an effect.
+#: Iterations of fits that add an effect, and shares of the sigmas at which they end.
 _ITERATIONS = 12
+_TOLERANCE = 0.15
 
 
+#: Sigma [px] up to which stray light is none: the pixel's own footprint.
+_LEAST_SPREAD = 1.0
 #: Variants of an effect that are looked at again once another effect was found.
 _MOST_VARIANTS = 4
 
@@ -110,7 +114,7 @@ def search(
         failed.clear()
         for name in chosen:
             rivals, ties = _rivals(step, name, need)
-            found.append(Found(name, gain, rivals, ties))
+            found.append(Found(name, gain, rivals, ties, step=len(explorations) - 1))
         explorations.append(next_step)
         step.forget()
         step, problem = next_step, next_problem
@@ -162,7 +166,8 @@ def _refined(
             if possible and effect != step.candidates[numbers[0]].effect:
                 trials.append((k,))
     best: tuple[float, list[str], Exploration, Problem] | None = None
-    for trial in trials[:3]:
+    trials = trials[:3]
+    for trial in trials:
         names = [step.candidates[k].effect for k in trial]
         say("fitting " + " and ".join(names))
         geometry = tuple(dict.fromkeys([*problem.geometry, *(n for n in names if n in GEOMETRY)]))
@@ -179,6 +184,7 @@ def _refined(
             seed=seed,
             replicates=0,
             iterations=_ITERATIONS,
+            tolerance=_TOLERANCE,
         )
         if "amplitude_nonlinearity" in names:
             # its one parameter first: together with a free response it would not find the way
@@ -186,6 +192,11 @@ def _refined(
             alone = explore(
                 own, alone.fit.camera, [], folds, views=step.fit.forward.views, warm=alone.fit, replicates=0
             )
+        other = _what_it_became(alone, trial, step)
+        if other is not None:
+            if other not in trials:
+                trials.append(other)
+            continue
         likelihood = alone.scores.log_likelihood()
         if len(trial) == 2:
             likelihood -= max(needed(step, k, found) for k in trial)
@@ -201,6 +212,21 @@ def _refined(
         seed=seed,
     )
     return names, final.scores.log_likelihood(), final, own
+
+
+def _what_it_became(alone: Exploration, trial: tuple[int, ...], step: Exploration) -> tuple[int, ...] | None:
+    """Return the trial with two surfaces in a pixel for stray light that was fitted within its own pixel.
+
+    None where each effect is what it was.
+    """
+    scattering = alone.fit.camera.effects.get("scattering")
+    mixed = step.best().get("mixed_pixels")
+    numbers = [k for k in trial if step.candidates[k].effect == "scattering"]
+    if not isinstance(scattering, Scattering) or mixed is None or mixed in trial or not numbers:
+        return None
+    if scattering.ghost is not None or max(max(one.sigma) for one in scattering.kernels) > _LEAST_SPREAD:
+        return None
+    return tuple(mixed if k in numbers else k for k in trial)
 
 
 def _level(dataset: Dataset) -> float:

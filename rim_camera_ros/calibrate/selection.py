@@ -51,6 +51,8 @@ class Scores:
         folds = range(len(equations.folds))
         self.trained = [equations.reduced(k) for k in folds] if len(equations.folds) > 1 else []
         self.temper = temper
+        count = len(equations.regressors)
+        self._energy = sum((one.gram[:count, :count] for one in equations.folds), np.zeros((count, count)))
 
     def columns(self, extra: Iterable[int]) -> Array:
         """Return the indices of base and extra regressors."""
@@ -135,6 +137,21 @@ class Scores:
         """
         sign_and_log = np.linalg.slogdet(self._conditional(list(extra)))
         return float(0.5 * sign_and_log[1])
+
+    def identifiability(self, extra: Sequence[int]) -> tuple[float, float]:
+        """Return how well an effect of the estimated strength can be told from everything else.
+
+        The share of its energy (sum of its squared contributions over the variances) that is left after
+        projecting on all that is fitted beside it, 0 to 1; and what that is expected to gain [nats].
+        """
+        values = self.values(extra)
+        strength = np.array([values[self.regressors[i].label] for i in extra])
+        energy = float(strength @ self._energy[np.ix_(extra, extra)] @ strength)
+        scaled = strength / self.prior[list(extra)]
+        left = float(scaled @ (self._conditional(extra) - np.eye(len(scaled))) @ scaled)
+        if not energy > 0:
+            return 0.0, 0.0
+        return float(np.clip(left * self.temper / energy, 0.0, 1.0)), max(0.5 * left, 0.0)
 
     def _conditional(self, extra: Sequence[int]) -> Array:
         """Posterior precision of some regressors in units of their priors, after the base is fitted."""

@@ -14,7 +14,8 @@ from rim_camera_ros.calibrate.search import Result
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.diagnose.codes import MissingCodes
-from rim_camera_ros.diagnose.result import Missing
+from rim_camera_ros.diagnose.menu import Dish
+from rim_camera_ros.diagnose.result import Missing, Ranked
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.diagnose.where import OF_AMPLITUDE
 from rim_camera_ros.effects import registry
@@ -97,12 +98,13 @@ def missing_codes_of(codes: MissingCodes, camera: Camera) -> Missing:
     )
 
 
-def ranking_of(baseline: Exploration, result: Result) -> list[tuple[str, float, float]]:
-    """Return effect, probability and held-out gain [nats] of every effect alone, the best first.
+def ranking_of(baseline: Exploration, result: Result) -> list[Ranked]:
+    """Return every effect alone, the best first.
 
     The gain of what was fitted non-linearly is that of the fit.
     """
-    gains = {effect: float(baseline.gains[k]) for effect, k in baseline.best().items()}
+    best = baseline.best()
+    gains = {effect: float(baseline.gains[k]) for effect, k in best.items()}
     if result.found:
         first = result.found[0]
         gains[first.effect] = max(first.gain, gains.get(first.effect, first.gain))
@@ -111,8 +113,12 @@ def ranking_of(baseline: Exploration, result: Result) -> list[tuple[str, float, 
     values = np.array([*gains.values(), 0.0])
     weights = np.exp(values - values.max())
     weights /= weights.sum()
-    ranking = [(name, float(w), g) for (name, g), w in zip(gains.items(), weights[:-1], strict=True)]
-    return sorted(ranking, key=lambda one: -one[2])
+    told = {effect: baseline.scores.identifiability(baseline.spans[k]) for effect, k in best.items()}
+    ranking = [
+        Ranked(name, float(weight), gain, *told.get(name, (None, None)))
+        for (name, gain), weight in zip(gains.items(), weights[:-1], strict=True)
+    ]
+    return sorted(ranking, key=lambda one: -one.gain)
 
 
 def unseen_effects(step: Exploration) -> list[str]:
@@ -127,12 +133,24 @@ def unseen_effects(step: Exploration) -> list[str]:
     return sorted((absent | hidden) - silent)
 
 
-def next_recording(ties: Sequence[Sequence[str]], unseen: Sequence[str], verdict: str) -> str | None:
-    """Return what to record to tell rivals apart."""
-    if not ties:
-        return None
+def next_recording(
+    ties: Sequence[Sequence[str]], advice: Mapping[tuple[str, ...], Dish | None]
+) -> str | None:
+    """Return what to record to tell rivals apart, None where there are none.
+
+    ``advice`` holds for a set of rivals the experiment that was found by simulating the shipped ones.
+    """
     known = registry()
     parts = []
     for names in ties:
+        if tuple(names) in advice:
+            dish = advice[tuple(names)]
+            rivals = " and ".join(one.replace("_", " ") for one in names)
+            parts.append(
+                f"none of the shipped experiments would tell {rivals} apart at their present strength"
+                if dish is None
+                else f"{dish.name} ({dish.minutes:.0f} min) is expected to tell {rivals} apart by "
+                f"{dish.gain:,.0f} nats"
+            )
         parts += [f"for {name}: {known[name].observable}" for name in names if name in known]
     return "; ".join(parts) if parts else None

@@ -9,12 +9,14 @@ from rim_camera_ros.calibrate.needs import LEAST_SHARE
 from rim_camera_ros.diagnose import page_words as words
 from rim_camera_ros.diagnose.page_classes import region
 from rim_camera_ros.diagnose.page_evidence import Evidence
-from rim_camera_ros.diagnose.result import Diagnosis
+from rim_camera_ros.diagnose.result import Diagnosis, Ranked
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.info.text import several
 from rim_camera_ros.reports import html
 
 _MOST_SMOOTH = 3
+#: Share of an effect's energy above which it is plain to see and not stated.
+_PLAIN = 0.2
 _MOST_POSES = 8
 #: Chi-square per value of a pose, and errors in sigmas of its instrument, that are shown as disagreeing.
 _BAD_CHI, _BAD_ERROR = 4.0, 8.0
@@ -179,6 +181,13 @@ def _worst_errors(found: Evidence) -> dict[int, tuple[float, str]]:
     return worst
 
 
+def _with_share(one: Ranked) -> str:
+    label = words.label_of(one.effect)
+    if one.identifiability is None or one.identifiability > _PLAIN:
+        return label
+    return f"{label} ({one.identifiability:.1%})"
+
+
 def ranking(result: Diagnosis) -> str:
     """Return the gains of all candidates."""
     from rim_camera_ros.diagnose import page_figures as figures
@@ -187,8 +196,8 @@ def ranking(result: Diagnosis) -> str:
     own = {effect: float(step.thresholds[k]) for effect, k in step.best().items() if step.thresholds.size}
     named = {one.effect for one in result.missing}
     rows: list[tuple[str, float, float | None, str]] = [
-        (words.label_of(name), gain, own.get(name), "named" if name in named else "other")
-        for name, _, gain in result.ranking
+        (_with_share(one), one.gain, own.get(one.effect), "named" if one.effect in named else "other")
+        for one in result.ranking
     ]
     smooth = sorted(
         (
@@ -210,7 +219,9 @@ def ranking(result: Diagnosis) -> str:
         "What each effect alone would gain on held-out poses, everything else fitted with it; logarithmic. "
         "Red: the gain that it reaches by chance in 2 % of recordings with nothing left out. "
         + ("No effect is named." if absent else "Coloured: what is named.")
-        + " Sand: smooth functions without physics, as a check of the vocabulary."
+        + " Sand: smooth functions without physics, as a check of the vocabulary. "
+        "In brackets, where little is left: the share of an effect's signal that no other parameter could "
+        "take on in this recording; of a small share a large effect is still seen."
     )
     return html.figure(figures.ranking(rows, threshold=step.threshold), caption)
 

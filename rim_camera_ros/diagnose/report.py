@@ -31,8 +31,14 @@ def as_json(result: Diagnosis) -> dict[str, Any]:
             {"effect": one.effect, "from": dict(one.before), "to": dict(one.after)} for one in result.adjusted
         ],
         "ranking": [
-            {"effect": name, "probability": probability, "held_out_gain": gain}
-            for name, probability, gain in result.ranking
+            {
+                "effect": one.effect,
+                "probability": one.probability,
+                "held_out_gain": one.gain,
+                "identifiability": one.identifiability,
+                "expected_gain": one.expected_gain,
+            }
+            for one in result.ranking
         ],
         "indistinguishable": result.indistinguishable,
         "where": {

@@ -30,6 +30,21 @@ class Missing:
     formula: str | None = None
 
 
+@dataclass(frozen=True)
+class Ranked:
+    """An effect alone beside the known terms: probability, held-out gain [nats], how well it can be told.
+
+    ``identifiability`` is the share of its energy, at the strength that fits best, that nothing else takes
+    on; ``expected_gain`` [nats] what that share is worth.
+    """
+
+    effect: str
+    probability: float
+    gain: float
+    identifiability: float | None = None
+    expected_gain: float | None = None
+
+
 @dataclass
 class Diagnosis:
     """The result; `rim_camera_ros.diagnose.report` writes it."""
@@ -37,7 +52,7 @@ class Diagnosis:
     verdict: str
     missing: list[Missing]
     adjusted: list[Adjusted]
-    ranking: list[tuple[str, float, float]]
+    ranking: list[Ranked]
     indistinguishable: list[list[str]]
     where: Where
     before: Where

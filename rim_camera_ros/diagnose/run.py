@@ -29,6 +29,7 @@ from rim_camera_ros.diagnose.adjusted import LEAST_GAIN, LEAST_TOTAL, adjusted_t
 from rim_camera_ros.diagnose.codes import MissingCodes, missing_codes
 from rim_camera_ros.diagnose.described import _LEAST_UNKNOWN, Described, Rest, best_rest, describe
 from rim_camera_ros.diagnose.intervals import intervals_of
+from rim_camera_ros.diagnose.menu import menu, recommended, told_apart
 from rim_camera_ros.diagnose.naming import (
     missing_codes_of,
     missing_effect,
@@ -161,6 +162,7 @@ def _diagnose(
         codes=codes,
         reason=reason,
         seed=seed,
+        say=say,
     )
 
 
@@ -233,13 +235,14 @@ def _verdict(
     codes: MissingCodes | None,
     reason: str | None,
     seed: int,
+    say: Callable[[str], None],
 ) -> Diagnosis:
     baseline, final = result.explorations[0], result.explorations[-1]
     fitted = final.fit
     notes = sorted({*fitted.notes, *fitted.forward.notes, *dataset.notes, *_notes_of_light(fitted)})
     unseen = unseen_effects(baseline)
     ranking = ranking_of(baseline, result)
-    probabilities = {name: p for name, p, _ in ranking}
+    probabilities = {one.effect: one.probability for one in ranking}
     ties = [sorted({one.effect, *one.ties}) for one in result.found if one.ties]
     missing: list[Missing] = []
     model = fitted.camera
@@ -282,6 +285,13 @@ def _verdict(
     if codes is not None and verdict != "inconsistent_setup":
         verdict, missing = "unknown_physics", [missing_codes_of(codes, camera)]
         where = of_residuals(fitted)
+    advice = {}
+    for one in result.found:
+        names = sorted({one.effect, *one.ties})
+        if one.ties and names in ties:
+            step = result.explorations[one.step]
+            dishes = told_apart(step, names, menu(), progress=say)
+            advice[tuple(names)] = recommended(dishes, threshold=step.threshold)
     measure = accuracy(camera, model, result, unknown if verdict == "unknown_physics" else None)
     if measure.rms_after > _WORSE * measure.rms_before:
         notes.append(_NO_BETTER)
@@ -299,7 +309,7 @@ def _verdict(
         baseline=baseline,
         final=final,
         found=result.found if verdict == "missing_physics" else [],
-        next_recording=next_recording(ties, unseen, verdict),
+        next_recording=next_recording(ties, advice),
         reason=reason,
         unseen=unseen,
         notes=notes,

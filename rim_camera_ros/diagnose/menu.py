@@ -1,0 +1,130 @@
+"""What to record next: the shipped experiments, simulated, and how well each would tell rivals apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.blocks import gain_block, present_blocks
+from rim_camera_ros.calibrate.coarser import BY_POSITION
+from rim_camera_ros.calibrate.exploration import Exploration
+from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.normal_equations import accumulate
+from rim_camera_ros.calibrate.plan import planned_dataset
+from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.errors import RimError
+from rim_camera_ros.files import find_scene, shipped
+from rim_camera_ros.scene import Scene, load_scene
+
+Array = NDArray[Any]
+
+#: Stations of an experiment that are looked through.
+_STATIONS = 16
+_SUFFIX = "_experiment"
+#: Gain [nats] with which a recording settles it, in units of the threshold of this one.
+_ENOUGH = 3.0
+
+
+@dataclass(frozen=True)
+class Dish:
+    """An experiment: its duration [min] and the gain [nats] by which it tells the nearest rivals apart."""
+
+    name: str
+    minutes: float
+    gain: float
+
+
+def menu() -> dict[str, Scene]:
+    """Return the shipped experiments by name."""
+    names = [name for name in shipped("config") if name.endswith(_SUFFIX)]
+    return {name: load_scene(find_scene(name)) for name in names}
+
+
+def told_apart(
+    step: Exploration,
+    effects: Sequence[str],
+    scenes: Mapping[str, Scene],
+    *,
+    progress: Callable[[str], None] | None = None,
+) -> list[Dish]:
+    """Simulate experiments and return how well each tells effects apart, the best first.
+
+    Each of the effects in turn is taken for the true one, with the strength that fits the recording of
+    ``step`` best. Another effect has the strength that it needs to explain that recording, as well as that is
+    known, so that it speaks against it as well if the experiment does not show it. All known terms, errors
+    of poses and powers and an offset per pixel are fitted anew. The least gain of all pairs counts, as
+    expected from the experiment's normal equations. Experiments that cannot be simulated with this camera
+    are left out.
+    """
+    best = step.best()
+    chosen = [step.candidates[best[name]] for name in effects]
+    known = [_known(step, best[name]) for name in effects]
+    pairs = list(permutations(range(len(chosen)), 2))
+    fitted = step.fit.camera
+    camera = with_effects(
+        fitted, {name: one for name, one in fitted.effects.items() if name not in BY_POSITION}
+    )
+    blocks = [*present_blocks(camera), gain_block(), *(one.block for one in chosen)]
+    dishes = []
+    for name, scene in scenes.items():
+        if progress is not None:
+            progress(f"would {name.removesuffix(_SUFFIX)} tell {' and '.join(effects)} apart?")
+        try:
+            dataset, minutes = planned_dataset(scene, camera, most=_STATIONS)
+            equations = accumulate(Forward(dataset, scene, camera), blocks)
+            gram = equations.reduced().gram
+        except (RimError, np.linalg.LinAlgError):
+            continue
+        prior = np.array([one.prior for one in equations.regressors])
+        matrix = gram * prior[:, None] * prior[None, :] + np.eye(len(prior))
+        start = len(prior) - sum(len(one.block.regressors) for one in chosen)
+        spans, at = [], start
+        for one in chosen:
+            spans.append(list(range(at, at + len(one.block.regressors))))
+            at += len(one.block.regressors)
+        base = list(range(start))
+        own = [i for span in spans for i in span]
+        cross = matrix[np.ix_(base, own)]
+        left = matrix[np.ix_(own, own)] - np.eye(len(own))
+        left = left - cross.T @ np.linalg.solve(matrix[np.ix_(base, base)], cross)
+        scale = prior[own]
+        left = left / scale[:, None] / scale[None, :]
+        gains = [_gain(left, [[i - start for i in one] for one in spans], known, *pair) for pair in pairs]
+        dishes.append(Dish(name, minutes, max(min(gains), 0.0)))
+    return sorted(dishes, key=lambda one: -one.gain)
+
+
+def _known(step: Exploration, number: int) -> tuple[Array, Array]:
+    """Return strengths (K,) of an effect alone, and their covariance (K, K), as a recording tells them."""
+    span, scores = step.spans[number], step.scores
+    values = scores.values(span)
+    columns = scores.columns(span)
+    own = np.searchsorted(columns, span)
+    covariance = scores.covariance(columns)[np.ix_(own, own)]
+    return np.array([values[scores.regressors[i].label] for i in span]), covariance
+
+
+def _gain(
+    left: Array, spans: Sequence[Sequence[int]], known: Sequence[tuple[Array, Array]], true: int, other: int
+) -> float:
+    """Return what the true effect gains [nats] over another, which may move as far as it is not known."""
+    difference = np.zeros(len(left))
+    difference[spans[true]] = known[true][0]
+    difference[spans[other]] = -known[other][0]
+    pull = left @ difference
+    own = list(spans[other])
+    freedom = left[np.ix_(own, own)] + np.linalg.inv(known[other][1])
+    return 0.5 * float(difference @ pull - pull[own] @ np.linalg.solve(freedom, pull[own]))
+
+
+def recommended(dishes: Sequence[Dish], *, threshold: float) -> Dish | None:
+    """Return the shortest experiment that settles it, else the one that tells most; None: none tells more."""
+    settling = [one for one in dishes if one.gain >= _ENOUGH * threshold]
+    if settling:
+        return min(settling, key=lambda one: (one.minutes, -one.gain))
+    return dishes[0] if dishes and dishes[0].gain >= 1.0 else None
