@@ -39,8 +39,8 @@ class Station:
     pixel; ``saturated`` how many of its frames were saturated. ``pose`` numbers the poses of the recording,
     ``placement`` those that were told with other values than the one before (None: all); ``stamp`` [ns] and
     ``time`` [s since the first frame] are the middle of the block. ``common`` is the frame-to-frame variation
-    that all pixels share, as chi-square per degree of freedom of the mean complex deviation (1: none; None
-    for one frame).
+    that all pixels share and that is not in proportion to their light, as chi-square per degree of freedom
+    of the mean complex deviation (1: none; None for one frame).
     """
 
     recording: int
@@ -203,20 +203,25 @@ class _Block:
         )
 
     def _common_variation(self) -> float | None:
-        """Mean complex deviation of all pixels per frame, squared, over its expectation."""
+        """Mean complex deviation of all pixels per frame, squared, over its expectation.
+
+        Of what is not in proportion to the light itself: power and phase of the emitter vary a little.
+        """
         if len(self._kept) < 2:
             return None
         stack = np.stack(self._kept)
         stack = stack[:, (stack != 0).all(axis=0)]
         if stack.shape[1] < 50:
             return None
-        deviation = stack - stack.mean(axis=0)
+        light = stack.mean(axis=0)
+        deviation = stack - light
         frames = len(stack)
         variance = (np.abs(deviation) ** 2).sum(axis=0) / (frames - 1)
         # noise grows with the amplitude where the floor prevails: those pixels say little
         weight = 1.0 / np.maximum(variance, np.quantile(variance, 0.2) + 1e-12)
-        total = (deviation * weight).sum(axis=1)
-        expected = (weight**2 * variance).sum() * (frames - 1) / frames
+        own = 1.0 - light * (weight * light.conj()).sum() / (weight * np.abs(light) ** 2).sum()
+        total = (deviation * (weight * own.conj())).sum(axis=1)
+        expected = (weight**2 * np.abs(own) ** 2 * variance).sum() * (frames - 1) / frames
         return float((np.abs(total) ** 2).mean() / expected)
 
 

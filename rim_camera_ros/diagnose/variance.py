@@ -19,6 +19,9 @@ Array = NDArray[Any]
 #: Relative deviation of a variance that matters, and its significance in sigmas.
 LEAST_RATIO = 0.02
 LEAST_SIGMA = 6.0
+#: Share of a pixel's variance from which on what all pixels have in common is a second camera's light: reading
+#: out leaves a little in every real camera.
+LEAST_COMMON_SHARE = 0.003
 _BINS = 10
 
 
@@ -40,7 +43,7 @@ class Variance:
     ``common_sigma`` (1: pixels scatter independently). ``floor`` [m] is the RMS of the noise of station
     means.
     ``background`` [counts] is the unmodulated light that explains the excess as well as another noise does
-    (0: it does not).
+    (0: it does not). ``common_share`` is the share of a pixel's variance that all pixels have in common.
     """
 
     ratio: float
@@ -52,6 +55,7 @@ class Variance:
     floor: float
     repeated: bool
     background: float = 0.0
+    common_share: float = 0.0
 
     @property
     def noise_is_wrong(self) -> bool:
@@ -69,20 +73,23 @@ class Variance:
     @property
     def pixels_vary_together(self) -> bool:
         """Whether all pixels share a variation from frame to frame (a second camera)."""
-        return self.common is not None and self.common > 1 + max(6 * self.common_sigma, 1.0)
+        if self.common is None or self.common_share < LEAST_COMMON_SHARE:
+            return False
+        return self.common > 1 + max(6 * self.common_sigma, 1.0)
 
 
 def examine_variance(forward: Forward) -> Variance:
     """Compare the variances of repeated frames with the noise model at the latent amplitudes."""
     camera = forward.camera
     amplitude, measured, model, freedom = [], [], [], []
-    common, floors = [], []
+    common, shares, floors = [], [], []
     for one in forward.predictions(slopes=False):
         station = one.station
         pixels = one.amplitude_used & (station.count == station.frames)
         floors.append(one.sigma[one.used] ** 2)
-        if station.common is not None:
+        if station.common is not None and pixels.any():
             common.append(station.common)
+            shares.append((station.common - 1) / pixels.sum())
         if station.frames < 2 or not pixels.any():
             continue
         amplitude.append(one.amplitude[pixels])
@@ -116,6 +123,7 @@ def examine_variance(forward: Forward) -> Variance:
         bins=tuple(bins),
         noise=_fitted_noise(a, s, m, f, camera.noise),
         common=float(np.mean(common)) if common else None,
+        common_share=float(np.mean(shares)) if shares else 0.0,
         common_sigma=float(1.0 / np.sqrt(number * max(frames - 1, 1))),
         floor=floor,
         repeated=True,
