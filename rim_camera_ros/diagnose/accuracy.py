@@ -50,9 +50,11 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Any = None)
         shifts=problem.shifts,
     )
     before = fit(frozen, camera, fold_of=result.folds, iterations=1, views=views)
-    same_noise = model.noise == camera.noise
-    if model.effects == camera.effects and model.optics == camera.optics and same_noise:
+    same_distances = model.effects == camera.effects and model.optics == camera.optics
+    if same_distances and model.noise == camera.noise:
         after = before
+    elif same_distances:
+        after = fit(frozen, model, fold_of=result.folds, iterations=1, views=views)
     else:
         own = Problem(
             problem.dataset,

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from rim_camera_ros.calibrate.adjustment import Fit, Problem
+from rim_camera_ros.calibrate.checks import WITHOUT_POSES
 from rim_camera_ros.calibrate.coarser import (
     coarseness,
     coarser_camera,
@@ -63,6 +64,10 @@ _WORSE = 1.1
 _NO_BETTER = (
     "distances of held-out poses got worse although amplitudes got better: what is named stands for "
     "something else, do not use camera.yaml"
+)
+_ONE_POSE = (
+    "only one pose: what depends on distance, amplitude or angle cannot be told from an offset of each "
+    "pixel, so none of it is named, and nothing is held out; record 20 poses or more at different distances"
 )
 _BESIDE_A_SECOND_CAMERA = "a second camera shines in: nothing else can be told; record with it switched off"
 
@@ -126,16 +131,23 @@ def _diagnose(
     smooth = single_terms(samples)
     # the light of a second camera has a pattern and a phase of its own, which many effects can imitate
     alone = variance.pixels_vary_together
+    one_pose = dataset.poses < 2
+    most = 0 if alone or (one_pose and len(dataset.stations) < 2) else MOST_EFFECTS
+    effects = sorted(WITHOUT_POSES) if one_pose else None
+    if one_pose:
+        dataset = replace(dataset, notes=[*dataset.notes, _ONE_POSE])
+        smooth = []
     try:
-        most = 0 if alone else MOST_EFFECTS
-        result = search(problem, camera, facts, most=most, further=smooth, seed=seed, progress=say)
+        result = search(
+            problem, camera, facts, effects=effects, most=most, further=smooth, seed=seed, progress=say
+        )
     except (RimError, np.linalg.LinAlgError):
         return _hopeless(problem, camera, variance, seed)
     baseline, final = result.explorations[0], result.explorations[-1]
     if alone:
         dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
     say("looking for what no named effect explains")
-    unknown = None if alone else best_rest(result, samples, problem, seed)
+    unknown = None if alone or one_pose else best_rest(result, samples, problem, seed)
     variance = examine_variance(final.fit.forward)
     codes = missing_codes(dataset.codes, noise=camera.noise.floor / camera.sensor.lsb)
     named = result.log_likelihood - result.start_log_likelihood
@@ -293,7 +305,7 @@ def _verdict(
             dishes = told_apart(step, names, menu(), progress=say)
             advice[tuple(names)] = recommended(dishes, threshold=step.threshold)
     measure = accuracy(camera, model, result, unknown if verdict == "unknown_physics" else None)
-    if measure.rms_after > _WORSE * measure.rms_before:
+    if measure.held_out and measure.rms_after > _WORSE * measure.rms_before:
         notes.append(_NO_BETTER)
     return Diagnosis(
         verdict=verdict,

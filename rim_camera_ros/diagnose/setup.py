@@ -22,7 +22,8 @@ _STRAINED = 3.0
 #: Median distance residual [m] and relative amplitude error beyond which nothing fits.
 GROSS_DISTANCE = 0.10
 GROSS_AMPLITUDE = 0.6
-#: Share of the pixels that see a surface in the scene and deliver a distance, below which the scene is wrong.
+#: Share of the pixels that see a surface in the scene and deliver a distance, below which the scene is wrong;
+#: unless what it describes agrees, as a part of what there is.
 LEAST_OVERLAP = 0.15
 
 
@@ -108,7 +109,7 @@ def _gross(fitted: Fit, poses: list[PoseCheck]) -> str | None:
     spread = float(np.std([one.median for one in poses]))
     chi_square = float(np.median([one.chi_square for one in poses]))
     share = overlap(fitted)
-    if share < LEAST_OVERLAP:
+    if share < LEAST_OVERLAP and chi_square > LARGE:
         return (
             f"only {share:.0%} of the measured pixels see a surface of the scene: the scene file does not "
             f"describe "

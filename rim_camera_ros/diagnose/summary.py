@@ -30,8 +30,9 @@ def summary(result: Diagnosis, folder: Path) -> str:
         moved = ", ".join(one.effect for one in result.adjusted)
         lines.append(f"  known terms that moved: {moved}")
     fit = result.accuracy
+    poses = "held-out poses" if fit.held_out else "the poses fitted, as nothing could be held out"
     lines.append(
-        f"  held-out poses: RMS {fit.rms_before * 1e3:.2f} -> {fit.rms_after * 1e3:.2f} mm "
+        f"  {poses}: RMS {fit.rms_before * 1e3:.2f} -> {fit.rms_after * 1e3:.2f} mm "
         f"(noise {fit.noise_floor * 1e3:.2f} mm), chi-square per value {fit.chi2_before:.3f} -> "
         f"{fit.chi2_after:.3f}"
     )

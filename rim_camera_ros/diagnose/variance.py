@@ -19,8 +19,8 @@ Array = NDArray[Any]
 #: Relative deviation of a variance that matters, and its significance in sigmas.
 LEAST_RATIO = 0.02
 LEAST_SIGMA = 6.0
-#: Share of a pixel's variance from which on what all pixels have in common is a second camera's light: reading
-#: out leaves a little in every real camera.
+#: Share of a pixel's variance from which on what all pixels have in common is a second camera's light:
+#: reading out leaves a little in every real camera.
 LEAST_COMMON_SHARE = 0.003
 _BINS = 10
 

@@ -66,6 +66,25 @@ def test_a_pose_that_is_off_is_no_physics(tmp_path: Path) -> None:
     assert report["reason"] == result.reason
 
 
+def test_of_one_pose_nothing_is_named(tmp_path: Path) -> None:
+    truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
+    told = replace(truth, effects={name: truth.effects[name] for name in ("emission_pattern",)})
+    data = record(truth, board, seed=24)
+    data.stations = [one for one in data.stations if one.pose == 0]
+    result = diagnose(data, board, told)
+    assert result.missing == []
+    assert not result.accuracy.held_out
+    assert any(re.match("only one pose: .* record 20 poses or more", note) for note in result.notes)
+
+
+def test_a_small_part_of_the_picture_may_be_described(tmp_path: Path) -> None:
+    truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
+    small = replace(board, surfaces=(replace(board.surfaces[0], type="rectangle", size=(0.12, 0.1)),))
+    data = record(truth, board, seed=25)
+    result = diagnose(data, small, truth)
+    assert result.verdict == "consistent", result.reason
+
+
 def test_noise_is_examined(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
     told = replace(truth, noise=replace(truth.noise, amplitude=0.7 * truth.noise.amplitude))
