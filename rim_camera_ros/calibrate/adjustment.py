@@ -18,10 +18,10 @@ from rim_camera_ros.calibrate.blocks import (
     pose_block,
     present_blocks,
 )
-from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward, excess
+from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
 from rim_camera_ros.calibrate.light_curves import RESPONSE, RIPPLES, SURFACES
 from rim_camera_ros.calibrate.normal_equations import NormalEquations, Reduced, accumulate
-from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.residuals import amplitude_error, huber
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.calibrate.steps import (
     GAIN,
@@ -40,13 +40,12 @@ from rim_camera_ros.calibrate.steps import (
 from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
+from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.scene import Scene, ScenePose
 
 Array = NDArray[Any]
 
-#: Residuals beyond this many sigma weigh less (Huber), the more the farther.
-ROBUST_LIMIT = 4.0
 #: How well amplitudes are predicted is estimated anew in this many iterations, then kept.
 _SETTLED = 3
 _SETTLED_WARM = 1
@@ -163,7 +162,7 @@ def fit(
     if warm is not None and warm.forward.amplitude_model.gains:
         model = warm.forward.amplitude_model
         tau, pattern = model.tau, warm.pattern
-        settled = _SETTLED_WARM if warm.camera.effects.keys() == camera.effects.keys() else _SETTLED_NEW
+        settled = _settled(warm.camera, camera)
         gains = {
             key: g * power_factor(warm.nuisances.get(f"{key[0]}.{key[1]}.gain", 0.0))
             for key, g in model.gains.items()
@@ -195,7 +194,7 @@ def fit(
         forward.amplitude_model = AmplitudeModel(dict(gains), tau)
         blocks = _blocks(problem, camera, scene)
         owned = sum(len(block.regressors) for block in blocks)
-        weigh = _huber(pattern, nuisances) if problem.robust and (count > 0 or warm is not None) else None
+        weigh = huber(pattern, nuisances) if problem.robust and (count > 0 or warm is not None) else None
         final = count >= iterations or converged
         equations = accumulate(
             forward,
@@ -298,6 +297,17 @@ def fit(
     return best
 
 
+def _settled(warm: Camera, camera: Camera) -> int:
+    """Return until which iteration it is estimated anew how well amplitudes are predicted.
+
+    Not at all where only distances are bent otherwise: then likelihoods are those of the same noise.
+    """
+    new = [camera.effects[name] for name in camera.effects.keys() - warm.effects.keys()]
+    if new and all(isinstance(one, DistanceTerm) for one in new):
+        return -1
+    return _SETTLED_NEW if new or warm.effects.keys() - camera.effects.keys() else _SETTLED_WARM
+
+
 def _forward(
     problem: Problem, scene: Scene, camera: Camera, views: Views | None, offsets: Mapping[str, float]
 ) -> Forward:
@@ -332,67 +342,3 @@ def _blocks(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
     if free:
         blocks.append(pose_block(free))
     return blocks
-
-
-def _huber(pattern: Array, nuisances: Mapping[str, float]) -> Callable[[Prediction], tuple[Array, Array]]:
-    """Return the weights of robust fitting for residuals after pattern and nuisances."""
-
-    def weigh(prediction: Prediction) -> tuple[Array, Array]:
-        distance, amplitude = after_nuisances(prediction, pattern, nuisances)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            z = np.abs(distance) / prediction.sigma
-            z_a = np.abs(amplitude) / prediction.amplitude_sigma
-            return (
-                np.where(z > ROBUST_LIMIT, ROBUST_LIMIT / z, 1.0),
-                np.where(z_a > ROBUST_LIMIT, ROBUST_LIMIT / z_a, 1.0),
-            )
-
-    return weigh
-
-
-def amplitude_error(forward: Forward, nuisances: Mapping[str, float]) -> float:
-    """Return the relative 1-sigma of predicted amplitudes beyond noise and errors of poses (robustly)."""
-    tau = forward.amplitude_model.tau
-    pattern = np.zeros(forward.camera.shape)
-    deviations, variances = [], []
-    for one in forward.predictions(slopes=False):
-        pixels = one.amplitude_used
-        if not pixels.any():
-            continue
-        _, amplitude = after_nuisances(one, pattern, nuisances)
-        reading = one.station.amplitude[pixels] - one.amplitude_residual[pixels]
-        relative = (one.amplitude_sigma[pixels] / reading) ** 2 - tau**2
-        sharp = relative <= np.quantile(relative, 0.5)
-        deviations.append((amplitude[pixels] / reading)[sharp])
-        variances.append(relative[sharp])
-    if not deviations:
-        return 0.0
-    return excess(np.concatenate(deviations), np.concatenate(variances))
-
-
-def after_nuisances(
-    prediction: Prediction, pattern: Array, nuisances: Mapping[str, float]
-) -> tuple[Array, Array]:
-    """Return the residuals of distance [m] and amplitude [counts] without pattern, pose and power errors."""
-    station = prediction.station
-    key = f"{station.recording}.{station.pose}"
-    distance = prediction.residual - pattern
-    amplitude = prediction.amplitude_residual
-    gain = nuisances.get(f"{key}.gain")
-    if gain:
-        by_distance, by_amplitude = prediction.gain_column()
-        distance = distance - gain * by_distance
-        amplitude = amplitude - gain * by_amplitude
-    for part, number in (("real", 0), ("imaginary", 1)):
-        light = nuisances.get(f"{key}.light.{part}.{station.stamp}")
-        if light:
-            by_distance, by_amplitude = prediction.light_columns()[number]
-            distance = distance - light * by_distance
-            amplitude = amplitude - light * by_amplitude
-    for column in prediction.pose_columns:
-        error = nuisances.get(f"{station.recording}.{station.placed}.{column.path}")
-        if error:
-            by_distance, by_amplitude = prediction.pose_change(column)
-            distance = distance - error * by_distance
-            amplitude = amplitude - error * by_amplitude
-    return distance, amplitude

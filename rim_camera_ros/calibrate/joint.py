@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rim_camera_ros.calibrate.adjustment import ROBUST_LIMIT, Fit, Problem, fit
+from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
 from rim_camera_ros.calibrate.blocks import UNFITTED, gain_block, light_block, optics_block, present_blocks
 from rim_camera_ros.calibrate.clusters import widening
 from rim_camera_ros.calibrate.determined import (
@@ -22,6 +22,7 @@ from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, Facts, candidates
 from rim_camera_ros.calibrate.light_curves import SURFACES
+from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT
 from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.calibrate.selection import Scores, folds_of
 from rim_camera_ros.calibrate.solution import Solution, count_outliers, moved_by

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import after_nuisances
 from rim_camera_ros.calibrate.determined import EffectStatus
 from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.calibrate.solution import Solution
 from rim_camera_ros.calibrate.stations import Station
 from rim_camera_ros.camera import Camera

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import Fit, Problem, after_nuisances, fit
+from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
 from rim_camera_ros.calibrate.blocks import effect_block, present_priors
+from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.calibrate.search import Result
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera

@@ -40,7 +40,7 @@ from rim_camera_ros.diagnose.naming import (
 )
 from rim_camera_ros.diagnose.noise_verdict import with_variance
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
-from rim_camera_ros.diagnose.setup import check_setup
+from rim_camera_ros.diagnose.setup import Setup, check_setup
 from rim_camera_ros.diagnose.smooth import axes_of, single_terms
 from rim_camera_ros.diagnose.variance import Variance, examine_variance
 from rim_camera_ros.diagnose.where import nowhere, of_change, of_residuals, of_terms
@@ -65,6 +65,8 @@ _NO_BETTER = (
     "distances of held-out poses got worse although amplitudes got better: what is named stands for "
     "something else, do not use camera.yaml"
 )
+#: Times that a diagnosis is made anew without poses that do not agree.
+_MOST_AGAIN = 2
 _ONE_POSE = (
     "only one pose: what depends on distance, amplitude or angle cannot be told from an offset of each "
     "pixel, so none of it is named, and nothing is held out; record 20 poses or more at different distances"
@@ -104,7 +106,7 @@ def diagnose(
     result.looked_at, result.camera = result.camera, finer_camera(result.camera, camera, step)
     pixels = finer_image(result.where.pixels, camera.shape, step)
     result.where = replace(result.where, pixels=pixels)
-    result.notes.append(f"every {step}th pixel of every {step}th row was looked at")
+    result.notes.append(f"of every {step} x {step} pixels one was looked at")
     return result
 
 
@@ -115,6 +117,7 @@ def _diagnose(
     against: Dataset | None,
     seed: int,
     say: Callable[[str], None],
+    again: int = _MOST_AGAIN,
 ) -> Diagnosis:
     moves = scene.camera_motion.moves
     facts = Facts.of(dataset, moves=moves, surfaces=len(scene.surfaces), camera=camera)
@@ -163,6 +166,9 @@ def _diagnose(
         physics=bool(result.found) or described is not None,
     )
     reason = None if variance.pixels_vary_together or codes is not None else setup.reason
+    if reason is not None and setup.may_do_without and against is None and again > 0:
+        say("once more without what does not agree")
+        return _diagnose(_without(dataset, setup), scene, camera, None, seed, say, again - 1)
     say("held-out poses before and after")
     return _verdict(
         camera=camera,
@@ -176,6 +182,13 @@ def _diagnose(
         seed=seed,
         say=say,
     )
+
+
+def _without(dataset: Dataset, setup: Setup) -> Dataset:
+    """Return the recording without its bad poses, which a note tells."""
+    stations = [one for one in dataset.stations if (one.recording, one.pose) not in setup.bad]
+    told, _, _ = str(setup.reason).rpartition("; ")
+    return replace(dataset, stations=stations, notes=[*dataset.notes, f"{told}; left out"])
 
 
 def _hopeless(problem: Problem, camera: Camera, variance: Variance, seed: int) -> Diagnosis:

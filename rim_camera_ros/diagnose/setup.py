@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rim_camera_ros.calibrate.adjustment import Fit, after_nuisances
+from rim_camera_ros.calibrate.adjustment import Fit
+from rim_camera_ros.calibrate.residuals import after_nuisances
 
 #: A pose error beyond this many sigma of its instrument is no error of the instrument.
 FAR = 15.0
@@ -17,6 +18,8 @@ LARGE = 10.0
 AGAINST_OTHERS = 4.0
 #: ... and where such poses are few: what many poses show is physics.
 FEW = 0.15
+#: Share of the poses, beside one, that may be left out without asking.
+VERY_FEW = 0.05
 #: Factor on these limits where physics was found whose form may be wrong.
 _STRAINED = 3.0
 #: Median distance residual [m] and relative amplitude error beyond which nothing fits.
@@ -41,10 +44,19 @@ class PoseCheck:
 
 @dataclass(frozen=True)
 class Setup:
-    """Poses by how badly they agree, and why the setup cannot be trusted (None: it can)."""
+    """Poses by how badly they agree, and why the setup cannot be trusted (None: it can).
+
+    ``bad`` are the (recording, pose) that alone do not agree.
+    """
 
     poses: tuple[PoseCheck, ...]
     reason: str | None
+    bad: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def may_do_without(self) -> bool:
+        """Whether so few poses are bad that the others can be diagnosed by themselves."""
+        return 0 < len(self.bad) <= max(1.0, VERY_FEW * len(self.poses))
 
 
 def check_poses(fitted: Fit) -> list[PoseCheck]:
@@ -94,14 +106,17 @@ def check_setup(fitted: Fit, *, explained: float = 0.0, physics: bool = False) -
     poses: then they must stand out by far more.
     """
     poses = check_poses(fitted)
-    reason = None
+    reason, bad = None, list[PoseCheck]()
     if not poses:
         reason = "no pixel of the recording can be compared with the scene"
     else:
-        reason = _gross(fitted, poses) or _few(poses, _STRAINED if physics else 1.0)
+        reason = _gross(fitted, poses)
+        if reason is None:
+            bad = _few(poses, _STRAINED if physics else 1.0)
+            reason = _of_few(bad, len(poses), _STRAINED if physics else 1.0) if bad else None
     if explained > 0.5 and reason is not None and "poses" not in reason:
         reason = None
-    return Setup(tuple(poses), reason)
+    return Setup(tuple(poses), reason, tuple(one.key for one in bad))
 
 
 def _gross(fitted: Fit, poses: list[PoseCheck]) -> str | None:
@@ -131,7 +146,8 @@ def _gross(fitted: Fit, poses: list[PoseCheck]) -> str | None:
     return None
 
 
-def _few(poses: list[PoseCheck], factor: float) -> str | None:
+def _few(poses: list[PoseCheck], factor: float) -> list[PoseCheck]:
+    """Return the poses that do not agree where the most of them do, else none."""
     errors = float(np.quantile([one.error for one in poses], 0.8))
     typical = float(np.quantile([one.chi_square for one in poses], 0.8))
     bad = [
@@ -140,8 +156,10 @@ def _few(poses: list[PoseCheck], factor: float) -> str | None:
         if (one.error > factor * FAR and one.error > factor * AGAINST_OTHERS * errors)
         or (one.chi_square > factor * LARGE and one.chi_square > factor * AGAINST_OTHERS * typical)
     ]
-    if not bad or len(bad) > max(1.0, FEW * len(poses)):
-        return None
+    return bad if len(bad) <= max(1.0, FEW * len(poses)) else []
+
+
+def _of_few(bad: list[PoseCheck], count: int, factor: float) -> str:
     worst = sorted(bad, key=lambda one: -max(one.error, one.chi_square))[:5]
     names = ", ".join(str(one.key[1]) for one in worst)
     first = worst[0]
@@ -153,7 +171,7 @@ def _few(poses: list[PoseCheck], factor: float) -> str | None:
     )
     numbers = ",".join(str(one.key[1]) for one in sorted(bad, key=lambda one: one.key))
     return (
-        f"{len(bad)} of {len(poses)} poses do not agree with the rest ({names}); {detail}; "
+        f"{len(bad)} of {count} poses do not agree with the rest ({names}); {detail}; "
         f"--without-poses {numbers} leaves them out"
     )
 

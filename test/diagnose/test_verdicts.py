@@ -66,6 +66,17 @@ def test_a_pose_that_is_off_is_no_physics(tmp_path: Path) -> None:
     assert report["reason"] == result.reason
 
 
+def test_one_pose_that_is_off_is_left_out(tmp_path: Path) -> None:
+    truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
+    data = record(truth, board, seed=26)
+    one = data.stations[7]
+    x, y, z = one.truth["board"].position
+    data.stations[7] = replace(one, truth={"board": Pose((x, y, z + 0.06), one.truth["board"].orientation)})
+    result = diagnose(data, board, truth)
+    assert result.verdict == "consistent", result.reason
+    assert any(re.match(r"1 of 24 poses .* \(7\); .* left out$", note) for note in result.notes)
+
+
 def test_of_one_pose_nothing_is_named(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
     told = replace(truth, effects={name: truth.effects[name] for name in ("emission_pattern",)})

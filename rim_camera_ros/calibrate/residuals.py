@@ -1,0 +1,81 @@
+"""Residuals without what is known of errors of poses, powers and pixels; their weights and their excess."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.forward import Forward, excess
+from rim_camera_ros.calibrate.prediction import Prediction
+
+Array = NDArray[Any]
+
+#: Residuals beyond this many sigma weigh less (Huber), the more the farther.
+ROBUST_LIMIT = 4.0
+
+
+def huber(pattern: Array, nuisances: Mapping[str, float]) -> Callable[[Prediction], tuple[Array, Array]]:
+    """Return the weights of robust fitting for residuals after pattern and nuisances."""
+
+    def weigh(prediction: Prediction) -> tuple[Array, Array]:
+        distance, amplitude = after_nuisances(prediction, pattern, nuisances)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            z = np.abs(distance) / prediction.sigma
+            z_a = np.abs(amplitude) / prediction.amplitude_sigma
+            return (
+                np.where(z > ROBUST_LIMIT, ROBUST_LIMIT / z, 1.0),
+                np.where(z_a > ROBUST_LIMIT, ROBUST_LIMIT / z_a, 1.0),
+            )
+
+    return weigh
+
+
+def amplitude_error(forward: Forward, nuisances: Mapping[str, float]) -> float:
+    """Return the relative 1-sigma of predicted amplitudes beyond noise and errors of poses (robustly)."""
+    tau = forward.amplitude_model.tau
+    pattern = np.zeros(forward.camera.shape)
+    deviations, variances = [], []
+    for one in forward.predictions(slopes=False):
+        pixels = one.amplitude_used
+        if not pixels.any():
+            continue
+        _, amplitude = after_nuisances(one, pattern, nuisances)
+        reading = one.station.amplitude[pixels] - one.amplitude_residual[pixels]
+        relative = (one.amplitude_sigma[pixels] / reading) ** 2 - tau**2
+        sharp = relative <= np.quantile(relative, 0.5)
+        deviations.append((amplitude[pixels] / reading)[sharp])
+        variances.append(relative[sharp])
+    if not deviations:
+        return 0.0
+    return excess(np.concatenate(deviations), np.concatenate(variances))
+
+
+def after_nuisances(
+    prediction: Prediction, pattern: Array, nuisances: Mapping[str, float]
+) -> tuple[Array, Array]:
+    """Return the residuals of distance [m] and amplitude [counts] without pattern, pose and power errors."""
+    station = prediction.station
+    key = f"{station.recording}.{station.pose}"
+    distance = prediction.residual - pattern
+    amplitude = prediction.amplitude_residual
+    gain = nuisances.get(f"{key}.gain")
+    if gain:
+        by_distance, by_amplitude = prediction.gain_column()
+        distance = distance - gain * by_distance
+        amplitude = amplitude - gain * by_amplitude
+    for part, number in (("real", 0), ("imaginary", 1)):
+        light = nuisances.get(f"{key}.light.{part}.{station.stamp}")
+        if light:
+            by_distance, by_amplitude = prediction.light_columns()[number]
+            distance = distance - light * by_distance
+            amplitude = amplitude - light * by_amplitude
+    for column in prediction.pose_columns:
+        error = nuisances.get(f"{station.recording}.{station.placed}.{column.path}")
+        if error:
+            by_distance, by_amplitude = prediction.pose_change(column)
+            distance = distance - error * by_distance
+            amplitude = amplitude - error * by_amplitude
+    return distance, amplitude
