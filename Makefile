@@ -3,6 +3,7 @@
 PYTHON ?= python3.12
 PYTEST_ARGS ?=
 DURATION ?= 300
+JOBS ?= 2
 
 VENV := .venv
 OLDEST := .venv-oldest
@@ -24,7 +25,14 @@ demo: $(VENV)/.installed ## run the demonstration
 	@$(RUN) -m rim_camera_ros.demo
 
 test: $(VENV)/.installed ## run the tests, without the slow ones
+ifeq ($(PYTEST_ARGS),)
+	@status=0; \
+	$(RUN) -m pytest -m "not slow" -n $(JOBS) --dist loadfile --ignore=test/ros || status=1; \
+	$(RUN) -m pytest -m "not slow" test/ros || status=1; \
+	exit $$status
+else
 	@$(RUN) -m pytest -m "not slow" $(PYTEST_ARGS)
+endif
 
 test-all: $(VENV)/.installed ## run all tests
 	@$(RUN) -m pytest $(PYTEST_ARGS)

@@ -32,6 +32,9 @@ _ITERATIONS = 12
 _TOLERANCE = 0.15
 
 
+#: A smooth function of one covariate that gains this many times what any two effects do is another physics'
+#: mark: of an effect's own covariate it gains what the effect does.
+_SMOOTHER = 1.5
 #: Sigma [px] up to which stray light is none: the pixel's own footprint.
 _LEAST_SPREAD = 1.0
 #: Variants of an effect that are looked at again once another effect was found.
@@ -70,7 +73,7 @@ def search(
     """Add effects to a camera one after the other as long as held-out poses ask for them.
 
     ``effects`` restricts the candidates. ``further`` candidates are scored with the others but never join
-    (smooth terms).
+    (smooth terms); where one of them explains far more than any effects, none joins.
     """
     say = progress if progress is not None else _silent
     folds = folds_of(problem.dataset)
@@ -81,6 +84,8 @@ def search(
     first = explore(problem, camera, pool, folds, further=further, seed=seed)
     problem = replace(problem, masks=first.fit.forward.pixels_used())
     explorations = [first]
+    if _smooth_says_more(first):
+        most = 0
     start = first.scores.log_likelihood()
     found: list[Found] = []
     step = first
@@ -133,6 +138,16 @@ def _silent(text: str) -> None:
     return None
 
 
+def _smooth_says_more(step: Exploration) -> bool:
+    """Return whether a smooth function explains so much more than effects do that none of them is it."""
+    smooth = step.best_further()
+    if smooth is None or smooth[0] <= _SMOOTHER * float(step.thresholds[smooth[1]]):
+        return False
+    pair = step.best_pair()
+    leader = float(step.gains[: step.named].max()) if step.named else 0.0
+    return smooth[0] > _SMOOTHER * max(leader, 0.0 if pair is None else pair[0])
+
+
 def _named(step: Exploration, found: Sequence[Found]) -> list[tuple[int, float]]:
     """Return candidates and gains, those first that gain what they must, by gain."""
     order = [(k, float(step.gains[k])) for k in range(step.named)]
@@ -173,10 +188,11 @@ def _refined(
         geometry = tuple(dict.fromkeys([*problem.geometry, *(n for n in names if n in GEOMETRY)]))
         reflectance = problem.reflectance or not OF_SURFACES.isdisjoint(names)
         own = replace(problem, geometry=geometry, reflectance=reflectance)
-        # first by itself: what loses need not be explored
+        # first by itself: what loses need not be explored; rays from where they are, as a linear guess of
+        # them may put a texture's edges on other pixels
         alone = explore(
             own,
-            step.camera_with(trial),
+            step.camera_with([k for k in trial if step.candidates[k].effect not in GEOMETRY]),
             [],
             folds,
             views=step.fit.forward.views,

@@ -69,7 +69,8 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Any = None)
             masks=problem.masks,
             shifts=problem.shifts,
         )
-        after = fit(own, model, fold_of=result.folds, iterations=2, views=views)
+        warm = result.fit if result.fit.camera == model else None
+        after = fit(own, model, fold_of=result.folds, iterations=2, views=views, warm=warm)
     rms_before, chi_before = _held_out(before, result.folds)
     rms_after, chi_after = (rms_before, chi_before) if after is before else _held_out(after, result.folds)
     floors = [one.sigma[one.used] ** 2 for one in before.forward.predictions(slopes=False)]
