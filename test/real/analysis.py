@@ -50,13 +50,22 @@ def board_frame(points: Array, position: Array, orientation: Array) -> Array:
     return local[..., :2]
 
 
+def edge_distance(local: Array) -> Array:
+    """Return how far pixels are inside their square [px], from board coordinates (H, W, 2) in squares."""
+    inside = 0.5 - np.abs(local - np.floor(local) - 0.5)
+    steps = [np.maximum(*(np.abs(one) for one in np.gradient(local[..., k]))) for k in (0, 1)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.min(inside / np.stack(steps, axis=-1), axis=-1))
+
+
 def black_squares(
-    frames: Iterable[tuple[Array, Array, Array]],
+    frames: Iterable[tuple[Array, Array, Array]], *, margin: float = 0.0, least: int = 6
 ) -> tuple[Array, Array]:
     """Return mean amplitude and step [m] of every black square of a checkerboard.
 
     ``frames``: (cloud (H, W, 4), position (3,), orientation (4,)) of the board. Per frame a plane is
     fitted through the interiors of the white squares; the step is the median ray residual of a black one.
+    Interiors are the inner 0.56 of a square that is ``margin`` [px] from its edges, ``least`` pixels.
     """
     amplitudes, steps = [], []
     for cloud, position, orientation in frames:
@@ -65,6 +74,8 @@ def black_squares(
             local = board_frame(points, np.asarray(position), np.asarray(orientation)) / SQUARE
             cell = np.floor(local)
             inner = np.abs(local - cell - 0.5).max(axis=-1) < 0.28
+            if margin > 0:
+                inner &= edge_distance(local) >= margin
         usable = inner & np.isfinite(points[..., 2]) & (amplitude > 0)
         squares: dict[tuple[int, int], Array] = {}
         keys = cell[usable].astype(int)
@@ -73,7 +84,7 @@ def black_squares(
             # the 5 x 7 inner corners bound 6 x 8 squares; the outermost may be cut by the image's mask
             if -1 <= key[0] <= 7 and -1 <= key[1] <= 7:
                 squares[tuple(key)] = index[(keys == key).all(axis=1)]
-        squares = {key: one for key, one in squares.items() if one.size >= 6}
+        squares = {key: one for key, one in squares.items() if one.size >= least}
         if len(squares) < 12:
             continue
         flat_points, flat_amplitude = points.reshape(-1, 3), amplitude.ravel()
