@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,10 @@ from rim_camera_ros.calibrate.blocks import (
     pose_block,
     present_blocks,
 )
+from rim_camera_ros.calibrate.empirical_fit import empirical_block
 from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
 from rim_camera_ros.calibrate.light_curves import RESPONSE, RIPPLES, SURFACES
-from rim_camera_ros.calibrate.normal_equations import NormalEquations, Reduced, accumulate
+from rim_camera_ros.calibrate.normal_equations import PATTERN_PRIOR, NormalEquations, Reduced, accumulate
 from rim_camera_ros.calibrate.residuals import amplitude_error, huber
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.calibrate.steps import (
@@ -72,6 +73,8 @@ class Problem:
     ``masks`` restrict the pixels, ``shifts`` stand for another simulation (both as in `Forward`);
     ``stray_light`` [counts] as in `accumulate`; ``reflectance`` estimates how surfaces reflect beside
     Lambert's law, ``response`` [counts] what an `amplitude_nonlinearity` leaves, relative to that level.
+    ``pattern_prior`` [m] is the 1-sigma of an offset per pixel. ``variance_factors`` as in `Forward`. The
+    effect ``empirical`` is fitted only where ``effects`` names it.
     ``tick`` is called for each station in every pass and may raise to end the work.
     """
 
@@ -88,6 +91,8 @@ class Problem:
     stray_light: float = 0.0
     reflectance: bool = False
     response: float | None = None
+    pattern_prior: float = PATTERN_PRIOR
+    variance_factors: Mapping[tuple[int, int], float] = field(default_factory=dict)
     tick: Callable[[], None] | None = None
 
 
@@ -204,6 +209,7 @@ def fit(
             weigh=weigh,
             single=problem.single,
             stray_light=problem.stray_light,
+            pattern_prior=problem.pattern_prior,
         )
         if not equations.folds or equations.folds[0].rows == 0:
             raise InputError(
@@ -308,11 +314,24 @@ def _settled(warm: Camera, camera: Camera) -> int:
     return _SETTLED_NEW if new or warm.effects.keys() - camera.effects.keys() else _SETTLED_WARM
 
 
+def freed(problem: Problem, fitted: Fit) -> Problem:
+    """Return the problem in which exactly what a fit has estimated, of effects and light, is free."""
+    names = {path.split(".")[1] for path in fitted.parameters if path.startswith("effects.")}
+    curves = fitted.forward.light_curves
+    return replace(
+        problem,
+        effects=tuple(sorted(names)),
+        reflectance=curves is not None and not curves.values.keys().isdisjoint(SURFACES),
+        response=curves.level if curves is not None and curves.responds else None,
+    )
+
+
 def _forward(
     problem: Problem, scene: Scene, camera: Camera, views: Views | None, offsets: Mapping[str, float]
 ) -> Forward:
     forward = Forward(problem.dataset, scene, camera, views=views)
     forward.masks, forward.shifts, forward.tick = problem.masks, problem.shifts, problem.tick
+    forward.variance_factors = problem.variance_factors
     forward.light_curves = moved_light(offsets, problem.response)
     return forward
 
@@ -329,6 +348,9 @@ def _light_groups(problem: Problem, camera: Camera) -> list[tuple[str, ...]]:
 
 def _blocks(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
     blocks = present_blocks(camera, effects=problem.effects)
+    empirical: Any = camera.effects.get("empirical")
+    if empirical is not None and problem.effects is not None and "empirical" in problem.effects:
+        blocks.append(empirical_block(empirical))
     if problem.gain:
         blocks.append(gain_block())
     blocks += [optics_block(camera, name) for name in problem.geometry]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 from rim_camera_ros.calibrate.blocks import Block, Regressor
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects.covariates import COVARIATES, covariate
 from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.errors import InputError, nearest_name
@@ -24,6 +27,8 @@ KNOTS = (12, 6)
 #: Values per knot that a fit needs, and 1-sigma of a value's prior [m].
 LEAST_VALUES = 200
 PRIOR = 0.05
+#: Begin of the labels of its values, which go on with their place in C order.
+LABEL = "effects.empirical.values."
 #: Covariates over which knots are spaced in proportion.
 _BY_RATIO = frozenset({"amplitude", "row_amplitude", "column_amplitude"})
 _SAMPLES = 2000
@@ -93,7 +98,7 @@ def _knots(name: str, values: Array, count: int) -> tuple[float, ...]:
 def empirical_block(effect: Empirical) -> Block:
     """Return the regressors of the values at the knots, ``effects.empirical.values.N`` in C order."""
     count = int(np.prod([len(one) for one in effect.knots]))
-    regressors = tuple(Regressor(f"effects.empirical.values.{i}", "empirical", PRIOR) for i in range(count))
+    regressors = tuple(Regressor(f"{LABEL}{i}", "empirical", PRIOR) for i in range(count))
 
     def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
         values = _values(effect.covariates, prediction)
@@ -106,6 +111,20 @@ def empirical_block(effect: Empirical) -> Block:
         return [(a * b, None) for a in hats[0] for b in hats[1]]
 
     return Block(regressors, columns)
+
+
+def with_empirical_changes(camera: Camera, changes: Mapping[str, float]) -> Camera:
+    """Return the camera with changes [m] of the values of ``empirical`` by label; others are passed over."""
+    own = {
+        int(path.removeprefix(LABEL)): change for path, change in changes.items() if path.startswith(LABEL)
+    }
+    effect: Any = camera.effects.get("empirical")
+    if not own or effect is None:
+        return camera
+    flat = effect.values.values.ravel().copy()
+    flat[list(own)] += list(own.values())
+    moved = replace(effect, values=NestedList(flat.reshape(effect.values.values.shape)))
+    return with_effects(camera, {**camera.effects, "empirical": moved})
 
 
 def _values(names: Iterable[str], prediction: Prediction) -> list[Array] | None:

@@ -57,8 +57,9 @@ class Forward:
 
     ``masks`` of each station and channel, where given, restrict the pixels that are used, so that fits by
     different cameras can be compared. ``shifts`` of each station and channel are what another simulation
-    says beyond this one's prediction at the start. ``light_curves`` change the light beside
-    the camera file's effects. ``tick`` is called for each station and may raise to end the work.
+    says beyond this one's prediction at the start. ``variance_factors`` by recording and placement multiply
+    the variances of a pose's distances. ``light_curves`` change the light beside the camera file's effects.
+    ``tick`` is called for each station and may raise to end the work.
     """
 
     def __init__(self, dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None) -> None:
@@ -68,6 +69,7 @@ class Forward:
         self.amplitude_model = AmplitudeModel()
         self.masks: Sequence[tuple[Array, Array]] | None = None
         self.shifts: Sequence[tuple[Array, Array]] | None = None
+        self.variance_factors: Mapping[tuple[int, int], float] = {}
         self.light_curves: LightCurves | None = None
         self.tick: Callable[[], None] | None = None
         self._order = {name: i for i, name in enumerate(registry())}
@@ -122,6 +124,9 @@ class Forward:
                 one.amplitude_residual = one.amplitude_residual - self.shifts[number][1]
                 one.used &= np.isfinite(one.residual)
                 one.amplitude_used &= one.used
+            factor = self.variance_factors.get((station.recording, station.placed), 1.0)
+            if factor != 1.0:
+                one.sigma = one.sigma * np.sqrt(factor)
             if self.masks is not None:
                 # the same pixels whatever the camera predicts, or likelihoods could not be compared
                 possible = np.isfinite(one.residual) & np.isfinite(one.sigma) & (one.station.count > 0)

@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
 from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
 from rim_camera_ros.calibrate.blocks import UNFITTED, gain_block, light_block, optics_block, present_blocks
 from rim_camera_ros.calibrate.clusters import widening
@@ -25,7 +23,7 @@ from rim_camera_ros.calibrate.light_curves import SURFACES
 from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT
 from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.calibrate.selection import Scores, folds_of
-from rim_camera_ros.calibrate.solution import Solution, count_outliers, moved_by
+from rim_camera_ros.calibrate.solution import Solution, count_outliers
 from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
@@ -35,8 +33,6 @@ from rim_camera_ros.errors import InputError, nearest_name
 Say = Callable[[str], None]
 Key = tuple[int, int]
 
-#: Rounds in which the empirical function and all else are solved together.
-_ROUNDS = 5
 #: Pixel values on which effects are tried that are not fitted.
 MOST_VALUES = 3_000_000
 #: Kept as in the file because the recordings do not speak of it.
@@ -118,13 +114,11 @@ def exactly(
     )
     kept = {name: _KEPT_UNASKED for name in camera.effects if name not in names and name not in UNFITTED}
     pool = [one for one in candidates(camera, facts) if one.effect not in (*geometry, *unseen)]
-    if "empirical" in names and covariates is not None:
-        say("fitting " + ", ".join(names))
-        fitted, scores = _with_empirical(problem, camera, covariates, folds, views)
-    else:
-        say("fitting " + (", ".join(names) or "offsets of pixels"))
-        step = explore(problem, camera, [], folds, views=views, replicates=0, progress=say)
-        fitted, scores = step.fit, step.scores
+    if covariates is not None:
+        camera = _with_empirical(problem, camera, covariates, views)
+    say("fitting " + (", ".join(names) or "offsets of pixels"))
+    step = explore(problem, camera, [], folds, views=views, replicates=0, progress=say)
+    fitted, scores = step.fit, step.scores
     untold = undetermined_effects(scores, [n for n in names if n in fitted.camera.effects])
     for name in dict.fromkeys([*unseen, *untold]):
         notes.append(f"{name} cannot be determined from these recordings: {undeterminable(name, facts)}")
@@ -231,35 +225,15 @@ def _with_absent(
     return camera, unseen
 
 
-def _with_empirical(
-    problem: Problem,
-    camera: Camera,
-    covariates: tuple[str, ...],
-    folds: Mapping[Key, int],
-    views: Views,
-) -> tuple[Fit, Scores]:
-    """Fit everything beside a smooth function, in turn and together until the function rests."""
+def _with_empirical(problem: Problem, camera: Camera, covariates: tuple[str, ...], views: Views) -> Camera:
+    """Return the camera with a smooth function of the covariates, its own or one that begins at zero."""
+    effect: Any = camera.effects.get("empirical")
+    if effect is not None and effect.covariates == covariates:
+        return camera
     forward = Forward(problem.dataset, problem.scene, camera, views=views)
     forward.masks = problem.masks
     forward.estimate_amplitudes()
-    effect: Any = camera.effects.get("empirical")
-    if effect is None or effect.covariates != covariates:
-        effect = empirical_start(forward, covariates)
-        camera = with_effects(camera, {**camera.effects, "empirical": effect})
-    block = empirical_block(effect)
-    for _ in range(_ROUNDS):
-        fitted = fit(problem, camera, fold_of=folds, further=[block], views=views)
-        base = len(fitted.parameters) + len(block.regressors)
-        scores = Scores(fitted.equations, range(base))
-        changes = scores.values()
-        sigma = np.sqrt(np.diag(scores.covariance(scores.base)))
-        own = slice(len(fitted.parameters), base)
-        steps = np.array(list(changes.values()))[own]
-        camera = moved_by(fitted.camera, changes)
-        if bool(np.all(np.abs(steps) < 0.1 * sigma[own])):
-            break
-    fitted = fit(problem, camera, fold_of=folds, further=[block], views=views)
-    return fitted, Scores(fitted.equations, range(base))
+    return with_effects(camera, {**camera.effects, "empirical": empirical_start(forward, covariates)})
 
 
 def _some_stations(problem: Problem, folds: Mapping[Key, int]) -> tuple[Problem, dict[Key, int]]:

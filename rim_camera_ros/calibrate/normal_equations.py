@@ -211,13 +211,15 @@ def accumulate(
     weigh: Callable[[Prediction], tuple[Array, Array]] | None = None,
     single: bool = False,
     stray_light: float = 0.0,
+    pattern_prior: float = PATTERN_PRIOR,
 ) -> NormalEquations:
     """Stream all stations into normal equations.
 
     ``fold_of`` maps (recording, pose) to a fold number (default: all in fold 0); ``pattern`` estimates an
     offset per pixel; ``weigh`` returns factors on the weights of both channels (robust fitting); ``single``
     keeps the sums per pixel in float32; ``stray_light`` [counts] is the 1-sigma of light that all pixels of a
-    station share (that of a second camera), a random effect of every station.
+    station share (that of a second camera), a random effect of every station; ``pattern_prior`` [m] that of
+    the offsets of pixels.
     """
     regressors = [one for block in blocks for one in block.regressors]
     count = len(regressors)
@@ -233,7 +235,7 @@ def accumulate(
         factors = None if weigh is None else weigh(prediction)
         sums[number].add(prediction, blocks, (gain_sigma, stray_light), pattern, factors)
     folds = [sums[number].fold(pattern) for number in sorted(sums)]
-    return NormalEquations(regressors, folds, camera.shape)
+    return NormalEquations(regressors, folds, camera.shape, pattern_prior)
 
 
 class _FoldSums:

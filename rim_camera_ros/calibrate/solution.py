@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from rim_camera_ros.calibrate.adjustment import Fit
+from rim_camera_ros.calibrate.empirical_fit import with_empirical_changes
 from rim_camera_ros.calibrate.light_curves import of_light
 from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.calibrate.selection import Scores
@@ -18,7 +19,7 @@ from rim_camera_ros.camera import Camera, Covariance
 from rim_camera_ros.camera_file import camera_numbers, with_effects, with_numbers
 from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
 from rim_camera_ros.errors import InputError
-from rim_camera_ros.parameters import ArrayFile, NestedList
+from rim_camera_ros.parameters import ArrayFile
 
 Array = NDArray[Any]
 Key = tuple[int, int]
@@ -32,7 +33,6 @@ _SMOOTH = 3.0
 #: Share of a change of parameters below which none of it is made.
 _LEAST_SHARE = 1e-3
 _GAIN = "radiometry.gain"
-_EMPIRICAL = "effects.empirical.values."
 
 
 @dataclass
@@ -143,28 +143,16 @@ def _moved_by(camera: Camera, changes: Mapping[str, float]) -> Camera:
         for path, limit in effect.bounds().items()
     }
     values: dict[str, float] = {}
-    table: dict[int, float] = {}
     for label, change in changes.items():
         if label == _GAIN:
             values[label] = numbers[label] * float(np.exp(change))
-        elif label.startswith(_EMPIRICAL):
-            table[int(label.removeprefix(_EMPIRICAL))] = change
         elif label in numbers:
             low, high = limits.get(label, (-np.inf, np.inf))
             value = numbers[label] + change
             values[label] = float(np.clip(value, low + 1e-12 if low > 0 else low, high))
     if values:
         camera = with_numbers(camera, values)
-    if table:
-        effect: Any = camera.effects["empirical"]
-        flat = effect.values.values.ravel().copy()
-        for i, change in table.items():
-            flat[i] += change
-        shape = effect.values.values.shape
-        camera = with_effects(
-            camera, {**camera.effects, "empirical": replace(effect, values=NestedList(flat.reshape(shape)))}
-        )
-    return camera
+    return with_empirical_changes(camera, changes)
 
 
 def with_pattern(camera: Camera, pattern: Array, variance: Array) -> Camera:

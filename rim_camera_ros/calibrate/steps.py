@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.calibrate.empirical_fit import LABEL, with_empirical_changes
 from rim_camera_ros.calibrate.light_curves import LightCurves, of_light
 from rim_camera_ros.calibrate.normal_equations import Reduced
 from rim_camera_ros.calibrate.stations import Dataset
@@ -121,8 +122,9 @@ def poles_of(
 
 
 def value_of(path: str, camera: Camera, offsets: Mapping[str, float]) -> float:
-    """Return a parameter's value: of the camera, or how far one of the scene has moved."""
-    return offsets.get(path, 0.0) if of_scene(path) else camera_numbers(camera)[path]
+    """Return a parameter's value: of the camera, or how far one of the scene or of a table has moved."""
+    beside_numbers = of_scene(path) or path.startswith(LABEL)
+    return offsets.get(path, 0.0) if beside_numbers else camera_numbers(camera)[path]
 
 
 def of_shape(path: str) -> bool:
@@ -159,7 +161,7 @@ def _moved(
     """Return the camera with its numbers moved, kept within their bounds and within reach."""
     values: dict[str, float] = {}
     for path, offset in offsets.items():
-        if of_scene(path):
+        if of_scene(path) or path.startswith(LABEL):
             continue
         value = (
             numbers[path] * float(np.exp(np.clip(offset, -3, 3))) if path == GAIN else numbers[path] + offset
@@ -173,7 +175,7 @@ def _moved(
             low, high = max(low, -limit), min(high, limit)
         inside = 1e-9 * max(abs(value), 1.0)
         values[path] = float(np.clip(value, low + inside if np.isfinite(low) and low > 0 else low, high))
-    return with_numbers(camera, values) if values else camera
+    return with_empirical_changes(with_numbers(camera, values) if values else camera, offsets)
 
 
 def moved_scene(scene: Scene, offsets: Mapping[str, float]) -> tuple[Scene, bool]:
