@@ -17,7 +17,9 @@ from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects.base import Effect
+from rim_camera_ros.effects.covariates import COVARIATES
 from rim_camera_ros.effects.cyclic_error import CyclicError
+from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.scattering import Ghost, Kernel, Scattering
@@ -30,6 +32,23 @@ MANY_PIXELS = 60_000
 _COARSE_PIXELS = 30_000
 #: Effects stated for pixels of the full grid.
 BY_POSITION = ("integral_table", "empirical", "reference_path")
+#: Effects that a calibration fits to all pixels: they act on neighbours, or are stated by pixels.
+ALL_PIXELS = frozenset(
+    {
+        "camera_constant",
+        "integral_table",
+        "lens_distortion",
+        "mixed_pixels",
+        "multipath",
+        "reference_path",
+        "saturation_bleed",
+        "scattering",
+    }
+)
+#: Covariates of ``empirical`` that a pixel has whatever its neighbours and its place on the grid.
+_POINTWISE = frozenset(COVARIATES) - {
+    "row", "column", "row_amplitude", "column_amplitude", "contrast", "edge", "saturation"
+}  # fmt: skip
 
 
 def coarseness(camera: Camera) -> int:
@@ -38,6 +57,24 @@ def coarseness(camera: Camera) -> int:
     if pixels <= MANY_PIXELS or any(name in camera.effects for name in BY_POSITION):
         return 1
     return int(np.ceil(np.sqrt(pixels / _COARSE_PIXELS)))
+
+
+def coarseness_of(camera: Camera, words: Sequence[str]) -> int:
+    """Return the step of the coarser grid [px] on which effects, as --effects names them, can be fitted.
+
+    1 where all pixels are needed: small sensors, and effects that act on neighbours or are stated by
+    pixels.
+    """
+    covariates = {one for word in words for one in word.split(":")[1:]}
+    names = {word.partition(":")[0] for word in words}
+    kept = camera.effects.get("empirical")
+    if isinstance(kept, Empirical):
+        covariates |= set(kept.covariates)
+    if names & (ALL_PIXELS | {"fixed_pattern_offset"}) or set(camera.effects) & ALL_PIXELS:
+        return 1
+    if covariates - _POINTWISE:
+        return 1
+    return int(np.ceil(np.sqrt(camera.sensor.width * camera.sensor.height / MANY_PIXELS)))
 
 
 def coarser_camera(camera: Camera, step: int) -> Camera:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,15 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT, after_nuisances
 from rim_camera_ros.effects.reference_path import ReferencePath
 from rim_camera_ros.scene import Geometry
 
 Array = NDArray[Any]
 Masks = list[tuple[Array, Array]]
+#: Which pixels (H, W) of a station are within a margin [px] of edges.
+Beside = Callable[[Prediction, int], Array]
 
 #: A distance farther than this many robust standard deviations from its station's median residual, and than
 #: `GROSS` [m], is no measurement of the scene.
@@ -32,6 +35,12 @@ BESIDE = 2
 POOR = 1.5
 DISAGREE = 1.1
 LEAST_LEFT = 0.1
+#: They are left out, too, as far as `WIDEST` [px] from edges, where a zone along them differs from what is
+#: far from any by more than `STEP` [m] in the median of some stations, with some pixels in both.
+WIDEST = 5
+STEP = 0.001
+LEAST_STATIONS = 8
+LEAST_PIXELS = 4
 
 
 def usable_pixels(forward: Forward) -> tuple[Masks, int]:
@@ -62,9 +71,9 @@ def usable_pixels(forward: Forward) -> tuple[Masks, int]:
     return masks, gross
 
 
-def beside_edges(geometry: Geometry) -> NDArray[np.bool_]:
-    """Return the pixels (H, W) within `BESIDE` of another surface, another brightness, or nothing."""
-    size = 2 * BESIDE + 1
+def beside_edges(geometry: Geometry, margin: int = BESIDE) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) within ``margin`` [px] of another surface, another brightness, or nothing."""
+    size = 2 * margin + 1
     bright = np.where(geometry.hit, geometry.reflectivity, -1.0)
     surface = geometry.surface
     same = minimum_filter(bright, size) == maximum_filter(bright, size)
@@ -72,29 +81,101 @@ def beside_edges(geometry: Geometry) -> NDArray[np.bool_]:
     return np.asarray(~same)
 
 
-def without_edges(fitted: Fit, masks: Sequence[tuple[Array, Array]]) -> tuple[Masks, str] | None:
-    """Return the masks without the pixels beside edges, and a note, where they disagree with the others.
+def beside_in_view(prediction: Prediction, margin: int) -> Array:
+    """Return the pixels (H, W) of a station within ``margin`` [px] of edges, as `beside_edges`."""
+    return beside_edges(prediction.view.geometry, margin)
 
-    None where they agree: what blurs and strays is modelled or too small. Outliers count no more than at
-    the robust limit.
+
+def without_edges(
+    fitted: Fit,
+    masks: Sequence[tuple[Array, Array]],
+    *,
+    beside: Beside = beside_in_view,
+) -> tuple[Masks, int, str] | None:
+    """Return the masks without the pixels beside edges, how wide that is [px], and a note; None: they agree.
+
+    They disagree where chi-square is larger within `BESIDE` of edges, or where distances there differ from
+    those of the same colour in the same pose, as far as they do. ``beside`` says which pixels (H, W) of a
+    station are within a margin [px] of edges. Outliers count no more than at the robust limit.
     """
     totals = np.zeros((2, 2))
-    left: Masks = []
-    for one, (used, lit) in zip(fitted.forward.predictions(), masks, strict=True):
+    zones = _Zones()
+    for one, (used, _) in zip(fitted.forward.predictions(), masks, strict=True):
         rest, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
-        edge = beside_edges(one.view.geometry)
+        within = [beside(one, margin) for margin in range(BESIDE, WIDEST + 1)]
         with np.errstate(invalid="ignore", divide="ignore"):
             z = np.minimum(np.abs(rest) / one.sigma, ROBUST_LIMIT)
-        for i, pixels in enumerate((one.used & ~edge, one.used & edge)):
+        for i, pixels in enumerate((one.used & ~within[0], one.used & within[0])):
             totals[i] += float(np.sum(z[pixels] ** 2)), float(pixels.sum())
-        left.append((used & ~edge, lit & ~edge))
+        zones.add(one, rest, used, within)
     chi_square = totals[:, 0] / np.maximum(totals[:, 1], 1)
-    few = totals[0, 1] < LEAST_LEFT * totals[:, 1].sum()
-    if few or chi_square[1] < POOR or chi_square[1] < DISAGREE * chi_square[0]:
+    poor = chi_square[1] >= POOR and chi_square[1] >= DISAGREE * chi_square[0]
+    margin, step = zones.margin()
+    if poor:
+        margin = max(margin, BESIDE)
+    left: Masks = []
+    while margin >= BESIDE:
+        predictions = fitted.forward.predictions(slopes=False)
+        left = [
+            (used & inner, lit & inner)
+            for (used, lit), inner in zip(masks, (~beside(one, margin) for one in predictions), strict=True)
+        ]
+        if sum(int(used.sum()) for used, _ in left) >= LEAST_LEFT * totals[:, 1].sum():
+            break
+        margin -= 1
+    if margin < BESIDE:
         return None
-    return left, (
-        f"left out: {int(totals[1, 1])} distances within {BESIDE} px of edges of brightness or surfaces, "
-        f"which disagree with the others (chi-square per value {chi_square[1]:.1f} against "
-        f"{chi_square[0]:.1f}): "
-        "stray light or blur that these recordings do not resolve"
+    lost = sum(int(used.sum()) for used, _ in masks) - sum(int(used.sum()) for used, _ in left)
+    shifted = f"by up to {step * 1e3:.1f} mm beside those of their colour, " if abs(step) > 0 else ""
+    return (
+        left,
+        margin,
+        f"left out: {lost} distances within {margin} px of edges of brightness or surfaces, "
+        f"which disagree with the others ({shifted}chi-square per value {chi_square[1]:.1f} against "
+        f"{chi_square[0]:.1f}): stray light or blur that these recordings do not resolve",
     )
+
+
+class _Zones:
+    """Differences of distances in zones along edges from those far from any, by colour and pose."""
+
+    def __init__(self) -> None:
+        self._found: dict[tuple[int, float], list[float]] = {}
+
+    def add(self, one: Prediction, rest: Array, used: Array, within: Sequence[Array]) -> None:
+        """Add a station: residuals [m], pixels, and which of them are within each margin, (H, W) each."""
+        colours = one.view.geometry.reflectivity
+        for colour in np.unique(colours[used]):
+            mine = used & (colours == colour)
+            far = mine & ~within[-1]
+            if far.sum() < LEAST_PIXELS:
+                continue
+            level = float(np.median(rest[far]))
+            nearer = np.zeros_like(mine)
+            for number, zone in enumerate(within):
+                pixels = mine & zone & ~nearer
+                nearer = zone
+                if pixels.sum() >= LEAST_PIXELS:
+                    difference = float(np.median(rest[pixels])) - level
+                    self._found.setdefault((number, float(colour)), []).append(difference)
+
+    def margin(self) -> tuple[int, float]:
+        """Return how far from edges distances disagree [px], 0 where nowhere, and the greatest step [m]."""
+        margin, most = 0, 0.0
+        for number in range(WIDEST - BESIDE + 1):
+            steps = [self._step(values) for (zone, _), values in self._found.items() if zone == number]
+            step = max(steps, key=abs, default=0.0)
+            if step == 0.0:
+                break
+            margin = BESIDE + number
+            most = max(most, step, key=abs)
+        return margin, most
+
+    @staticmethod
+    def _step(values: list[float]) -> float:
+        """Return the median of the poses' differences, 0 where it is too small or not significant."""
+        if len(values) < LEAST_STATIONS:
+            return 0.0
+        median = float(np.median(values))
+        sigma = 1.4826 * 1.2533 * float(np.median(np.abs(np.array(values) - median))) / np.sqrt(len(values))
+        return median if abs(median) > max(STEP, 3.0 * sigma) else 0.0

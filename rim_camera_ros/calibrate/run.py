@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,32 +15,31 @@ from scipy.linalg import block_diag
 from rim_camera_ros.bags import Topics
 from rim_camera_ros.calibrate import checks
 from rim_camera_ros.calibrate.adjustment import Problem
+from rim_camera_ros.calibrate.beyond_hyperbola import beyond_hyperbola
+from rim_camera_ros.calibrate.coarser import coarseness_of, coarser_camera
 from rim_camera_ros.calibrate.determined import EffectStatus
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.held_out import Accuracy, evaluate
 from rim_camera_ros.calibrate.integral import IntegralFit
 from rim_camera_ros.calibrate.joint import Outcome, by_search, exactly
+from rim_camera_ros.calibrate.large_sensor import LargeSensor
 from rim_camera_ros.calibrate.library import Facts
 from rim_camera_ros.calibrate.noise_fit import POOR, NoiseFit, fit_noise
-from rim_camera_ros.calibrate.pixels import usable_pixels, without_edges
-from rim_camera_ros.calibrate.pose_errors import settled_poses, wider_poses_note
+from rim_camera_ros.calibrate.pixels import beside_in_view, usable_pixels
 from rim_camera_ros.calibrate.provenance import Source, checksum, provenance
 from rim_camera_ros.calibrate.reference_scale import NAME as REFERENCE
 from rim_camera_ros.calibrate.reference_scale import PATHS, FittedReference, fit_reference, with_reference
+from rim_camera_ros.calibrate.refinement import Refinement
 from rim_camera_ros.calibrate.several_scenes import joined
 from rim_camera_ros.calibrate.solution import Solution, high_correlations, stated
-from rim_camera_ros.calibrate.stations import Dataset, merged, reduce_recording
+from rim_camera_ros.calibrate.stations import Dataset, merged
 from rim_camera_ros.calibrate.validity import supported
+from rim_camera_ros.calibrate.watch import Progress, Reducer, Watch
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.errors import InputError, RimError
-from rim_camera_ros.frame import RawFrame
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]
-#: What is done, how much of it, of how much (None: unknown).
-Progress = Callable[[str, int | None, int | None], None]
-#: Reduces the recordings to stations, in their order; `tick` may raise to end the work.
-Reducer = Callable[[Sequence[Path], Camera, Topics | None], Sequence[Dataset]]
 
 GEOMETRY = ("camera_constant", "lens_distortion")
 _INTEGRAL = "integral_table"
@@ -48,10 +47,6 @@ _INTEGRAL = "integral_table"
 _MANY_PIXELS = 20_000
 #: Common variation of frames beyond which something changes all pixels from frame to frame.
 _COMMON = 3.0
-
-
-class Cancelled(RimError):
-    """The work was cancelled; nothing was written."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +79,7 @@ class Calibration:
 
     ``paths`` and ``covariance`` of the fitted parameters that the data determine; ``accuracy`` of the camera
     on held-out poses and ``integral_accuracy`` that of a table by position from the same poses (None where it
-    was not made); ``correlations`` above 0.9.
+    was not made); ``correlations`` above 0.9; ``pattern_variance`` (H, W) [m^2] of the offsets of pixels.
     """
 
     camera: Camera
@@ -101,6 +96,7 @@ class Calibration:
     sources: list[Source]
     frames: int
     poses: int
+    pattern_variance: Array
     integral: bool = False
     notes: list[str] = field(default_factory=list)
 
@@ -132,7 +128,7 @@ def calibrate(
     Raises `InputError` for recordings, scene or effects that do not go together (one line with a remedy),
     `Cancelled`, and `RimError` where the adjustment finds no solution.
     """
-    watch = _Watch(progress, cancelled)
+    watch = Watch(progress, cancelled)
     camera = request.camera
     if not request.recordings:
         raise InputError("no recording is given", remedy="give one recording or more")
@@ -157,6 +153,12 @@ def calibrate(
         notes += _noise_notes(noise)
     else:
         notes.append("noise as in the camera file: there are too few repeated frames to fit it")
+    large: LargeSensor | None = None
+    step = 1 if request.effects is None or request.geometry else coarseness_of(camera, request.effects)
+    if step > 1:
+        large = LargeSensor(camera, dataset, scene, step)
+        camera, dataset = large.coarse
+        notes.append(large.note)
     facts = Facts.of(
         dataset,
         moves=scene.camera_motion.moves,
@@ -181,8 +183,8 @@ def calibrate(
     masks, gross = usable_pixels(forward)
     if gross:
         notes.append(f"left out: {gross} distances that are far from any surface of the scene")
-    problem = replace(problem, masks=masks)
-    all_pixels = True
+    refinement = Refinement(problem, masks, beside=beside_in_view if large is None else large.beside_edges)
+    problem = refinement.first(problem)
     begin: Camera | None = None
     while True:
         if words is None:
@@ -191,24 +193,29 @@ def calibrate(
             outcome = exactly(problem, camera, facts, words, views=forward.views, say=watch.say, begin=begin)
         fitted = outcome.solution.fit
         begin = fitted.camera
-        inner = without_edges(fitted, masks) if all_pixels else None
-        wider = settled_poses(problem, fitted) if inner is None and problem.scene is scene else None
-        if inner is not None:
-            masks, note = inner
-            notes.append(note)
-            all_pixels = False
-            problem = replace(problem, masks=masks)
-        elif wider is not None:
-            problem = replace(problem, scene=wider)
-            forward = Forward(dataset, wider, camera)
-        else:
+        refined = refinement.next(problem, fitted)
+        if refined is None:
             break
-        watch.say("again, with " + ("fewer pixels" if wider is None else "wider errors of poses"))
-    if problem.scene is not scene:
-        notes.append(wider_poses_note(scene, problem.scene))
+        if refined[0].scene is not problem.scene:
+            forward = Forward(dataset, refined[0].scene, camera)
+        problem = refined[0]
+        watch.say(f"again, with {refined[1]}")
+    notes += refinement.notes(problem)
     notes += [*outcome.notes, *outcome.solution.notes]
+    watch.say("hyperbola or curve")
+    beyond = beyond_hyperbola(problem, outcome.solution) if words is not None else None
+    notes += [] if beyond is None else [beyond]
     return _finished(
-        request, outcome, dataset, noise, notes, watch, integral=integral, only_integral=only_integral
+        request,
+        outcome,
+        dataset,
+        noise,
+        notes,
+        watch,
+        large=large,
+        edges_within=refinement.edges_within,
+        integral=integral,
+        only_integral=only_integral,
     )
 
 
@@ -218,8 +225,10 @@ def _finished(
     dataset: Dataset,
     noise: NoiseFit | None,
     notes: list[str],
-    watch: _Watch,
+    watch: Watch,
     *,
+    large: LargeSensor | None,
+    edges_within: int,
     integral: bool,
     only_integral: bool,
 ) -> Calibration:
@@ -241,27 +250,30 @@ def _finished(
     }
     arguments = (dataset, fitted.scene, forward.views)
     split = solution.folds if numbers else {}
-    accuracy = evaluate(
-        *arguments, cameras, split, request.camera, masks, held_out=bool(numbers), tick=watch.tick
-    )
+    before = request.camera if large is None else coarser_camera(request.camera, large.step)
+    accuracy = evaluate(*arguments, cameras, split, before, masks, held_out=bool(numbers), tick=watch.tick)
     table, by_table = None, None
     if integral or only_integral:
         watch.say("table by position")
         table = IntegralFit(forward, split, masks, tick=watch.tick)
         tables = table.cameras([*numbers, None])
         made = {k: tables[k] for k in numbers} or {0: tables[None]}
-        by_table = evaluate(
-            *arguments, made, split, request.camera, masks, held_out=bool(numbers), tick=watch.tick
-        )
+        by_table = evaluate(*arguments, made, split, before, masks, held_out=bool(numbers), tick=watch.tick)
     paths, covariance = solution.covariance()
-    camera = with_reference(solution.camera(), path)
+    camera, variance = solution.camera(), solution.pattern_variance()
+    validity = supported(forward)
+    if large is not None:
+        watch.say("offsets of all pixels")
+        camera, variance = large.finished(solution, edges_within=edges_within, tick=watch.tick)
+        covariance, validity = large.covariance(paths, covariance), large.validity(validity)
+    camera = with_reference(camera, path)
     if path is not None and path.effect is not None:
         paths, covariance = [*paths, *PATHS], block_diag(covariance, path.covariance)
     if only_integral:
         assert table is not None
         camera = table.cameras([None])[None]
         paths, covariance = [], np.zeros((0, 0))
-    camera = replace(camera, validity=supported(forward))
+    camera = replace(camera, validity=validity)
     camera = stated(camera, paths, covariance) if not only_integral else replace(camera, covariance=None)
     watch.say("checksums")
     sources = _sources(request.recordings, dataset, watch.tick)
@@ -293,6 +305,7 @@ def _finished(
         sources=sources,
         frames=dataset.frames,
         poses=dataset.poses,
+        pattern_variance=variance,
         integral=only_integral,
         notes=notes,
     )
@@ -340,41 +353,3 @@ def _noise_notes(noise: NoiseFit) -> list[str]:
             "would): another light source or camera, or motion; intervals are too narrow by what that adds"
         )
     return notes
-
-
-class _Watch:
-    """Tells progress and ends the work where it is cancelled."""
-
-    def __init__(self, progress: Progress | None, cancelled: Callable[[], bool] | None) -> None:
-        self._progress = progress
-        self._cancelled = cancelled
-
-    def tick(self) -> None:
-        if self._cancelled is not None and self._cancelled():
-            raise Cancelled("cancelled; nothing was written")
-
-    def say(self, text: str) -> None:
-        self.tick()
-        if self._progress is not None:
-            self._progress(text, None, None)
-
-    def ticking(self, text: str) -> Callable[[], None]:
-        self.say(text)
-        return self.tick
-
-    def reducer(self, total: int) -> Reducer:
-        """Return the reduction in this process, one recording after the other."""
-        done = [0]
-
-        def watched(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
-            for frame in frames:
-                self.tick()
-                yield frame
-                done[0] += 1
-                if self._progress is not None:
-                    self._progress("reading frames", done[0], total)
-
-        def reduce_all(paths: Sequence[Path], camera: Camera, topics: Topics | None) -> list[Dataset]:
-            return [reduce_recording(path, camera, topics=topics, progress=watched) for path in paths]
-
-        return reduce_all

@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rim_camera_ros.bags import Topics
-from rim_camera_ros.calibrate.run import Reducer, Request, calibrate
+from rim_camera_ros.calibrate.run import Request, calibrate
 from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.calibrate.watch import Reducer
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.commands.common import (
     add_command,

@@ -146,7 +146,7 @@ def _pattern(result: Calibration) -> str:
         return ""
     values = effect.map.values.astype(float) * 1e3
     centre = float(np.median(values))
-    sigma = np.sqrt(result.solution.pattern_variance()) * 1e3
+    sigma = np.sqrt(result.pattern_variance) * 1e3
     sigma = np.where(np.isfinite(sigma), sigma, np.nan)
     picture = maps(
         [

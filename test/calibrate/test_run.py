@@ -13,9 +13,10 @@ from scipy.stats import chi2
 from rim_camera_ros.calibrate.noise_fit import fit_noise
 from rim_camera_ros.calibrate.pose_errors import pose_error_ratios, with_wider_poses
 from rim_camera_ros.calibrate.provenance import checksum
-from rim_camera_ros.calibrate.run import Calibration, Cancelled, Request, calibrate
+from rim_camera_ros.calibrate.run import Calibration, Request, calibrate
 from rim_camera_ros.calibrate.solution import high_correlations, shrink
 from rim_camera_ros.calibrate.validity import region
+from rim_camera_ros.calibrate.watch import Cancelled
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_effects
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola

@@ -1,0 +1,120 @@
+"""A calibration of a large sensor: parameters from every k-th pixel, offsets from all of them.
+
+Hundreds of thousands of pixels tell a dozen parameters no better than a tenth of them, because the errors of
+poses limit both. What each pixel has of its own, the fixed pattern, needs them all, but one pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.adjustment import ROBUST_LIMIT
+from rim_camera_ros.calibrate.coarser import coarser_camera, coarser_dataset, finer_camera
+from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.normal_equations import PATTERN_PRIOR
+from rim_camera_ros.calibrate.pixels import BESIDE, WIDEST, beside_edges, usable_pixels
+from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.residuals import after_nuisances
+from rim_camera_ros.calibrate.solution import Solution, with_pattern
+from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.camera import Camera, Validity
+from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.scene import Scene, see
+
+Array = NDArray[Any]
+
+_PATTERN = "fixed_pattern_offset"
+_BY_PIXEL = "effects.cyclic_error.gradient."
+
+
+@dataclass(frozen=True)
+class LargeSensor:
+    """``camera`` and ``dataset`` of all pixels; every ``step``-th in both directions is fitted."""
+
+    camera: Camera
+    dataset: Dataset
+    scene: Scene
+    step: int
+    _margins: dict[tuple[int, int], Array] = field(default_factory=dict)
+
+    @property
+    def coarse(self) -> tuple[Camera, Dataset]:
+        """Camera and stations on the coarser grid."""
+        return coarser_camera(self.camera, self.step), coarser_dataset(self.dataset, self.step)
+
+    @property
+    def note(self) -> str:
+        """What is looked at, in words."""
+        return (
+            f"parameters are fitted to every {self.step}th pixel of every {self.step}th row, which is enough "
+            "for them, offsets of pixels to all; with fixed_pattern_offset among --effects all is"
+        )
+
+    def beside_edges(self, prediction: Prediction, margin: int = BESIDE) -> Array:
+        """Return which pixels (H, W) of the coarser grid are within ``margin`` [px] of edges on the full one.
+
+        ``margin`` from `BESIDE` to `WIDEST`.
+        """
+        station = prediction.station
+        key = (station.recording, station.stamp)
+        if key not in self._margins:
+            geometry = see(self.scene, self.scene.poses_for(station.truth), self.camera.rays)
+            pick = slice(self.step // 2, None, self.step)
+            found = np.full(prediction.distance.shape, WIDEST + 1, np.uint8)
+            for one in range(WIDEST, BESIDE - 1, -1):
+                found[beside_edges(geometry, one)[pick, pick]] = one
+            self._margins[key] = found
+        return np.asarray(self._margins[key] <= margin)
+
+    def finished(
+        self, solution: Solution, *, edges_within: int, tick: Callable[[], None] | None = None
+    ) -> tuple[Camera, Array]:
+        """Return the camera of all pixels with their offsets, and the offsets' variance (H, W) [m^2].
+
+        The variance is infinite where no pose was seen. Pixels within ``edges_within`` [px] of edges take
+        no part;
+        ``tick`` is called for each station and may raise to end the work.
+        """
+        fitted = solution.fit
+        small = fitted.camera
+        without = {name: one for name, one in small.effects.items() if name != _PATTERN}
+        camera = finer_camera(with_effects(small, without), self.camera, self.step)
+        if _PATTERN in self.camera.effects:
+            camera = with_effects(camera, {**camera.effects, _PATTERN: self.camera.effects[_PATTERN]})
+        forward = Forward(self.dataset, fitted.scene, camera)
+        forward.amplitude_model = fitted.forward.amplitude_model
+        forward.light_curves = fitted.forward.light_curves
+        forward.variance_factors = fitted.forward.variance_factors
+        forward.tick = tick
+        masks, _ = usable_pixels(forward)
+        total, weight = np.zeros(camera.shape), np.zeros(camera.shape)
+        none = np.zeros(camera.shape)
+        for one, (used, _) in zip(forward.predictions(), masks, strict=True):
+            if edges_within:
+                used = used & ~beside_edges(one.view.geometry, edges_within)
+            rest, _ = after_nuisances(one, none, fitted.nuisances)
+            z = np.abs(rest[used]) / one.sigma[used]
+            own = np.minimum(1.0, ROBUST_LIMIT / np.maximum(z, ROBUST_LIMIT)) / one.sigma[used] ** 2
+            total[used] += own * rest[used]
+            weight[used] += own
+        with np.errstate(divide="ignore"):
+            variance = np.where(weight > 0, solution.factor / weight, np.inf)
+        return with_pattern(camera, total / (weight + PATTERN_PRIOR**-2), variance), variance
+
+    def covariance(self, paths: Sequence[str], matrix: Array) -> Array:
+        """Return a covariance of parameters of the coarser grid's camera as that of the full one's."""
+        scale = np.array([1.0 / self.step if path.startswith(_BY_PIXEL) else 1.0 for path in paths])
+        return np.asarray(matrix * scale[:, None] * scale[None, :])
+
+    def validity(self, coarse: Validity) -> Validity:
+        """Return the ranges with the region [px] on the full grid."""
+        if coarse.region is None:
+            return coarse
+        first, step = self.step // 2, self.step
+        u0, v0, u1, v1 = (one * step + first for one in coarse.region)
+        return replace(coarse, region=(u0, v0, u1, v1))

@@ -1,0 +1,84 @@
+"""What a fit shows of its own assumptions, one after the other: pixels, errors of poses, weights, offsets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.adjustment import Fit, Problem
+from rim_camera_ros.calibrate.normal_equations import PATTERN_PRIOR
+from rim_camera_ros.calibrate.pattern_prior import (
+    first_pattern_prior,
+    likely_pattern_prior,
+    pattern_prior_note,
+)
+from rim_camera_ros.calibrate.pixels import Beside, beside_in_view, without_edges
+from rim_camera_ros.calibrate.pose_errors import settled_poses, wider_poses_note
+from rim_camera_ros.calibrate.uneven_poses import uneven_note, uneven_poses
+
+Array = NDArray[Any]
+
+
+class Refinement:
+    """The assumptions of a calibration, each given up at most once, where a fit shows it to be wrong.
+
+    ``masks`` are the pixels of each station and channel (H, W) to begin with; ``beside`` as in
+    `without_edges`. ``edges`` tells whether pixels beside edges take part still, ``edges_within``
+    how far from edges [px] they do not.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        masks: Sequence[tuple[Array, Array]],
+        *,
+        beside: Beside = beside_in_view,
+    ) -> None:
+        self.edges = True
+        self.edges_within = 0
+        self._masks, self._beside = masks, beside
+        self._stated = problem.scene
+        self._first_size = first_pattern_prior(masks)
+        self._unsized = self._first_size != PATTERN_PRIOR
+        self._edges_note: list[str] = []
+
+    def first(self, problem: Problem) -> Problem:
+        """Return the problem with which to begin."""
+        return replace(problem, masks=self._masks, pattern_prior=self._first_size)
+
+    def next(self, problem: Problem, fitted: Fit) -> tuple[Problem, str] | None:
+        """Return the problem to fit next and in words what is new in it; None: nothing is left to doubt."""
+        inner = without_edges(fitted, self._masks, beside=self._beside) if self.edges else None
+        if inner is not None:
+            masks, self.edges_within, note = inner
+            self.edges = False
+            self._edges_note.append(note)
+            return replace(problem, masks=masks), "fewer pixels"
+        wider = settled_poses(problem, fitted) if problem.scene is self._stated else None
+        if wider is not None:
+            return replace(problem, scene=wider), "wider errors of poses"
+        # where pixels have many looks, weights would hide from chi-square an effect that is missing
+        uneven = self._first_size != PATTERN_PRIOR and not problem.variance_factors
+        factors = uneven_poses(problem, fitted) if uneven else None
+        if factors is not None:
+            return replace(problem, variance_factors=factors), "weights of poses"
+        if self._unsized:
+            self._unsized = False
+            size = likely_pattern_prior(fitted)
+            if size != problem.pattern_prior:
+                return replace(problem, pattern_prior=size), "other offsets of pixels"
+        return None
+
+    def notes(self, problem: Problem) -> list[str]:
+        """Return what was given up on the way to a problem, in words."""
+        result = list(self._edges_note)
+        if problem.pattern_prior != PATTERN_PRIOR:
+            result.append(pattern_prior_note(problem.pattern_prior))
+        if problem.variance_factors:
+            result.append(uneven_note(problem.variance_factors))
+        if problem.scene is not self._stated:
+            result.append(wider_poses_note(self._stated, problem.scene))
+        return result
