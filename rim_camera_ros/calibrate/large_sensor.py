@@ -51,8 +51,8 @@ class LargeSensor:
     def note(self) -> str:
         """What is looked at, in words."""
         return (
-            f"parameters are fitted to every {self.step}th pixel of every {self.step}th row, which is enough "
-            "for them, offsets of pixels to all; with fixed_pattern_offset among --effects all is"
+            f"parameters are fitted to one of {self.step} x {self.step} pixels, their offsets to all; with "
+            "fixed_pattern_offset among --effects everything is"
         )
 
     def beside_edges(self, prediction: Prediction, margin: int = BESIDE) -> Array:

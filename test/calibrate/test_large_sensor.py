@@ -81,7 +81,7 @@ def test_a_calibration_by_every_second_pixel(tmp_path: Path) -> None:
     start = given(tmp_path, cyclic=0.009, a=15.0)
     asked = ("cyclic_error", "amplitude_offset")
     found: Calibration = calibrate(Request((bag,), start, scene(tmp_path), effects=asked), integral=False)
-    assert any("every 2th pixel of every 2th row" in note for note in found.notes)
+    assert any("fitted to one of 2 x 2 pixels" in note for note in found.notes)
     path = "effects.cyclic_error.harmonics.0.amplitude"
     harmonic = found.camera.effects["cyclic_error"].harmonics[0]
     assert harmonic.amplitude == pytest.approx(0.013, abs=4 * found.sigma[path])
