@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import ROBUST_LIMIT
 from rim_camera_ros.calibrate.coarser import coarser_camera, coarser_dataset, finer_camera
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.normal_equations import PATTERN_PRIOR
 from rim_camera_ros.calibrate.pixels import BESIDE, WIDEST, beside_edges, usable_pixels
 from rim_camera_ros.calibrate.prediction import Prediction
-from rim_camera_ros.calibrate.residuals import after_nuisances
+from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT, after_nuisances
 from rim_camera_ros.calibrate.solution import Solution, with_pattern
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera, Validity
