@@ -1,0 +1,126 @@
+"""The search's judgement: what is another physics' mark, what an effect became, what a trial may change."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rim_camera_ros.calibrate.adjustment import _settled
+from rim_camera_ros.calibrate.search import _smooth_says_more, _what_it_became
+from rim_camera_ros.calibrate.stations import reduce_frames
+from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
+from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.effects.scattering import Ghost, Kernel, Scattering
+from rim_camera_ros.frame import Pose, RawFrame, Settings
+
+from .helpers import camera
+
+CYCLIC = CyclicError((Harmonic(4, 0.011, 0.7),), (0.0, 0.0))
+
+
+def exploration(smooth: tuple[float, int] | None, pair: tuple[float, tuple[int, int]] | None) -> Any:
+    return SimpleNamespace(
+        best_further=lambda: smooth,
+        best_pair=lambda: pair,
+        gains=np.array([40.0, 20.0, 5.0, 100.0]),
+        thresholds=np.array([8.0, 9.0, 10.0, 11.0]),
+        named=3,
+    )
+
+
+@pytest.mark.parametrize(
+    ("smooth", "pair", "another"),
+    [
+        ((100.0, 3), (60.0, (0, 1)), True),
+        ((100.0, 3), (70.0, (0, 1)), False),  # two effects explain nearly as much
+        ((59.0, 3), None, False),  # so does one
+        ((61.0, 3), None, True),
+        (None, None, False),
+    ],
+)
+def test_a_smooth_function_that_says_far_more_is_the_mark_of_another_physics(
+    smooth: tuple[float, int] | None, pair: tuple[float, tuple[int, int]] | None, another: bool
+) -> None:
+    assert _smooth_says_more(exploration(smooth, pair)) is another
+
+
+def test_a_smooth_function_below_its_threshold_says_nothing() -> None:
+    step = exploration((15.0, 3), None)
+    step.gains = np.array([1.0, 0.5, 0.2, 15.0])
+    assert not _smooth_says_more(step)
+
+
+@pytest.mark.parametrize(
+    ("kernels", "ghost", "became"),
+    [
+        ((Kernel(0.002, (0.65, 0.7)),), None, (7,)),
+        ((Kernel(0.002, (0.65, 1.7)),), None, None),
+        ((Kernel(0.002, (0.65, 0.7)), Kernel(0.001, (24.0, 31.0))), None, None),
+        ((Kernel(0.002, (0.65, 0.7)),), Ghost(0.01, (20.0, -3.0)), None),
+    ],
+)
+def test_stray_light_within_its_pixel_is_two_surfaces_in_a_pixel(
+    tmp_path: Path, kernels: tuple[Kernel, ...], ghost: Ghost | None, became: tuple[int, ...] | None
+) -> None:
+    fitted = camera(tmp_path, Scattering(kernels, ghost))
+    alone: Any = SimpleNamespace(fit=SimpleNamespace(camera=fitted))
+    effects = {4: "scattering", 7: "mixed_pixels"}
+    step: Any = SimpleNamespace(
+        best=lambda: {"scattering": 4, "mixed_pixels": 7},
+        candidates={k: SimpleNamespace(effect=name) for k, name in effects.items()},
+    )
+    assert _what_it_became(alone, (4,), step) == became
+    assert _what_it_became(alone, (4, 7), step) is None
+
+
+def test_terms_of_the_distance_are_judged_at_the_same_noise(tmp_path: Path) -> None:
+    plain = camera(tmp_path)
+    assert _settled(plain, camera(tmp_path, CYCLIC, DistanceScale(0.01))) < 0
+    assert _settled(plain, plain) < _settled(
+        plain, camera(tmp_path, CYCLIC, Scattering((Kernel(0.1, (9.0, 9.0)),)))
+    )
+
+
+def frames_of(light: np.ndarray, jitter: np.ndarray, common: np.ndarray, seed: int) -> list[RawFrame]:
+    """Frames of one light, with noise of 3 counts, in proportion to ``jitter`` and with ``common`` light."""
+    rng = np.random.default_rng(seed)
+    result = []
+    for k in range(len(jitter)):
+        noise = rng.normal(0, 3.0, (2, *light.shape))
+        image = light * jitter[k] + common[k] + noise[0] + 1j * noise[1]
+        phase = np.mod(np.angle(image), 2 * np.pi) / (2 * np.pi)
+        result.append(
+            RawFrame(
+                stamp=1 + k * 40_000_000,
+                distance=np.round(phase * 65536).astype(np.uint16),
+                amplitude=np.round(np.abs(image)).astype(np.uint16),
+                settings=Settings(integration_time=16.0, modulation_frequency=20e6, uptime=60.0 + k),
+                truth={"board": Pose((0.0, 0.0, 2.0), (0.0, 0.0, 0.0, 1.0))},
+            )
+        )
+    return result
+
+
+def test_what_is_in_proportion_to_the_light_is_no_second_camera(tmp_path: Path) -> None:
+    told = camera(tmp_path)
+    told = replace(told, noise=replace(told.noise, floor=0.0, amplitude=3.0))
+    rng = np.random.default_rng(8)
+    light = rng.uniform(200, 2000, told.shape) * np.exp(0.8j + 0.3j * rng.random(told.shape))
+    ones, dark = np.ones(12), np.zeros(12, complex)
+    power = 1 + 0.02 * rng.normal(size=12) + 0.01j * rng.normal(size=12)
+    second = 4.0 * np.exp(2j * np.pi * rng.random(12))
+
+    def common(jitter: np.ndarray, beside: np.ndarray) -> float:
+        station = next(iter(reduce_frames(frames_of(light, jitter, beside, 3), told)))
+        assert station.common is not None
+        return float(station.common)
+
+    assert common(ones, dark) < 2.5
+    assert common(power, dark) < 2.5
+    assert common(ones, second) > 100
+    assert common(power, second) > 10  # the power's noise is larger than the second camera's light
