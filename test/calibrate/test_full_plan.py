@@ -140,7 +140,7 @@ def judged(truth: Camera, found: Camera, *, seed: int) -> tuple[list[float], int
     count = 0
     for number, (pose, setting) in enumerate(held_out(seed)):
         settings = Settings(
-            integration_time=setting, modulation_frequency=20e6, uptime=3000.0, ambient_temperature=22.0
+            integration_time=setting, modulation_frequency=20e6, uptime=3000.0, ambient_temperature=20.0
         )
         total = np.zeros((2, *truth.shape))
         seen = np.zeros(truth.shape)
