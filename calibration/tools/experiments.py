@@ -458,7 +458,7 @@ integration_time_offset, distance_scale, optics, scattering.
         for setting in SETTINGS:
             if 300 < 500 * setting * WHITE / z**2 < 38000:
                 at = pose((round(x, 4), round(y, 4), round(z, 4)), rotation)
-                made.station(uptime=uptime, setting=setting, frames=20, board=at)
+                made.station(uptime=uptime, setting=setting, frames=5, board=at)
                 uptime += 2.0
         uptime += 6.0
     return made
