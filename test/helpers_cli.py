@@ -41,9 +41,13 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int
 
 
 def process(*arguments: str | Path, **options: Any) -> subprocess.Popen[str]:
-    """Start ``rim`` as a process, which hears Ctrl-C also where a shell runs tests in the background."""
-    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Start ``rim`` as a process, which hears Ctrl-C and the end of a terminal also where tests do not.
+
+    A shell in the background ignores the first, nohup the second.
+    """
+    for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+        if signal.getsignal(number) == signal.SIG_IGN:
+            signal.signal(number, handler)
     command = [sys.executable, "-m", "rim_camera_ros.cli", *map(str, arguments)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": dict(os.environ)}
     return subprocess.Popen(command, text=True, **(pipes | options))
