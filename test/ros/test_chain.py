@@ -63,9 +63,12 @@ def test_raw_topics_types_stamps_and_content(world: World) -> None:
     collected = {topic: world.collect(kind, topic, BEST_EFFORT) for topic, kind in RAW.items()}
     truth = world.collect(PoseStamped, "/ground_truth/back_wall/pose", LATCHED)
     world.start("driver_node", frame_rate=25.0, scene="room")
-    assert world.until(lambda: truth and all(len(one) >= 5 for one in collected.values())), world.output()
-    stamps = [set(one.by_stamp()) for one in collected.values()]
-    assert len(set.intersection(*stamps)) >= 3
+
+    def complete() -> bool:
+        common = set.intersection(*(set(one.by_stamp()) for one in collected.values()))
+        return bool(truth) and len(common) >= 3 and all(len(one) >= 5 for one in collected.values())
+
+    assert world.until(complete), world.output()
     camera = load_camera(find_camera("sr3000"))
     for topic in ("distance/image_raw", "amplitude/image_raw"):
         image = collected[topic].last
@@ -82,8 +85,10 @@ def test_raw_topics_types_stamps_and_content(world: World) -> None:
         camera.optics.cy,
     )
     pairs = {one.key: one.value for one in collected["frame_info"].last.status[0].values}
-    assert pairs["integration_time"] == "100"
-    assert float(pairs["uptime"]) > 5.0
+    uptime = float(pairs["uptime"])
+    assert uptime > 5.0
+    # as scheduled: it may take a second until all topics are found
+    assert pairs["integration_time"] == ("60" if 120.0 <= uptime < 400.0 else "100")
     assert collected["ambient_temperature"].last.temperature == 26.0
     wall = next(one for one in load_scene(find_scene("room")).surfaces if one.name == "back_wall")
     position = truth.last.pose.position
