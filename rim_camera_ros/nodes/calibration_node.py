@@ -12,6 +12,7 @@ from collections.abc import Callable, Set
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from std_srvs.srv import SetBool, Trigger
@@ -30,6 +31,8 @@ from rim_camera_ros.nodes.statistics import Finding
 
 #: Seconds between two looks at the work.
 _TICK = 0.1
+#: Seconds that the node waits at its end until its last result was received.
+_LAST_WORDS = 1.0
 _CALIBRATION, _RECORDING = "calibration", "recording"
 
 
@@ -89,7 +92,9 @@ class CalibrationNode:
         self._ended(work, work.stop() or {"failed": f"process {work.pid} cannot be ended"})
 
     def cleanup(self) -> None:
-        """Take the topics back."""
+        """Take the topics back, once the result of what has just been ended was received."""
+        if self._result is not None:
+            self._result.wait_for_all_acked(Duration(seconds=_LAST_WORDS))
         for one in (self._progress, self._result):
             if one is not None:
                 self.node.destroy_publisher(one)
