@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.coarser import coarser_camera, coarser_dataset, finer_camera
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.normal_equations import PATTERN_PRIOR
 from rim_camera_ros.calibrate.pixels import BESIDE, WIDEST, beside_edges, usable_pixels
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT, after_nuisances
@@ -103,7 +102,8 @@ class LargeSensor:
             weight[used] += own
         with np.errstate(divide="ignore"):
             variance = np.where(weight > 0, solution.factor / weight, np.inf)
-        return with_pattern(camera, total / (weight + PATTERN_PRIOR**-2), variance), variance
+        offsets = total / (weight + fitted.equations.pattern_prior**-2)
+        return with_pattern(camera, offsets, variance), variance
 
     def covariance(self, paths: Sequence[str], matrix: Array) -> Array:
         """Return a covariance of parameters of the coarser grid's camera as that of the full one's."""

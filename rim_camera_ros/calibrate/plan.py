@@ -19,11 +19,14 @@ from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.devices.timeline import Timeline
+from rim_camera_ros.files import find_scene, shipped
 from rim_camera_ros.frame import NANOSECONDS
-from rim_camera_ros.scene import Scene
+from rim_camera_ros.scene import Scene, load_scene
 
 Array = NDArray[Any]
 
+#: How names of experiments end.
+SUFFIX = "_experiment"
 #: An effect is determined where the data narrow its parameters by this factor (geometric mean).
 NARROWED = 5.0
 #: Columns of the coarse sensor that is looked through, stations of an experiment, experiments of a plan.
@@ -55,6 +58,11 @@ class Plan:
     chosen: tuple[str, ...]
     determined: Mapping[str, float]
     open: tuple[str, ...]
+
+
+def shipped_experiments() -> dict[str, Scene]:
+    """Return the scenes of the shipped experiments by name."""
+    return {name: load_scene(find_scene(name)) for name in shipped("config") if name.endswith(SUFFIX)}
 
 
 def plan(

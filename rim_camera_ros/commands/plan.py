@@ -7,14 +7,11 @@ import json
 from dataclasses import asdict
 
 from rim_camera_ros.commands.common import Stages, add_command, camera_of
-from rim_camera_ros.files import find_scene, shipped
-from rim_camera_ros.scene import load_scene
 
 _EXAMPLES = """
 rim plan --camera sr3000
 rim plan --camera camera.yaml --json
 """
-_SUFFIX = "_experiment"
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -36,11 +33,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(given: argparse.Namespace) -> int:
     """Analyse the experiments and print the plan."""
     camera = camera_of(given.camera)
-    from rim_camera_ros.calibrate.plan import plan, table
+    from rim_camera_ros.calibrate.plan import plan, shipped_experiments, table
 
-    names = [name for name in shipped("config") if name.endswith(_SUFFIX)]
-    scenes = {name: load_scene(find_scene(name)) for name in names}
     with Stages(quiet=given.quiet) as stages:
-        result = plan(camera, scenes, progress=stages.show)
+        result = plan(camera, shipped_experiments(), progress=stages.show)
     print(json.dumps(asdict(result), indent=1) if given.json else table(result))
     return 0

@@ -15,34 +15,26 @@ from rim_camera_ros.calibrate.coarser import BY_POSITION
 from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.normal_equations import accumulate
-from rim_camera_ros.calibrate.plan import planned_dataset
+from rim_camera_ros.calibrate.plan import SUFFIX, planned_dataset
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.errors import RimError
-from rim_camera_ros.files import find_scene, shipped
-from rim_camera_ros.scene import Scene, load_scene
+from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]
 
 #: Stations of an experiment that are looked through.
 _STATIONS = 16
-_SUFFIX = "_experiment"
 #: Gain [nats] with which a recording settles it, in units of the threshold of this one.
 _ENOUGH = 3.0
 
 
 @dataclass(frozen=True)
-class Dish:
+class Proposal:
     """An experiment: its duration [min] and the gain [nats] by which it tells the nearest rivals apart."""
 
     name: str
     minutes: float
     gain: float
-
-
-def menu() -> dict[str, Scene]:
-    """Return the shipped experiments by name."""
-    names = [name for name in shipped("config") if name.endswith(_SUFFIX)]
-    return {name: load_scene(find_scene(name)) for name in names}
 
 
 def told_apart(
@@ -51,7 +43,7 @@ def told_apart(
     scenes: Mapping[str, Scene],
     *,
     progress: Callable[[str], None] | None = None,
-) -> list[Dish]:
+) -> list[Proposal]:
     """Simulate experiments and return how well each tells effects apart, the best first.
 
     Each of the effects in turn is taken for the true one, with the strength that fits the recording of
@@ -70,10 +62,10 @@ def told_apart(
         fitted, {name: one for name, one in fitted.effects.items() if name not in BY_POSITION}
     )
     blocks = [*present_blocks(camera), gain_block(), *(one.block for one in chosen)]
-    dishes = []
+    proposals = []
     for name, scene in scenes.items():
         if progress is not None:
-            progress(f"would {name.removesuffix(_SUFFIX)} tell {' and '.join(effects)} apart?")
+            progress(f"would {name.removesuffix(SUFFIX)} tell {' and '.join(effects)} apart?")
         try:
             dataset, minutes = planned_dataset(scene, camera, most=_STATIONS)
             equations = accumulate(Forward(dataset, scene, camera), blocks)
@@ -95,8 +87,8 @@ def told_apart(
         scale = prior[own]
         left = left / scale[:, None] / scale[None, :]
         gains = [_gain(left, [[i - start for i in one] for one in spans], known, *pair) for pair in pairs]
-        dishes.append(Dish(name, minutes, max(min(gains), 0.0)))
-    return sorted(dishes, key=lambda one: -one.gain)
+        proposals.append(Proposal(name, minutes, max(min(gains), 0.0)))
+    return sorted(proposals, key=lambda one: -one.gain)
 
 
 def _known(step: Exploration, number: int) -> tuple[Array, Array]:
@@ -122,9 +114,9 @@ def _gain(
     return 0.5 * float(difference @ pull - pull[own] @ np.linalg.solve(freedom, pull[own]))
 
 
-def recommended(dishes: Sequence[Dish], *, threshold: float) -> Dish | None:
+def recommended(proposals: Sequence[Proposal], *, threshold: float) -> Proposal | None:
     """Return the shortest experiment that settles it, else the one that tells most; None: none tells more."""
-    settling = [one for one in dishes if one.gain >= _ENOUGH * threshold]
+    settling = [one for one in proposals if one.gain >= _ENOUGH * threshold]
     if settling:
         return min(settling, key=lambda one: (one.minutes, -one.gain))
-    return dishes[0] if dishes and dishes[0].gain >= 1.0 else None
+    return proposals[0] if proposals and proposals[0].gain >= 1.0 else None

@@ -14,7 +14,7 @@ from rim_camera_ros.calibrate.search import Result
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.diagnose.codes import MissingCodes
-from rim_camera_ros.diagnose.menu import Dish
+from rim_camera_ros.diagnose.menu import Proposal
 from rim_camera_ros.diagnose.result import Missing, Ranked
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.diagnose.where import OF_AMPLITUDE
@@ -134,7 +134,7 @@ def unseen_effects(step: Exploration) -> list[str]:
 
 
 def next_recording(
-    ties: Sequence[Sequence[str]], advice: Mapping[tuple[str, ...], Dish | None]
+    ties: Sequence[Sequence[str]], advice: Mapping[tuple[str, ...], Proposal | None]
 ) -> str | None:
     """Return what to record to tell rivals apart, None where there are none.
 
@@ -144,13 +144,13 @@ def next_recording(
     parts = []
     for names in ties:
         if tuple(names) in advice:
-            dish = advice[tuple(names)]
+            proposal = advice[tuple(names)]
             rivals = " and ".join(one.replace("_", " ") for one in names)
             parts.append(
                 f"none of the shipped experiments would tell {rivals} apart at their present strength"
-                if dish is None
-                else f"{dish.name} ({dish.minutes:.0f} min) is expected to tell {rivals} apart by "
-                f"{dish.gain:,.0f} nats"
+                if proposal is None
+                else f"{proposal.name} ({proposal.minutes:.0f} min) is expected to tell {rivals} apart by "
+                f"{proposal.gain:,.0f} nats"
             )
         parts += [f"for {name}: {known[name].observable}" for name in names if name in known]
     return "; ".join(parts) if parts else None

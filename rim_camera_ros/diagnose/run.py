@@ -21,6 +21,7 @@ from rim_camera_ros.calibrate.coarser import (
 from rim_camera_ros.calibrate.exploration import Exploration, explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import OF_SURFACES, Facts
+from rim_camera_ros.calibrate.plan import shipped_experiments
 from rim_camera_ros.calibrate.search import MOST_EFFECTS, Result, search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import Dataset
@@ -30,7 +31,7 @@ from rim_camera_ros.diagnose.adjusted import LEAST_GAIN, LEAST_TOTAL, adjusted_t
 from rim_camera_ros.diagnose.codes import MissingCodes, missing_codes
 from rim_camera_ros.diagnose.described import _LEAST_UNKNOWN, Described, Rest, best_rest, describe
 from rim_camera_ros.diagnose.intervals import intervals_of
-from rim_camera_ros.diagnose.menu import menu, recommended, told_apart
+from rim_camera_ros.diagnose.menu import recommended, told_apart
 from rim_camera_ros.diagnose.naming import (
     missing_codes_of,
     missing_effect,
@@ -315,8 +316,8 @@ def _verdict(
         names = sorted({one.effect, *one.ties})
         if one.ties and names in ties:
             step = result.explorations[one.step]
-            dishes = told_apart(step, names, menu(), progress=say)
-            advice[tuple(names)] = recommended(dishes, threshold=step.threshold)
+            proposals = told_apart(step, names, shipped_experiments(), progress=say)
+            advice[tuple(names)] = recommended(proposals, threshold=step.threshold)
     measure = accuracy(camera, model, result, unknown if verdict == "unknown_physics" else None)
     if measure.held_out and measure.rms_after > _WORSE * measure.rms_before:
         notes.append(_NO_BETTER)

@@ -7,8 +7,9 @@ import pytest
 
 from rim_camera_ros.calibrate.blocks import Regressor
 from rim_camera_ros.calibrate.normal_equations import Fold, NormalEquations
+from rim_camera_ros.calibrate.plan import shipped_experiments
 from rim_camera_ros.calibrate.selection import Scores
-from rim_camera_ros.diagnose.menu import Dish, _gain, menu, recommended
+from rim_camera_ros.diagnose.menu import Proposal, _gain, recommended
 from rim_camera_ros.diagnose.naming import next_recording
 
 NARROW = np.diag([1e-12])
@@ -60,17 +61,17 @@ def test_rivals_that_look_alike_are_not_told_apart() -> None:
 
 
 def test_the_shortest_experiment_that_settles_it_is_recommended() -> None:
-    dishes = [Dish("long", 90.0, 800.0), Dish("short", 7.0, 120.0), Dish("shorter", 2.0, 20.0)]
-    assert recommended(dishes, threshold=10.0) == dishes[1]
-    assert recommended(dishes, threshold=500.0) == dishes[0]
-    assert recommended([Dish("blind", 1.0, 0.2)], threshold=10.0) is None
+    proposals = [Proposal("long", 90.0, 800.0), Proposal("short", 7.0, 120.0), Proposal("shorter", 2.0, 20.0)]
+    assert recommended(proposals, threshold=10.0) == proposals[1]
+    assert recommended(proposals, threshold=500.0) == proposals[0]
+    assert recommended([Proposal("blind", 1.0, 0.2)], threshold=10.0) is None
     assert recommended([], threshold=10.0) is None
 
 
 def test_what_to_record_next_in_words() -> None:
     ties = [["cyclic_error", "distance_scale"], ["background_light", "noise"]]
     text = next_recording(
-        ties, {("cyclic_error", "distance_scale"): Dish("track_line_experiment", 25.1, 61.4)}
+        ties, {("cyclic_error", "distance_scale"): Proposal("track_line_experiment", 25.1, 61.4)}
     )
     assert text is not None
     assert text.startswith(
@@ -84,4 +85,8 @@ def test_what_to_record_next_in_words() -> None:
 
 
 def test_the_menu_are_the_shipped_experiments() -> None:
-    assert {"track_line_experiment", "board_by_hand_experiment", "climate_cell_experiment"} <= menu().keys()
+    assert {
+        "track_line_experiment",
+        "board_by_hand_experiment",
+        "climate_cell_experiment",
+    } <= shipped_experiments().keys()
