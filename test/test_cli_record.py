@@ -14,11 +14,15 @@ pytest.importorskip("rclpy")
 import numpy as np
 
 from rim_camera_ros.bags import Recording, Topics
+from rim_camera_ros.frame import Settings
+from rim_camera_ros.nodes import messages
 
 from .helpers_cli import nothing_left, process, run
 from .ros.conftest import world  # noqa: F401 -- a fixture
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from .ros.harness import World
 
 pytestmark = pytest.mark.ros
@@ -104,3 +108,69 @@ def test_the_output_is_checked_before(world: World, tmp_path: Path) -> None:  # 
         assert len(err.splitlines()) == 1
         assert "bag: " in err
         assert (tmp_path / "bag" / "notes.txt").read_text() == "mine"
+
+
+def test_a_recording_begins_with_the_first_frame_that_has_its_settings(
+    world: World,  # noqa: F811
+    tmp_path: Path,
+) -> None:
+    """Topics are found one by one; images whose settings nobody has heard are of no use."""
+    out = tmp_path / "bag"
+    running = process("record", "--out", out, "--frames", "4", env=world.environment)
+    camera = Driver(world)
+    camera.publish_until(lambda: running.poll() is not None, with_settings_from=5)
+    text, err = running.communicate(timeout=30)
+    assert (running.returncode, text) == (0, f"4 frames recorded: {out}\n"), err
+    with Recording(out) as recording:
+        frames = list(recording.frames())
+        assert not any(recording.skipped.values())
+    first = frames[0].stamp // Driver.PERIOD
+    assert first >= 5
+    assert [one.stamp for one in frames] == [(first + k) * Driver.PERIOD for k in range(4)]
+    assert [one.settings.integration_time for one in frames] == [17.0] * 4
+
+
+def test_a_driver_without_settings_is_recorded_as_it_is(world: World, tmp_path: Path) -> None:  # noqa: F811
+    out = tmp_path / "bag"
+    running = process("record", "--out", out, "--frames", "4", env=world.environment)
+    camera = Driver(world)
+    camera.publish_until(lambda: running.poll() is not None, with_settings_from=None)
+    text, err = running.communicate(timeout=30)
+    assert (running.returncode, text) == (0, f"4 frames recorded: {out}\n"), err
+    with Recording(out) as recording:
+        assert {one.settings.integration_time for one in recording.frames()} == {None}
+
+
+class Driver:
+    """Publishes small frames once the images have a subscriber; settings may begin later."""
+
+    PERIOD = 20_000_000
+
+    def __init__(self, world: World) -> None:  # noqa: F811
+        from diagnostic_msgs.msg import DiagnosticArray
+        from sensor_msgs.msg import Image
+
+        self._world = world
+        self._info = DiagnosticArray
+        self._images = {
+            name: world.publisher(Image, f"{name}/image_raw") for name in ("distance", "amplitude")
+        }
+
+    def publish_until(self, done: Callable[[], bool], *, with_settings_from: int | None) -> None:
+        assert self._world.until(
+            lambda: all(one.get_subscription_count() for one in self._images.values()), 30.0
+        )
+        settings, info = Settings(integration_time=17.0, modulation_frequency=20e6), None
+        for k in range(1, 1000):
+            stamp = k * self.PERIOD
+            if k == with_settings_from:
+                info = self._world.publisher(self._info, "frame_info")
+            if info is not None:
+                info.publish(messages.frame_info(settings, stamp, "small", "camera"))
+            for value, one in enumerate(self._images.values(), start=1):
+                pixels = np.full((3, 5), 1000 * value + k, np.uint16)
+                one.publish(messages.image(pixels, messages.header(stamp, "camera")))
+            self._world.until(done, 0.02)
+            if done():
+                return
+        raise AssertionError("the recording did not end")

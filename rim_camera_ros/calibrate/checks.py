@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.bags import Recording, Topics
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.held_out import wrapped
-from rim_camera_ros.calibrate.stations import Dataset, check_frame
+from rim_camera_ros.calibrate.stations import Dataset, check_frame, of_known_exposure
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Intrinsics, RawFrame
@@ -59,7 +59,7 @@ def examine(path: str | PathLike[str], camera: Camera, topics: Topics | None) ->
     Raises `InputError` naming the recording where it has no frame or another camera made it.
     """
     with Recording(path, topics=topics) as bag:
-        first: RawFrame | None = next(iter(bag.frames()), None)
+        first: RawFrame | None = next(of_known_exposure(bag.frames()), None)
         if first is None:
             why = ", ".join(f"{n} {reason}" for reason, n in bag.skipped.items() if n)
             raise InputError(

@@ -25,6 +25,8 @@ from rim_camera_ros.scene import Scene
 BLOCK_SECONDS = 5.0
 #: Blocks become longer where a recording would have more of them than this.
 MOST_BLOCKS = 400
+#: Frames without settings at the beginning that may wait for the first with them.
+_MOST_WAITING = 64
 
 Array = NDArray[Any]
 
@@ -279,6 +281,30 @@ def reduce_frames(
         yield block.station(recording, start)
 
 
+def of_known_exposure(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
+    """Yield the frames that state their integration time, or all where none of the first does.
+
+    Messages of settings can be lost, or begin later than the images: such a frame is of any integration time.
+    """
+    waiting: list[RawFrame] = []
+    stated = stateless = False
+    for frame in frames:
+        if frame.settings.integration_time is not None:
+            stated = True
+            waiting.clear()
+        if stated and frame.settings.integration_time is None:
+            continue
+        if stated or stateless:
+            yield frame
+            continue
+        waiting.append(frame)
+        if len(waiting) > _MOST_WAITING:
+            stateless = True
+            yield from waiting
+            waiting.clear()
+    yield from waiting
+
+
 def check_frame(frame: RawFrame, camera: Camera) -> None:
     """Raise `InputError` where a frame cannot be of this camera."""
     if frame.shape != camera.shape:
@@ -312,7 +338,7 @@ def reduce_recording(
     with Recording(path, topics=topics) as bag:
         summary = bag.summary()
         seconds = max(BLOCK_SECONDS, summary.duration / MOST_BLOCKS)
-        frames: Iterable[RawFrame] = bag.frames()
+        frames: Iterable[RawFrame] = of_known_exposure(bag.frames())
         if progress is not None:
             frames = progress(frames)
         try:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import rclpy
@@ -22,10 +24,25 @@ from rim_camera_ros.nodes.messages import ros_class
 _DEPTH = 200
 #: Seconds that messages of the last frame may take to arrive.
 _GRACE = 1.0
+#: Seconds after the first image within which a frame with all its parts is waited for, and bytes held then.
+_BEGINNING = 2.0
+_HELD_BYTES = 128 << 20
+#: What belongs to one frame.
+_PARTS = frozenset({"distance", "amplitude", "frame_info"})
+_OF_FRAMES = _PARTS | {"camera_info"}
 #: Seconds between two looks for new publishers.
 _LOOK = 0.1
 #: Every message here begins with a header: encapsulation (4 bytes), seconds, nanoseconds.
 _STAMP = struct.Struct("<4xiI")
+
+
+@dataclass(frozen=True, slots=True)
+class _Message:
+    role: str
+    topic: str
+    kind: str
+    stamp: int
+    data: bytes
 
 
 class Recorder:
@@ -33,6 +50,9 @@ class Recorder:
 
     ``frames`` counts distance images. A subscription is made when a publisher appears, reliable where all
     publishers of the topic are (then nothing is lost), else best effort, which suits every publisher.
+
+    The topics are found one by one. What comes before the first frame with distance, amplitude and frame_info
+    is left out; where there is none within `_BEGINNING` seconds (a driver without frame_info), all is kept.
     """
 
     def __init__(self, topics: Topics, writer: RecordingWriter, *, frames: int | None = None) -> None:
@@ -40,6 +60,10 @@ class Recorder:
         self._writer = writer
         self._wanted = frames
         self._last: int | None = None
+        self._held: list[_Message] | None = []
+        self._parts: dict[int, set[str]] = {}
+        self._held_bytes = 0
+        self._first_image: float | None = None
         self.frames = 0
         self.node = rclpy.create_node("recorder")
         self._known: dict[str, tuple[QoSProfile, Any]] = {}
@@ -77,13 +101,44 @@ class Recorder:
         layout = _STAMP if data[1] == 1 else struct.Struct(">4xiI")
         seconds, nanoseconds = layout.unpack_from(data)
         stamp = max(seconds * NANOSECONDS + nanoseconds, 0)
-        if self._last is not None and stamp > self._last:
+        message = _Message(role, topic, kind, stamp, data)
+        if self._held is None or role not in _OF_FRAMES:
+            self._write(message)
             return
-        self._writer.write_serialised(role, topic, kind, stamp, data)
-        if role == "distance":
+        self._held.append(message)
+        self._held_bytes += len(data)
+        if role == "distance" and self._first_image is None:
+            self._first_image = time.monotonic()
+        parts = self._parts.setdefault(stamp, set())
+        parts.add(role)
+        if parts >= _PARTS:
+            self._begin(stamp)
+        elif self._held_bytes > _HELD_BYTES:
+            self._begin(0)
+
+    def _begin(self, first: int) -> None:
+        """Write what was held from the stamp ``first`` on, and from now on all that comes."""
+        held, self._held = self._held or [], None
+        self._parts.clear()
+        for one in held:
+            if one.stamp >= first:
+                self._write(one)
+
+    def _write(self, message: _Message) -> None:
+        if self._last is not None and message.stamp > self._last:
+            return
+        self._writer.write_serialised(message.role, message.topic, message.kind, message.stamp, message.data)
+        if message.role == "distance":
             self.frames += 1
             if self.frames == self._wanted:
-                self._last = stamp
+                self._last = message.stamp
+
+    def wait_no_longer(self, *, at_once: bool = False) -> None:
+        """Keep what is held although no frame had all its parts, once that was waited for."""
+        if self._held is None or self._first_image is None:
+            return
+        if at_once or time.monotonic() - self._first_image > _BEGINNING:
+            self._begin(0)
 
     @property
     def complete(self) -> bool:
@@ -120,19 +175,22 @@ def record(
     start = time.monotonic()
     looked, ended = 0.0, None
     try:
-        while not stopped():
-            now = time.monotonic()
-            if ended is None and (recorder.complete or (duration is not None and now - start >= duration)):
-                ended = now
-            if ended is not None and now - ended >= (_GRACE if recorder.complete else 0.0):
-                break
-            if now - looked >= _LOOK:
-                recorder.look()
-                looked = now
-            rclpy.spin_once(recorder.node, timeout_sec=0.05)
-            show(recorder.frames)
-    except ExternalShutdownException:
-        pass
+        with contextlib.suppress(ExternalShutdownException):
+            while not stopped():
+                now = time.monotonic()
+                if ended is None and (
+                    recorder.complete or (duration is not None and now - start >= duration)
+                ):
+                    ended = now
+                if ended is not None and now - ended >= (_GRACE if recorder.complete else 0.0):
+                    break
+                if now - looked >= _LOOK:
+                    recorder.look()
+                    looked = now
+                rclpy.spin_once(recorder.node, timeout_sec=0.05)
+                recorder.wait_no_longer()
+                show(recorder.frames)
+        recorder.wait_no_longer(at_once=True)
     finally:
         recorder.node.destroy_node()
         rclpy.utilities.try_shutdown()

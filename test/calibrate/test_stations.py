@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rim_camera_ros.calibrate.selection import folds_of
-from rim_camera_ros.calibrate.stations import Dataset, reduce_frames
+from rim_camera_ros.calibrate.stations import Dataset, of_known_exposure, reduce_frames
 
 from .bags import frames
 from .helpers import camera, scene
@@ -26,3 +26,22 @@ def test_a_pose_told_again_unchanged_is_the_same_placement(tmp_path: Path) -> No
     assert folds[0, 1] == folds[0, 2]
     assert len(set(folds.values())) == 3
     assert third != fourth
+
+
+def test_frames_whose_settings_were_lost_are_left_out(tmp_path: Path) -> None:
+    truth = camera(tmp_path)
+    taken = list(frames(truth, scene(tmp_path), poses=3, repeats=4, seed=1))
+    without = {0, 1, 6, 11}
+    lossy = [
+        replace(one, settings=replace(one.settings, integration_time=None)) if k in without else one
+        for k, one in enumerate(taken)
+    ]
+    kept = [one.stamp for one in of_known_exposure(lossy)]
+    assert kept == [one.stamp for k, one in enumerate(taken) if k not in without]
+    assert list(of_known_exposure(taken)) == taken
+    # a camera that never says it: the camera file must, and the frames are all there, in their order
+    mute = [replace(one, settings=replace(one.settings, integration_time=None)) for one in taken]
+    for number in (3, len(mute)):
+        assert list(of_known_exposure(mute[:number])) == mute[:number]
+    many = [mute[0]] * 70
+    assert len(list(of_known_exposure(many))) == 70
