@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.phasor import cosine_and_sine
 from rim_camera_ros.scene import Geometry
 
 Array = NDArray[Any]
@@ -85,7 +86,8 @@ class LightCurves:
     def columns(self, geometry: Geometry, ambiguity: float, labels: Sequence[str]) -> list[Array]:
         """Return the derivatives (H, W) of the logarithm of the light by `RIPPLES` or by `SURFACES`."""
         if labels[0] in RIPPLES:
-            return [wave / self._ripples(geometry, ambiguity) for wave in _waves(geometry, ambiguity)]
+            ripples = self._ripples(geometry, ambiguity)
+            return [wave / ripples for wave in _waves(geometry, ambiguity)]
         angle, ratio = _angle_and_ratio(geometry)
         factor = self.surfaces(geometry)
         weights = [np.interp(angle, _KNOTS, row) for row in np.eye(len(_KNOTS))]
@@ -143,7 +145,9 @@ class LightCurves:
 
 def _waves(geometry: Geometry, ambiguity: float) -> list[Array]:
     phase = np.nan_to_num(geometry.distance) * (2 * np.pi / ambiguity)
-    return [wave(n * phase) for n in _PERIODS for wave in (np.cos, np.sin)]
+    cosine, sine = cosine_and_sine(_PERIODS[0] * phase)
+    # of twice the angle
+    return [cosine, sine, 2 * cosine * cosine - 1, 2 * sine * cosine]
 
 
 def _angle_and_ratio(geometry: Geometry) -> tuple[Array, Array]:

@@ -238,6 +238,16 @@ def accumulate(
     return NormalEquations(regressors, folds, camera.shape, pattern_prior)
 
 
+def _rows(images: Sequence[Array], pixels: Array) -> Array:
+    """Return the chosen pixels of images (H, W) as rows (len(images), N), 0 where not finite."""
+    rows = np.empty((len(images), pixels.size))
+    for row, image in zip(rows, images, strict=True):
+        np.take(image, pixels, out=row, mode="clip")
+    if not np.isfinite(rows.sum()):
+        np.nan_to_num(rows, copy=False, posinf=0.0, neginf=0.0)
+    return rows
+
+
 class _FoldSums:
     def __init__(self, count: int, pixels: int, *, single: bool) -> None:
         self._count = count
@@ -248,7 +258,7 @@ class _FoldSums:
         self._square = 0.0
         self._rows = 0
         self._log_sigma = 0.0
-        self._pixel: Array = np.zeros((pixels, count), self._type)
+        self._pixel: Array = np.zeros((count, pixels), self._type)
         self._pixel_y: Array = np.zeros(pixels, self._type)
         self._weight: Array = np.zeros(pixels)
         # of each nuisance: products with the regressors, with y, and its sums per pixel
@@ -265,47 +275,37 @@ class _FoldSums:
         pattern: bool,
         factors: tuple[Array, Array] | None,
     ) -> None:
-        used, amplitude_used = prediction.used, prediction.amplitude_used
+        pixels, lit = (np.flatnonzero(one) for one in (prediction.used, prediction.amplitude_used))
         columns = [pair for block in blocks for pair in block.columns(prediction)]
         nuisances = _nuisances(prediction, *random)
-        weight = 1.0 / prediction.sigma[used] ** 2
-        weight_a = 1.0 / prediction.amplitude_sigma[amplitude_used] ** 2
+        weight = 1.0 / np.take(prediction.sigma, pixels) ** 2
+        weight_a = 1.0 / np.take(prediction.amplitude_sigma, lit) ** 2
         if factors is not None:
-            weight = weight * factors[0][used]
-            weight_a = weight_a * factors[1][amplitude_used]
-        design = np.empty((int(used.sum()), len(columns) + len(nuisances) + 1))
-        for i, (distance, _) in enumerate(columns):
-            design[:, i] = distance[used]
-        for i, (_, _, _, distance, _) in enumerate(nuisances):
-            design[:, len(columns) + i] = distance[used]
-        design[:, -1] = prediction.residual[used]
-        np.nan_to_num(design, copy=False, posinf=0.0, neginf=0.0)
-        weighted = design * weight[:, None]
-        gram = design.T @ weighted
-        with_amplitude = [i for i, (_, amplitude) in enumerate(columns) if amplitude is not None]
-        index = np.r_[with_amplitude, np.arange(len(columns), len(columns) + len(nuisances) + 1)].astype(int)
-        if amplitude_used.any():
-            light = np.empty((int(amplitude_used.sum()), len(index)))
-            for j, i in enumerate(with_amplitude):
-                amplitude = columns[i][1]
-                assert amplitude is not None
-                light[:, j] = amplitude[amplitude_used]
-            for j, (*_, amplitude) in enumerate(nuisances):
-                light[:, len(with_amplitude) + j] = amplitude[amplitude_used]
-            light[:, -1] = prediction.amplitude_residual[amplitude_used]
-            np.nan_to_num(light, copy=False, posinf=0.0, neginf=0.0)
-            gram[np.ix_(index, index)] += light.T @ (light * weight_a[:, None])
+            weight = weight * np.take(factors[0], pixels)
+            weight_a = weight_a * np.take(factors[1], lit)
+        of_distance = [distance for distance, _ in columns]
+        of_distance += [distance for *_, distance, _ in nuisances]
+        design = _rows([*of_distance, prediction.residual], pixels)
+        weighted = design * weight
+        gram = weighted @ design.T
+        if lit.size:
+            of_light = [(i, amplitude) for i, (_, amplitude) in enumerate(columns) if amplitude is not None]
+            of_light += [(len(columns) + i, one[-1]) for i, one in enumerate(nuisances)]
+            of_light.append((len(design) - 1, prediction.amplitude_residual))
+            index = np.array([i for i, _ in of_light])
+            light = _rows([amplitude for _, amplitude in of_light], lit)
+            gram[np.ix_(index, index)] += (light * weight_a) @ light.T
         self._rows += len(weight) + len(weight_a)
         self._log_sigma -= 0.5 * float(np.log(weight).sum() + np.log(weight_a).sum())
         self._sum(gram, nuisances)
         if pattern:
-            pixels = np.flatnonzero(used.ravel())
-            self._pixel[pixels] += weighted[:, : self._count].astype(self._type)
-            self._pixel_y[pixels] += weighted[:, -1].astype(self._type)
+            for sums, row in zip(self._pixel, weighted[: self._count], strict=True):
+                sums[pixels] += row.astype(self._type, copy=False)
+            self._pixel_y[pixels] += weighted[-1].astype(self._type, copy=False)
             self._weight[pixels] += weight
             for i, (name, *_) in enumerate(nuisances):
-                sums = self._nuisance_pixel.setdefault(name, np.zeros(self._pixel.shape[0], self._type))
-                sums[pixels] += weighted[:, self._count + i].astype(self._type)
+                sums = self._nuisance_pixel.setdefault(name, np.zeros(self._weight.size, self._type))
+                sums[pixels] += weighted[self._count + i].astype(self._type, copy=False)
 
     def _sum(self, gram: Array, nuisances: Sequence[_Nuisance]) -> None:
         count = self._count
@@ -337,7 +337,7 @@ class _FoldSums:
         pixels = len(self._weight)
         pixel = np.zeros((pixels if pattern else 1, size), self._type)
         if pattern:
-            pixel[:, :count] = self._pixel
+            pixel[:, :count] = self._pixel.T
             pixel[:, -1] = self._pixel_y
             for name, sums in self._nuisance_pixel.items():
                 pixel[:, place[name]] = sums
