@@ -281,6 +281,10 @@ class Correction:
     def _sigma(self, work: _Work) -> Image:
         """Return the 1-sigma in metres (H, W) with what is not known of the incidence; a new array."""
         sigma = self._scaled_sigma(work)
+        gain = work.folded.distance.gain(work.light.distance)
+        if gain is not None:
+            # where the cyclic error compresses distances, undoing it spreads their noise
+            sigma *= gain
         if work.unplaned is not None and work.unplaned.any():
             sigma *= sigma
             unknown = self._dtype(work.folded.incidence_spread**2)

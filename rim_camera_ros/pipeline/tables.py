@@ -308,6 +308,18 @@ class DistanceSolver:
             at += by_phase
         return np.subtract(y, at, out=at)
 
+    def gain(self, distance: Image) -> Image | None:
+        """Return dd / dy (H, W) where ``distance`` was solved last; None where nothing changes noise."""
+        if not self.terms:
+            return None
+        if not self._exact:
+            return np.float32(1.0) - self._planes[1] * self._scale
+        context, step = self._context, 1e-4
+        up, down = (
+            sum(one.term(d, d, context) for one in self.terms) for d in (distance + step, distance - step)
+        )
+        return np.asarray(1.0 / (1.0 + (up - down) / (2 * step)))
+
 
 class PlaneTable:
     """Terms of pixel and distance that are linear between knots of the distance, held constant outside.

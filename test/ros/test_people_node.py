@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from rim_camera_ros.nodes.messages import cloud, header, image
 from rim_camera_ros.nodes.people_pairing import POINTS, SIGMA, CloudPairing
-from rim_camera_ros.nodes.people_parameters import SPECS
 from rim_camera_ros.tracking.figures import GROUND
 from test.ros.harness import LATCHED, LOSSLESS_CORRECTION, LOSSLESS_DRIVER, World, stamp_of
 
@@ -185,20 +183,3 @@ def test_halves_of_frames_are_paired_by_stamp() -> None:
         assert pairing.add(POINTS, stamp, "p") is None
     assert pairing.left_out == 3  # eight wait
     assert pairing.add(SIGMA, 70, "s70") == ("p", "s70")
-
-
-def test_the_page_lists_every_parameter() -> None:
-    page = (ROOT / "docs" / "moving_people.md").read_text()
-    page = page[page.index("| parameter |") :]
-    rows = {
-        match[1]: (match[2], match[3])
-        for match in re.finditer(r"^\| `([a-z._]+)` \| ([^|]+) \| ([^|]+) \|$", page, re.MULTILINE)
-    }
-    assert set(rows) == {one.name for one in SPECS}
-    for spec in SPECS:
-        default, text = rows[spec.name]
-        assert text.startswith(spec.description), spec.name
-        assert text.endswith("set at start") == spec.read_only, spec.name
-        if spec.limits is not None:
-            assert float(default) == spec.default, spec.name
-            assert f"({spec.limits[0]:g} to {spec.limits[1]:g})" in text, spec.name
