@@ -16,6 +16,11 @@ LEAST_SHARE = 0.0015
 LEAST_SHARE_OF_KIND = 0.05
 
 
+#: ... and a good part of what one gained that heats and cools as it does: a thermal mass more than the form
+#: has looks like the other.
+LEAST_SHARE_OF_THERMAL = 0.25
+
+
 #: ... and still more beside effects of which no form is near every true one: surfaces out of the view send
 #: light as well.
 LEAST_SHARE_BESIDE_ROUGH = 0.15
@@ -28,11 +33,12 @@ _ROUGH = {
 }
 
 
+_THERMAL = frozenset({"warm_up_drift", "ambient_temperature"})
 _KINDS = (
     frozenset({"scattering", "mixed_pixels", "multipath", "saturation_bleed"}),
     frozenset({"emission_pattern", "amplitude_nonlinearity", "emitter_offset", "radiometry", "scattering"}),
     frozenset({"cyclic_error", "distance_scale", "camera_constant", "lens_distortion", "emitter_offset"}),
-    frozenset({"warm_up_drift", "ambient_temperature"}),
+    _THERMAL,
 )
 
 
@@ -90,6 +96,8 @@ def needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
     for one in found:
         if any(effect in kind and one.effect in kind for kind in _KINDS):
             need = max(need, LEAST_SHARE_OF_KIND * one.gain)
+        if effect in _THERMAL and one.effect in _THERMAL:
+            need = max(need, LEAST_SHARE_OF_THERMAL * one.gain)
         if effect in _ROUGH.get(one.effect, ()):
             need = max(need, LEAST_SHARE_BESIDE_ROUGH * one.gain)
     return max(float(step.thresholds[number]), need)

@@ -7,7 +7,7 @@ camera; then everything is looked at anew.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -107,7 +107,7 @@ def search(
             numbers = pair[1]
         need = max(needed(step, k, found) for k in numbers)
         chosen, likelihood, next_step, next_problem = _refined(
-            problem, step, numbers, leader, found, folds, further, seed, say
+            problem, step, numbers, leader, found, failed, folds, further, seed, say
         )
         before = step.scores.log_likelihood()
         gain = likelihood - before
@@ -160,6 +160,7 @@ def _refined(
     numbers: tuple[int, ...],
     leader: int,
     found: Sequence[Found],
+    failed: Set[str],
     folds: Mapping[tuple[int, int], int],
     further: Sequence[Candidate],
     seed: int,
@@ -178,7 +179,7 @@ def _refined(
         for effect, k in step.best().items():
             close = step.gains[k] > 0.6 * lead or lead - step.gains[k] < 2 * step.threshold
             possible = close and step.gains[k] > needed(step, k, found)
-            if possible and effect != step.candidates[numbers[0]].effect:
+            if possible and effect not in {step.candidates[numbers[0]].effect, *failed}:
                 trials.append((k,))
     best: tuple[float, list[str], Exploration, Problem] | None = None
     trials = trials[:3]

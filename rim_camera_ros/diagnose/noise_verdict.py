@@ -12,6 +12,9 @@ from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.effects.background_light import BackgroundLight
 
+#: Relative deviation of the variance below which it may be due to light that no named physics predicts.
+_OF_UNKNOWN_LIGHT = 0.2
+
 
 def with_variance(
     verdict: str,
@@ -25,6 +28,7 @@ def with_variance(
     """Add what repeated frames say: a second camera, or another noise than the file's.
 
     Unmodulated light shifts distances as well (``shifted``: something does); what only adds noise is noise.
+    Noise goes with the light: where that is not understood, a little too much or too little says nothing.
     """
     if verdict == "inconsistent_setup":
         return verdict, missing, model
@@ -35,7 +39,8 @@ def with_variance(
         )
         missing = [*missing, Missing("interference", 1.0, {}, {}, sentence)]
         return ("missing_physics" if verdict != "unknown_physics" else verdict), missing, model
-    if variance.noise_is_wrong:
+    unknown_light = verdict == "unknown_physics" and abs(variance.ratio - 1) < _OF_UNKNOWN_LIGHT
+    if variance.noise_is_wrong and not unknown_light:
         before, after = model.noise, variance.noise
         possible = variance.background > 0 and "background_light" not in model.effects
         if possible:

@@ -42,7 +42,7 @@ from rim_camera_ros.diagnose.naming import (
 from rim_camera_ros.diagnose.noise_verdict import with_variance
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.setup import Setup, check_setup
-from rim_camera_ros.diagnose.smooth import axes_of, single_terms
+from rim_camera_ros.diagnose.smooth import axes_of, own_covariates, single_terms
 from rim_camera_ros.diagnose.variance import Variance, examine_variance
 from rim_camera_ros.diagnose.where import nowhere, of_change, of_residuals, of_terms
 from rim_camera_ros.errors import RimError
@@ -157,9 +157,10 @@ def _diagnose(
     named = result.log_likelihood - result.start_log_likelihood
     explained = _explained(baseline, result, unknown)
     described = None
-    # a curve of the light that is not refitted leaves a smooth rest by itself
+    # a curve of the light that is not refitted leaves a smooth rest by itself, smaller than what it explains
     linear = any(one.effect in OF_SURFACES for one in result.found)
-    if unknown is not None and not linear and _is_unknown(unknown, named, baseline, final):
+    by_itself = linear and unknown is not None and unknown.on_top < named
+    if unknown is not None and not by_itself and _is_unknown(unknown, named, final, result):
         described = describe(unknown, baseline, result, seed)
     setup = check_setup(
         final.fit if described is None else described.fit,
@@ -242,12 +243,25 @@ def _explained(baseline: Exploration, result: Result, unknown: Rest | None) -> f
     return max(before - after, by_unknown) / excess
 
 
-def _is_unknown(unknown: Rest | None, named: float, baseline: Exploration, final: Exploration) -> bool:
-    if unknown is None:
-        return False
+def _is_unknown(unknown: Rest, named: float, final: Exploration, result: Result) -> bool:
+    """Return whether what is left is more than the forms of the named effects leave."""
     if unknown.on_top < max(_LEAST_UNKNOWN, 1.5 * unknown.threshold):
         return False
-    return unknown.on_top > DOUBT * named
+    # a named effect whose form is not quite the true one leaves a smooth rest in its own covariates
+    of_forms = 0.0 if unknown.fine is not None else _left_by_forms(final, result)
+    return unknown.on_top - of_forms > DOUBT * named
+
+
+def _left_by_forms(final: Exploration, result: Result) -> float:
+    """Return the gain of the best smooth function of a covariate that a named effect depends on."""
+    effects = [final.fit.camera.effects.get(one.effect) for one in result.found]
+    own = {name for one in effects if one is not None for name in own_covariates(one)}
+    gains = [
+        float(final.gains[k])
+        for k, one in enumerate(final.candidates)
+        if one.variant in own and k >= final.named
+    ]
+    return max([0.0, *gains])
 
 
 def _verdict(

@@ -1,0 +1,97 @@
+"""What is left after naming: forms that are not quite true, noise of light that is not understood, kin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rim_camera_ros.calibrate.needs import Found, needed
+from rim_camera_ros.diagnose.noise_verdict import with_variance
+from rim_camera_ros.diagnose.result import Missing
+from rim_camera_ros.diagnose.run import _is_unknown
+from rim_camera_ros.diagnose.smooth import own_covariates
+from rim_camera_ros.diagnose.variance import Variance, VarianceBin
+from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
+from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
+from rim_camera_ros.effects.incidence_angle import IncidenceAngle
+from rim_camera_ros.effects.scattering import Kernel, Scattering
+from rim_camera_ros.noise import Noise
+
+from ..calibrate.helpers import camera
+
+HYPERBOLA = AmplitudeOffset(hyperbola={16.0: Hyperbola(a=11.0, b=2.0)})
+
+
+def variance(ratio: float) -> Variance:
+    bins = (VarianceBin(100.0, ratio, 0.001), VarianceBin(900.0, 1.0, 0.001))
+    return Variance(ratio, 0.001, bins, Noise(floor=0.004, amplitude=30.0), None, np.inf, 0.001, True)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "ratio", "named"),
+    [
+        ("consistent", 0.93, ["noise"]),
+        ("missing_physics", 0.93, ["noise"]),
+        ("unknown_physics", 0.93, []),  # the light that the noise goes with is not known that well
+        ("unknown_physics", 1.15, []),
+        ("unknown_physics", 1.3, ["noise"]),
+    ],
+)
+def test_noise_beside_unknown_physics_must_be_far_off(
+    tmp_path: Path, verdict: str, ratio: float, named: list[str]
+) -> None:
+    unknown = Missing("unknown", 1.0, {}, {}, "", covariates=("row",))
+    before = [unknown] if verdict == "unknown_physics" else []
+    said, missing, _ = with_variance(verdict, before, [], camera(tmp_path), variance(ratio), [], False)
+    assert [one.effect for one in missing if one is not unknown] == named
+    assert said == (verdict if not named or verdict == "unknown_physics" else "missing_physics")
+
+
+def test_distance_terms_have_covariates_of_their_own() -> None:
+    assert own_covariates(HYPERBOLA) == ("amplitude",)
+    assert own_covariates(IncidenceAngle(polynomial={16.0: (0.0, 0.0, 1e-5, 2e-4)})) == ("incidence",)
+    lagging = AmbientTemperature(coefficient=0.002, reference=20.0, time_constant=600.0)
+    assert own_covariates(lagging) == ("ambient_temperature", "temperature")
+    assert own_covariates(Scattering((Kernel(0.01, (3.0, 4.0)),))) == ()
+
+
+@pytest.mark.parametrize(
+    ("gains", "found", "unknown"),
+    [
+        ({"distance": 320.0, "amplitude": 210.0}, ["amplitude_offset"], False),  # nearly all in its own
+        ({"distance": 320.0, "amplitude": 100.0}, ["amplitude_offset"], True),
+        ({"distance": 320.0, "amplitude": 210.0}, [], True),
+        ({"distance": 140.0, "amplitude": 5.0}, ["amplitude_offset"], False),  # below 15 % of 1,000 nats
+    ],
+)
+def test_a_form_that_is_not_quite_true_is_no_unknown_physics(
+    tmp_path: Path, gains: dict[str, float], found: list[str], unknown: bool
+) -> None:
+    names = list(gains)
+    final: Any = SimpleNamespace(
+        fit=SimpleNamespace(camera=camera(tmp_path, HYPERBOLA)),
+        candidates=[SimpleNamespace(variant=name) for name in ["amplitude", *names]],
+        gains=np.array([900.0, *gains.values()]),  # a candidate of the vocabulary stands first
+        named=1,
+    )
+    result: Any = SimpleNamespace(found=[Found(name, 1000.0) for name in found])
+    rest: Any = SimpleNamespace(on_top=gains["distance"], threshold=20.0, fine=None)
+    assert _is_unknown(rest, 1000.0, final, result) is unknown
+    fine: Any = SimpleNamespace(on_top=gains["distance"], threshold=20.0, fine=object())
+    assert _is_unknown(fine, 1000.0, final, result) is (gains["distance"] > 150.0)
+
+
+def test_a_second_drift_must_gain_a_good_part_of_the_first() -> None:
+    step: Any = SimpleNamespace(
+        candidates=[SimpleNamespace(effect=name) for name in ("warm_up_drift", "incidence_angle")],
+        thresholds=np.array([8.0, 8.0]),
+    )
+    first = Found("ambient_temperature", 520.0)
+    assert needed(step, 0, [first]) == pytest.approx(130.0)
+    assert needed(step, 1, [first]) == 8.0
+    assert needed(step, 0, [replace(first, effect="cyclic_error")]) == 8.0
