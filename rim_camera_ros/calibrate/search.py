@@ -20,6 +20,7 @@ from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import effect_size
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects.scattering import Scattering
 
 MOST_EFFECTS = 4
@@ -123,6 +124,9 @@ def search(
         explorations.append(next_step)
         step.forget()
         step, problem = next_step, next_problem
+    if len(found) > 1:
+        say("whether each is still needed")
+        step, problem = _without_needless(problem, explorations, found, folds, further, seed)
     return Result(
         camera=step.fit.camera,
         found=found,
@@ -132,6 +136,51 @@ def search(
         problem=problem,
         folds=folds,
     )
+
+
+def _without_needless(
+    problem: Problem,
+    explorations: list[Exploration],
+    found: list[Found],
+    folds: Mapping[tuple[int, int], int],
+    further: Sequence[Candidate],
+    seed: int,
+) -> tuple[Exploration, Problem]:
+    """Drop effects from ``found`` that gain too little beside those that joined after them.
+
+    An effect that stood in for others, found first, is needless once they are there. The last exploration is
+    replaced by one without them. Returns it and its problem.
+    """
+    step = explorations[-1]
+    for one in list(found[:-1]):
+        if one.effect not in step.fit.camera.effects or len(found) < 2:
+            continue
+        others = [other for other in found if other is not one]
+        effects = {name: e for name, e in step.fit.camera.effects.items() if name != one.effect}
+        without = explore(
+            problem,
+            with_effects(step.fit.camera, effects),
+            [],
+            folds,
+            views=step.fit.forward.views,
+            warm=step.fit,
+            seed=seed,
+            replicates=0,
+            iterations=_ITERATIONS,
+            tolerance=_TOLERANCE,
+        )
+        before = explorations[one.step]
+        gain = step.scores.log_likelihood() - without.scores.log_likelihood()
+        if gain > needed(before, before.best()[one.effect], others):
+            continue
+        found.remove(one)
+        names = {other.effect for other in found}
+        left = [candidate for candidate in _leading_variants(before) if candidate.effect not in names]
+        fitted = further_equations(without.fit, [*left, *further], folds, problem)
+        step.forget()
+        step = explored(fitted, left, further=further, seed=seed)
+        explorations[-1] = step
+    return step, problem
 
 
 def _silent(text: str) -> None:

@@ -135,6 +135,18 @@ def describe(unknown: Rest, baseline: Exploration, result: Result, seed: int) ->
     return Described(unknown.gain, model, fitted, where, missing)
 
 
+def unexplained(fitted: Fit, chi_square: float) -> tuple[Missing, Where]:
+    """Return what is said of a mismatch that no effect and no smooth function explains, and where it is."""
+    where = of_residuals(fitted)
+    names = tuple(name for name, _ in where.covariates)
+    most = f"; they vary most over {' and '.join(names)}" if names else ""
+    sentence = (
+        f"unknown physics: held-out values scatter by {np.sqrt(chi_square):.2f} times what noise and errors "
+        f"of poses explain; neither an effect of the vocabulary nor a smooth function describes it{most}"
+    )
+    return Missing(UNKNOWN, 1.0, {}, {}, sentence, covariates=names), where
+
+
 def _refit_table(unknown: Rest, baseline: Exploration, result: Result, seed: int) -> tuple[Camera, Fit]:
     """Estimate the table jointly with the baseline, without the effects that had stood in for it."""
     from rim_camera_ros.diagnose.smooth import Axis, smooth_candidate

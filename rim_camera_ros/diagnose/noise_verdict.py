@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from rim_camera_ros.calibrate.library import added
+from rim_camera_ros.calibrate.search import Result
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.adjusted import Adjusted
+from rim_camera_ros.diagnose.described import Rest
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.diagnose.variance import Variance
@@ -14,6 +16,9 @@ from rim_camera_ros.effects.background_light import BackgroundLight
 
 #: Relative deviation of the variance below which it may be due to light that no named physics predicts.
 _OF_UNKNOWN_LIGHT = 0.2
+#: Share of what too small a noise costs, in nats, below which the unmodulated light that makes the noise is
+#: taken to make a shift as well.
+_SHIFT_OF_BACKGROUND = 0.02
 
 
 def with_variance(
@@ -39,10 +44,14 @@ def with_variance(
         )
         missing = [*missing, Missing("interference", 1.0, {}, {}, sentence)]
         return ("missing_physics" if verdict != "unknown_physics" else verdict), missing, model
+    possible = variance.background > 0 and "background_light" not in model.effects
+    # what it adds to the distance goes with the light that a surface reflects of it
+    of_light = {one.effect for one in missing} <= {UNKNOWN} and all(
+        set(one.covariates) <= {"amplitude", "distance", "contrast"} for one in missing
+    )
     unknown_light = verdict == "unknown_physics" and abs(variance.ratio - 1) < _OF_UNKNOWN_LIGHT
-    if variance.noise_is_wrong and not unknown_light:
+    if variance.noise_is_wrong and not (unknown_light and not (possible and of_light)):
         before, after = model.noise, variance.noise
-        possible = variance.background > 0 and "background_light" not in model.effects
         if possible:
             ties.append(["background_light", "noise"])
         if possible and shifted:
@@ -54,10 +63,7 @@ def with_variance(
             )
             named = Missing("background_light", 0.7, {"level": level}, {}, sentence)
             model = added(model, BackgroundLight(level=level))
-            if {one.effect for one in missing} <= {UNKNOWN} and all(
-                set(one.covariates) <= {"amplitude", "distance", "contrast"} for one in missing
-            ):
-                # what it adds to the distance goes with the light that a surface reflects of it
+            if of_light:
                 missing, verdict = [], "missing_physics"
         else:
             sentence = (
@@ -78,3 +84,14 @@ def with_variance(
         if verdict != "unknown_physics":
             verdict = "missing_physics"
     return verdict, missing, model
+
+
+def only_background(result: Result, rest: Rest | None, variance: Variance, camera: Camera) -> bool:
+    """Return whether all that was found is no more than the shift that comes with unmodulated light."""
+    found = bool(result.found) and variance.noise_is_wrong and variance.background > 0
+    if not found or "background_light" in camera.effects:
+        return False
+    _, rows = result.explorations[0].scores.chi_square()
+    cost = 0.5 * max(variance.ratio - 1.0, 0.0) * rows
+    gain = result.log_likelihood - result.start_log_likelihood + (0.0 if rest is None else rest.on_top)
+    return gain < _SHIFT_OF_BACKGROUND * cost

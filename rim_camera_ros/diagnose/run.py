@@ -29,7 +29,14 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import accuracy
 from rim_camera_ros.diagnose.adjusted import LEAST_GAIN, LEAST_TOTAL, adjusted_terms, total_change
 from rim_camera_ros.diagnose.codes import MissingCodes, missing_codes
-from rim_camera_ros.diagnose.described import _LEAST_UNKNOWN, Described, Rest, best_rest, describe
+from rim_camera_ros.diagnose.described import (
+    _LEAST_UNKNOWN,
+    Described,
+    Rest,
+    best_rest,
+    describe,
+    unexplained,
+)
 from rim_camera_ros.diagnose.intervals import intervals_of
 from rim_camera_ros.diagnose.menu import recommended, told_apart
 from rim_camera_ros.diagnose.naming import (
@@ -39,7 +46,7 @@ from rim_camera_ros.diagnose.naming import (
     ranking_of,
     unseen_effects,
 )
-from rim_camera_ros.diagnose.noise_verdict import with_variance
+from rim_camera_ros.diagnose.noise_verdict import only_background, with_variance
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.setup import Setup, check_setup
 from rim_camera_ros.diagnose.smooth import axes_of, own_covariates, single_terms
@@ -66,6 +73,9 @@ _NO_BETTER = (
     "distances of held-out poses got worse although amplitudes got better: what is named stands for "
     "something else, do not use camera.yaml"
 )
+#: Chi-square per value of held-out poses above which a recording that nothing explains is not consistent:
+#: where nothing is left out it was 1.02 at most.
+_UNEXPLAINED = 1.05
 #: Times that a diagnosis is made anew without poses that do not agree.
 _MOST_AGAIN = 2
 _ONE_POSE = (
@@ -166,11 +176,16 @@ def _diagnose(
         final.fit if described is None else described.fit,
         explained=explained,
         physics=bool(result.found) or described is not None,
+        before=baseline.fit,
     )
     reason = None if variance.pixels_vary_together or codes is not None else setup.reason
     if reason is not None and setup.may_do_without and against is None and again > 0:
         say("once more without what does not agree")
         return _diagnose(_without(dataset, setup), scene, camera, None, seed, say, again - 1)
+    by_background = only_background(result, unknown, variance, camera)
+    if by_background:
+        described = None
+        result = replace(result, camera=baseline.fit.camera, found=[], explorations=[baseline])
     say("held-out poses before and after")
     return _verdict(
         camera=camera,
@@ -181,6 +196,8 @@ def _diagnose(
         variance=variance,
         codes=codes,
         reason=reason,
+        shifted=by_background,
+        left_over=setup.chi_square,
         seed=seed,
         say=say,
     )
@@ -274,6 +291,8 @@ def _verdict(
     variance: Variance,
     codes: MissingCodes | None,
     reason: str | None,
+    shifted: bool,
+    left_over: float,
     seed: int,
     say: Callable[[str], None],
 ) -> Diagnosis:
@@ -320,7 +339,7 @@ def _verdict(
             model = camera
     if verdict == "inconsistent_setup":
         adjusted = []
-    shifted = rest is not None or bool(missing)
+    shifted = rest is not None or bool(missing) or shifted
     verdict, missing, model = with_variance(verdict, missing, adjusted, model, variance, ties, shifted)
     if codes is not None and verdict != "inconsistent_setup":
         verdict, missing = "unknown_physics", [missing_codes_of(codes, camera)]
@@ -333,6 +352,10 @@ def _verdict(
             proposals = told_apart(step, names, shipped_experiments(), progress=say)
             advice[tuple(names)] = recommended(proposals, threshold=step.threshold)
     measure = accuracy(camera, model, result, unknown if verdict == "unknown_physics" else None)
+    if verdict == "consistent" and measure.held_out and min(measure.chi2_before, left_over) > _UNEXPLAINED:
+        verdict = "unknown_physics"
+        left, where = unexplained(fitted, measure.chi2_before)
+        missing = [left]
     if measure.held_out and measure.rms_after > _WORSE * measure.rms_before:
         notes.append(_NO_BETTER)
     return Diagnosis(

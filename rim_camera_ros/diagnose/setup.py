@@ -54,6 +54,11 @@ class Setup:
     bad: tuple[tuple[int, int], ...] = ()
 
     @property
+    def chi_square(self) -> float:
+        """Mean chi-square per distance over the poses, after the fit."""
+        return float(np.mean([one.chi_square for one in self.poses])) if self.poses else 1.0
+
+    @property
     def may_do_without(self) -> bool:
         """Whether so few poses are bad that the others can be diagnosed by themselves."""
         return 0 < len(self.bad) <= max(1.0, VERY_FEW * len(self.poses))
@@ -98,12 +103,15 @@ def overlap(fitted: Fit) -> float:
     return both / measured if measured else 0.0
 
 
-def check_setup(fitted: Fit, *, explained: float = 0.0, physics: bool = False) -> Setup:
+def check_setup(
+    fitted: Fit, *, explained: float = 0.0, physics: bool = False, before: Fit | None = None
+) -> Setup:
     """Say whether scene, poses and camera belong to the recording.
 
     ``explained`` is the share of the excess chi-square that the physics found explains: what it explains is
     no fault of the setup. Where ``physics`` was found at all, its form may be wrong enough to strain a few
-    poses: then they must stand out by far more.
+    poses: then they must stand out by far more, and not be those that it acts on, whose chi-square it at
+    least halved since the fit ``before``.
     """
     poses = check_poses(fitted)
     reason, bad = None, list[PoseCheck]()
@@ -113,6 +121,9 @@ def check_setup(fitted: Fit, *, explained: float = 0.0, physics: bool = False) -
         reason = _gross(fitted, poses)
         if reason is None:
             bad = _few(poses, _STRAINED if physics else 1.0)
+            if bad and physics and before is not None:
+                first = {one.key: one.chi_square for one in check_poses(before)}
+                bad = [one for one in bad if one.chi_square > 0.5 * first.get(one.key, 0.0)]
             reason = _of_few(bad, len(poses), _STRAINED if physics else 1.0) if bad else None
     if explained > 0.5 and reason is not None and "poses" not in reason:
         reason = None

@@ -14,6 +14,7 @@ from rim_camera_ros.calibrate.stations import reduce_recording
 from rim_camera_ros.camera_file import load_camera, with_numbers
 from rim_camera_ros.cli import main
 from rim_camera_ros.diagnose.codes import missing_codes
+from rim_camera_ros.diagnose.page import page
 from rim_camera_ros.diagnose.report import as_json
 from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
@@ -36,6 +37,27 @@ def test_consistent(tmp_path: Path) -> None:
     assert result.adjusted == []
     assert result.accuracy.chi2_before == pytest.approx(1.0, abs=0.03)
     assert result.camera == truth
+
+
+def test_what_nothing_explains_is_not_consistent(tmp_path: Path) -> None:
+    """Errors of single pixels that change from pose to pose follow no covariate, and are not in the noise."""
+    truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
+    data = record(truth, board, seed=21)
+    rng = np.random.default_rng(8)
+    for k, one in enumerate(data.stations):
+        sigma = truth.noise.sigma_distance(one.amplitude) / np.sqrt(np.maximum(one.count, 1))
+        error = 0.7 * np.where(np.isfinite(sigma), sigma, 0.0) * rng.standard_normal(sigma.shape)
+        data.stations[k] = replace(one, distance=one.distance + error)
+    result = diagnose(data, board, truth)
+    assert result.verdict == "unknown_physics"
+    (found,) = result.missing
+    assert re.search(r"^unknown physics: held-out values scatter by 1\.1\d times", found.sentence)
+    # of distances 1.49, of amplitudes 1
+    assert result.accuracy.chi2_before == pytest.approx(1.245, abs=0.05)
+    assert result.camera == truth
+    report = as_json(result)
+    assert report["missing"][0]["effect"] == "unknown"
+    assert "scatter" in page(result, recording="a", camera="b", scene="c")
 
 
 def test_wrong_parameters_are_not_called_missing_physics(tmp_path: Path) -> None:
