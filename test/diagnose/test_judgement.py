@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate.needs import Found, needed
-from rim_camera_ros.diagnose.noise_verdict import with_variance
+from rim_camera_ros.diagnose import setup
+from rim_camera_ros.diagnose.noise_verdict import only_background, with_variance
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.run import _is_unknown
+from rim_camera_ros.diagnose.setup import PoseCheck
 from rim_camera_ros.diagnose.smooth import own_covariates
 from rim_camera_ros.diagnose.variance import Variance, VarianceBin
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
@@ -95,3 +97,53 @@ def test_a_second_drift_must_gain_a_good_part_of_the_first() -> None:
     assert needed(step, 0, [first]) == pytest.approx(130.0)
     assert needed(step, 1, [first]) == 8.0
     assert needed(step, 0, [replace(first, effect="cyclic_error")]) == 8.0
+
+
+@pytest.mark.parametrize(
+    ("before", "physics", "reason"),
+    [
+        (30.0, True, "1 of 20 poses do not agree with the rest (7)"),  # nothing found acts on that pose
+        (400.0, True, None),  # what was found explains most of it
+        (400.0, False, "1 of 20 poses do not agree with the rest (7)"),
+    ],
+)
+def test_a_pose_on_which_named_physics_acts_is_no_bad_setup(
+    monkeypatch: pytest.MonkeyPatch, before: float, physics: bool, reason: str | None
+) -> None:
+    def checks(chi_square: float) -> list[PoseCheck]:
+        return [PoseCheck((0, k), chi_square if k == 7 else 1.0, 0.5, "", 0.0, float(k)) for k in range(20)]
+
+    poses: Any = {"before": checks(before), "after": checks(150.0)}
+    monkeypatch.setattr(setup, "check_poses", lambda fitted: poses[fitted])
+    monkeypatch.setattr(setup, "_gross", lambda fitted, found: None)
+    after: Any = "after"
+    start: Any = "before"
+    found = setup.check_setup(after, physics=physics, before=start)
+    assert (found.reason or "").startswith(reason or "")
+    assert (found.reason is None) == (reason is None)
+    assert found.chi_square == pytest.approx((19 + 150) / 20)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "background", "gain", "rest", "only"),
+    [
+        (1.25, 1900.0, 86.0, 50.0, True),  # of 12,500 nats that the noise costs
+        (1.25, 1900.0, 240.0, 50.0, False),
+        (1.25, 0.0, 86.0, 50.0, False),  # its form over the amplitude is not that of such light
+        (1.0, 1900.0, 86.0, 50.0, False),
+    ],
+)
+def test_what_comes_with_unmodulated_light_is_its_own_shift(
+    tmp_path: Path, ratio: float, background: float, gain: float, rest: float, only: bool
+) -> None:
+    scores = SimpleNamespace(chi_square=lambda: (1.0, 100_000))
+    result: Any = SimpleNamespace(
+        found=[Found("distance_scale", gain)],
+        explorations=[SimpleNamespace(scores=scores)],
+        log_likelihood=1000.0 + gain,
+        start_log_likelihood=1000.0,
+    )
+    left: Any = SimpleNamespace(on_top=rest)
+    seen = replace(variance(ratio), background=background)
+    assert only_background(result, left, seen, camera(tmp_path)) is only
+    assert not only_background(SimpleNamespace(found=[]), left, seen, camera(tmp_path))  # type: ignore[arg-type]
