@@ -199,7 +199,7 @@ def _missing(result: Diagnosis) -> list[str]:
                 "vocabulary's."
             )
         )
-    if result.verdict not in ("consistent", "inconsistent_setup"):
+    if _improved(result):
         parts.append(
             html.paragraph(
                 "camera.yaml in the folder of this report is the camera file with all of this: simulating "

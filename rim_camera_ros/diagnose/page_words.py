@@ -97,7 +97,9 @@ def verdict(result: Diagnosis) -> str:
             return f"No physics is missing, but the camera file has wrong parameters: {names}."
         case "unknown_physics":
             found = [one for one in result.missing if one.effect == UNKNOWN]
-            names = joined([plain_name(c) for one in found for c in one.covariates]) or "something"
+            names = joined([plain_name(c) for one in found for c in one.covariates])
+            if not names:
+                return "This recording differs from its simulation in a way that no known effect explains."
             return f"Distances depend on {names} in a way that no known effect explains."
     tied = {name for names in result.indistinguishable for name in names}
     sure = [label_of(one.effect) for one in result.missing if one.effect not in tied]
