@@ -17,9 +17,14 @@ from rim_camera_ros.parameters import flatten
 
 Array = NDArray[Any]
 
+#: Effects that show in the amplitudes beside edges also where they hardly move distances.
+_OF_EDGES = frozenset({"mixed_pixels"})
+#: Metres of distance that count as much as a relative change of the amplitude of 1.
+_SAME_SIZE = 0.1
+
 
 def effect_size(fitted: Fit, names: Sequence[str], start: Camera) -> float:
-    """Return how far effects move distances [m], or relative amplitudes times 0.1 m.
+    """Return how far effects move distances [m], or relative amplitudes times 0.1 m where those tell more.
 
     RMS over the 5 % of pixel values that they move most, after the fit of all else.
     """
@@ -28,6 +33,9 @@ def effect_size(fitted: Fit, names: Sequence[str], start: Camera) -> float:
         total: Any = 0.0
         for name in names:
             total = total + contribution(one, name, start)
+            if name in _OF_EDGES and name in one.context.camera.effects:
+                # on one surface the edges of its texture show it in the amplitudes alone
+                total = np.maximum(np.abs(total), _SAME_SIZE * np.abs(_relative_light(one, name)[0]))
         parts.append(np.abs(np.broadcast_to(total, one.used.shape)[one.used]))
     values = np.concatenate(parts) if parts else np.zeros(1)
     if not values.size:
@@ -47,7 +55,7 @@ def contribution(prediction: Prediction, name: str, start: Camera) -> Array:
         curves = prediction.light_curves
         if curves is None:
             return np.zeros(prediction.used.shape)
-        return np.asarray(0.1 * np.log(curves.surfaces(prediction.view.geometry)))
+        return np.asarray(_SAME_SIZE * np.log(curves.surfaces(prediction.view.geometry)))
     if name in GEOMETRY:
         return _geometry_contribution(prediction, name, start)
     effect = camera.effects[name]
@@ -55,16 +63,21 @@ def contribution(prediction: Prediction, name: str, start: Camera) -> Array:
         value = effect.term(prediction.delivered.distance, prediction.amplitude, prediction.context)
         return np.broadcast_to(np.asarray(value, float), prediction.used.shape)
     if name == "amplitude_nonlinearity":
-        return np.asarray(0.1 * effect.compression * prediction.amplitude)
-    before = prediction.before_effect(name)
-    after = effect.simulate(before, prediction.context)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        relative = np.where(before.amplitude > 0, np.log(after.amplitude / before.amplitude), 0.0)
-    by_distance = np.nan_to_num(after.distance - before.distance)
+        return np.asarray(_SAME_SIZE * effect.compression * prediction.amplitude)
+    relative, by_distance = _relative_light(prediction, name)
     moved, _ = prediction.reading_change(by_distance, relative)
     if name == "emission_pattern":
-        return np.asarray(np.nan_to_num(np.maximum(np.abs(moved), 0.1 * np.abs(relative))))
+        return np.asarray(np.nan_to_num(np.maximum(np.abs(moved), _SAME_SIZE * np.abs(relative))))
     return np.asarray(np.nan_to_num(moved))
+
+
+def _relative_light(prediction: Prediction, name: str) -> tuple[Array, Array]:
+    """Return the changes of log amplitude and of the distance [m] by an effect on the light."""
+    before = prediction.before_effect(name)
+    after = prediction.context.camera.effects[name].simulate(before, prediction.context)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.where(before.amplitude > 0, np.log(after.amplitude / before.amplitude), 0.0)
+    return np.nan_to_num(relative), np.nan_to_num(after.distance - before.distance)
 
 
 def _geometry_contribution(prediction: Prediction, name: str, start: Camera) -> Array:

@@ -11,14 +11,17 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate.adjustment import _settled
+from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.search import _smooth_says_more, _what_it_became
+from rim_camera_ros.calibrate.sizes import contribution, effect_size
 from rim_camera_ros.calibrate.stations import reduce_frames
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.scattering import Ghost, Kernel, Scattering
 from rim_camera_ros.frame import Pose, RawFrame, Settings
 
-from .helpers import camera
+from .helpers import camera, record, scene
 
 CYCLIC = CyclicError((Harmonic(4, 0.011, 0.7),), (0.0, 0.0))
 
@@ -124,3 +127,14 @@ def test_what_is_in_proportion_to_the_light_is_no_second_camera(tmp_path: Path) 
     assert common(power, dark) < 2.5
     assert common(ones, second) > 100
     assert common(power, second) > 10  # the power's noise is larger than the second camera's light
+
+
+def test_mixed_pixels_count_by_their_amplitudes_where_one_surface_keeps_the_distance(tmp_path: Path) -> None:
+    truth, board = camera(tmp_path, MixedPixels(blur=0.33)), scene(tmp_path)
+    forward = Forward(record(truth, board, poses=6, frames=1, seed=5), board, truth)
+    fitted: Any = SimpleNamespace(forward=forward)
+    moved = np.concatenate(
+        [np.abs(contribution(one, "mixed_pixels", truth)[one.used]) for one in forward.predictions()]
+    )
+    assert np.sqrt(np.mean(np.sort(moved)[-len(moved) // 20 :] ** 2)) < 0.0025
+    assert effect_size(fitted, ["mixed_pixels"], truth) > 0.004
