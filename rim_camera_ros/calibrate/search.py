@@ -138,6 +138,24 @@ def search(
     )
 
 
+def _fitted_anew(
+    problem: Problem, camera: Camera, step: Exploration, folds: Mapping[tuple[int, int], int], seed: int
+) -> Exploration:
+    """Return the fit of a camera that begins at the nuisances of a step, without candidates."""
+    return explore(
+        problem,
+        camera,
+        [],
+        folds,
+        views=step.fit.forward.views,
+        warm=step.fit,
+        seed=seed,
+        replicates=0,
+        iterations=_ITERATIONS,
+        tolerance=_TOLERANCE,
+    )
+
+
 def _without_needless(
     problem: Problem,
     explorations: list[Exploration],
@@ -157,18 +175,7 @@ def _without_needless(
             continue
         others = [other for other in found if other is not one]
         effects = {name: e for name, e in step.fit.camera.effects.items() if name != one.effect}
-        without = explore(
-            problem,
-            with_effects(step.fit.camera, effects),
-            [],
-            folds,
-            views=step.fit.forward.views,
-            warm=step.fit,
-            seed=seed,
-            replicates=0,
-            iterations=_ITERATIONS,
-            tolerance=_TOLERANCE,
-        )
+        without = _fitted_anew(problem, with_effects(step.fit.camera, effects), step, folds, seed)
         before = explorations[one.step]
         gain = step.scores.log_likelihood() - without.scores.log_likelihood()
         if gain > needed(before, before.best()[one.effect], others):
@@ -240,18 +247,8 @@ def _refined(
         own = replace(problem, geometry=geometry, reflectance=reflectance)
         # first by itself: what loses need not be explored; rays from where they are, as a linear guess of
         # them may put a texture's edges on other pixels
-        alone = explore(
-            own,
-            step.camera_with([k for k in trial if step.candidates[k].effect not in GEOMETRY]),
-            [],
-            folds,
-            views=step.fit.forward.views,
-            warm=step.fit,
-            seed=seed,
-            replicates=0,
-            iterations=_ITERATIONS,
-            tolerance=_TOLERANCE,
-        )
+        start = step.camera_with([k for k in trial if step.candidates[k].effect not in GEOMETRY])
+        alone = _fitted_anew(own, start, step, folds, seed)
         if "amplitude_nonlinearity" in names:
             # its one parameter first: together with a free response it would not find the way
             own = replace(own, response=_level(problem.dataset))

@@ -57,12 +57,8 @@ from rim_camera_ros.scene import Scene
 
 #: A smooth rest must gain this share of what the named effects gained before they are doubted.
 DOUBT = 0.15
-
-
 #: A term outside the vocabulary must gain this share more than the named ones to take their place.
 BEYOND = 1.2
-
-
 #: Relative ripple of the amplitude that is said.
 _VISIBLE_RIPPLE = 0.005
 #: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
