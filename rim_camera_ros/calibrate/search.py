@@ -126,7 +126,7 @@ def search(
         step, problem = next_step, next_problem
     if len(found) > 1:
         say("whether each is still needed")
-        step, problem = _without_needless(problem, explorations, found, folds, further, seed)
+        step = _without_needless(problem, explorations, found, folds, further, seed)
     return Result(
         camera=step.fit.camera,
         found=found,
@@ -163,11 +163,11 @@ def _without_needless(
     folds: Mapping[tuple[int, int], int],
     further: Sequence[Candidate],
     seed: int,
-) -> tuple[Exploration, Problem]:
+) -> Exploration:
     """Drop effects from ``found`` that gain too little beside those that joined after them.
 
     An effect that stood in for others, found first, is needless once they are there. The last exploration is
-    replaced by one without them. Returns it and its problem.
+    replaced by one without them, and returned.
     """
     step = explorations[-1]
     for one in list(found[:-1]):
@@ -187,7 +187,7 @@ def _without_needless(
         step.forget()
         step = explored(fitted, left, further=further, seed=seed)
         explorations[-1] = step
-    return step, problem
+    return step
 
 
 def _silent(text: str) -> None:

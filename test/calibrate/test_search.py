@@ -10,9 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.adjustment import _settled
+from rim_camera_ros.calibrate.adjustment import Problem, _settled
+from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.search import _smooth_says_more, _what_it_became
+from rim_camera_ros.calibrate.library import Facts, candidates
+from rim_camera_ros.calibrate.needs import Found
+from rim_camera_ros.calibrate.search import _smooth_says_more, _what_it_became, _without_needless
+from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import contribution, effect_size
 from rim_camera_ros.calibrate.stations import reduce_frames
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
@@ -138,3 +142,22 @@ def test_mixed_pixels_count_by_their_amplitudes_where_one_surface_keeps_the_dist
     )
     assert np.sqrt(np.mean(np.sort(moved)[-len(moved) // 20 :] ** 2)) < 0.0025
     assert effect_size(fitted, ["mixed_pixels"], truth) > 0.004
+
+
+@pytest.mark.parametrize(("scale", "kept"), [(0.0, False), (0.01, True)])
+def test_an_effect_that_later_ones_make_needless_is_dropped(tmp_path: Path, scale: float, kept: bool) -> None:
+    """Found first in place of the cyclic error; it stays only where distances are scaled indeed."""
+    truth, board = camera(tmp_path, CYCLIC, DistanceScale(scale)), scene(tmp_path)
+    data = record(truth, board, seed=6)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=truth)
+    problem, folds = Problem(data, board), folds_of(data)
+    pool = candidates(camera(tmp_path), facts, effects=["distance_scale", "cyclic_error"])
+    first = explore(problem, camera(tmp_path), pool, folds, replicates=0)
+    last = explore(problem, camera(tmp_path, CYCLIC, DistanceScale(0.001)), [], folds, replicates=0)
+    explorations = [first, first, last]
+    found = [Found("distance_scale", 900.0, step=0), Found("cyclic_error", 400.0, step=1)]
+    step = _without_needless(problem, explorations, found, folds, (), 0)
+    names = ["distance_scale", "cyclic_error"] if kept else ["cyclic_error"]
+    assert [one.effect for one in found] == names
+    assert set(step.fit.camera.effects) == set(names)
+    assert explorations[-1] is step
