@@ -47,7 +47,8 @@ class Exploration:
     gains
     in replicates in which nothing is left out; ``null_maxima`` is the greatest excess over the threshold's
     least value in each of them. The first ``named``
-    candidates are of the vocabulary, the others stand for what is not.
+    candidates are of the vocabulary, the others stand for what is not. ``beside`` scores the named ones
+    beside changes of the forms of effects found before them, where there are such.
     """
 
     fit: Fit
@@ -58,12 +59,19 @@ class Exploration:
     null_maxima: Array
     thresholds: Array
     named: int
+    beside: Scores
 
     @property
     def threshold(self) -> float:
         """Threshold in nats of the best named candidate."""
         leader = int(np.argmax(self.gains[: self.named])) if self.named else 0
         return float(self.thresholds[leader]) if self.thresholds.size else LEAST_THRESHOLD
+
+    @property
+    def unexplained(self) -> float:
+        """What the residuals of held-out poses cost beyond their noise, in nats."""
+        chi_square, rows = self.scores.chi_square(held_out=True)
+        return max(0.5 * (chi_square - rows), 0.0)
 
     def forget(self) -> None:
         """Let go of the sums per pixel, which only the last exploration still needs."""
@@ -89,7 +97,7 @@ class Exploration:
 
     def joint(self, *numbers: int) -> float:
         """Return the gain of several candidates together."""
-        return float(self.scores.gain([i for k in numbers for i in self.spans[k]]))
+        return float(self.beside.gain([i for k in numbers for i in self.spans[k]]))
 
     def best_pair(
         self, most: int = 12, *, without: Set[str] = frozenset()
@@ -156,10 +164,14 @@ def explored(
     named: Sequence[Candidate],
     *,
     further: Sequence[Candidate] = (),
+    forms: int = 0,
     seed: int = 0,
     replicates: int = 200,
 ) -> Exploration:
-    """Score the candidates whose columns stand in a fit's equations after its parameters."""
+    """Score the candidates whose columns stand in a fit's equations after its parameters.
+
+    The last ``forms`` columns of the equations are changes of the forms of the camera's effects.
+    """
     count = len(fitted.parameters)
     found = [*named, *further]
     spans: list[list[int]] = []
@@ -169,10 +181,17 @@ def explored(
         spans.append(list(range(start, start + width)))
         start += width
     scores = Scores(fitted.equations, range(count))
+    changes = range(start, start + forms)
+    beside = Scores(fitted.equations, [*range(count), *changes]) if forms else scores
     # what no model explains makes every gain larger than the noise would: measure in its units
     chi_square, rows = scores.chi_square(held_out=True)
     temper = max(1.0, chi_square / max(rows, 1)) if rows else 1.0
-    gains = np.array([_gain(scores, one, span) for one, span in zip(found, spans, strict=True)])
+    gains = np.array(
+        [
+            _gain(beside if k < len(named) else scores, one, span)
+            for k, (one, span) in enumerate(zip(found, spans, strict=True))
+        ]
+    )
     maxima = np.zeros(0)
     thresholds = np.full(len(found), LEAST_THRESHOLD)
     if fitted.camera.sensor.width * fitted.camera.sensor.height > _MANY_PIXELS:
@@ -191,7 +210,7 @@ def explored(
         rate = ALARM_RATE / _INDEPENDENT
         thresholds = np.array([max(LEAST_THRESHOLD, gumbel_quantile(one, 1 - rate)) for one in drawn])
         maxima = drawn[: len(named)].max(axis=0) if named else drawn.max(axis=0)
-    return Exploration(fitted, found, scores, spans, gains, maxima, thresholds, len(named))
+    return Exploration(fitted, found, scores, spans, gains, maxima, thresholds, len(named), beside)
 
 
 def _gain(scores: Scores, candidate: Candidate, span: Sequence[int]) -> float:

@@ -107,13 +107,15 @@ class Forward:
         return self.amplitude_model
 
     def predictions(
-        self, model: AmplitudeModel | None = None, *, slopes: bool = True
+        self, model: AmplitudeModel | None = None, *, slopes: bool = True, every: int = 1
     ) -> Iterator[Prediction]:
-        """Yield the prediction of each station, in order."""
+        """Yield the prediction of each station, in order, or of every so many of them."""
         model = self.amplitude_model if model is None else model
         memory: dict[str, Any] = {}
         recording = None
         for number, station in enumerate(self.dataset.stations):
+            if number % every:
+                continue
             if station.recording != recording:
                 memory, recording = {}, station.recording
             if self.tick is not None:

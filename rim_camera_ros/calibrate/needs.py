@@ -38,12 +38,19 @@ _KINDS = (
     frozenset({"scattering", "mixed_pixels", "multipath", "saturation_bleed"}),
     frozenset({"emission_pattern", "amplitude_nonlinearity", "emitter_offset", "radiometry", "scattering"}),
     frozenset({"cyclic_error", "distance_scale", "camera_constant", "lens_distortion", "emitter_offset"}),
+    # where the rays go decides how much light a pixel gets of the pattern
+    frozenset({"emission_pattern", "camera_constant", "lens_distortion"}),
     _THERMAL,
 )
 
 
 #: ... unless it changes whole poses, whose errors limit what it can gain.
 LEAST_SHARE_OF_POSES = 0.0005
+
+
+#: A further effect that does not change whole poses must gain this share of what stays unexplained: what the
+#: form of a large effect leaves is like many others a little.
+LEAST_SHARE_OF_UNEXPLAINED = 0.01
 
 
 OF_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_offset"})
@@ -100,4 +107,6 @@ def needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
             need = max(need, LEAST_SHARE_OF_THERMAL * one.gain)
         if effect in _ROUGH.get(one.effect, ()):
             need = max(need, LEAST_SHARE_BESIDE_ROUGH * one.gain)
+    if found and effect not in OF_POSES:
+        need = max(need, LEAST_SHARE_OF_UNEXPLAINED * step.unexplained)
     return max(float(step.thresholds[number]), need)

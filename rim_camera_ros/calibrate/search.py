@@ -13,7 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
+from rim_camera_ros.calibrate.blocks import Block
+from rim_camera_ros.calibrate.elsewhere import shows_elsewhere
 from rim_camera_ros.calibrate.exploration import Exploration, explore, explored
+from rim_camera_ros.calibrate.forms import form_blocks
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, Candidate, Facts, candidates
 from rim_camera_ros.calibrate.needs import Found, least_size, needed
 from rim_camera_ros.calibrate.selection import folds_of
@@ -36,6 +39,8 @@ _TOLERANCE = 0.15
 #: A smooth function of one covariate that gains this many times what any two effects do is another physics'
 #: mark: of an effect's own covariate it gains what the effect does.
 _SMOOTHER = 1.5
+#: Gain of a fit over its linear forecast above which it is looked at what gained it.
+_BY_ITSELF = 2.0
 #: Sigma [px] up to which stray light is none: the pixel's own footprint.
 _LEAST_SPREAD = 1.0
 #: Variants of an effect that are looked at again once another effect was found.
@@ -88,6 +93,7 @@ def search(
     if _smooth_says_more(first):
         most = 0
     start = first.scores.log_likelihood()
+    variants = _leading_variants(first)
     found: list[Found] = []
     step = first
     failed: set[str] = set()
@@ -107,11 +113,25 @@ def search(
                 break
             numbers = pair[1]
         need = max(needed(step, k, found) for k in numbers)
+        before_it = [one.effect for one in found]
+        local = {
+            step.candidates[k].effect
+            for k in numbers
+            if not shows_elsewhere(problem, step, k, before_it, folds)
+        }
+        if local:
+            failed |= local
+            continue
         chosen, likelihood, next_step, next_problem = _refined(
-            problem, step, numbers, leader, found, failed, folds, further, seed, say
+            problem, step, numbers, leader, found, failed, folds, further, variants, seed, say
         )
         before = step.scores.log_likelihood()
         gain = likelihood - before
+        if found and gain > _BY_ITSELF * step.joint(*step.best_of(chosen)):
+            # perhaps the fit before had not come to its end: what the effects found gain by themselves
+            left = {name: e for name, e in next_step.fit.camera.effects.items() if name not in chosen}
+            again = _fitted_anew(problem, with_effects(step.fit.camera, left), next_step, folds, seed)
+            gain = min(gain, likelihood - again.scores.log_likelihood())
         need = max(needed(step, k, found) for k in step.best_of(chosen))
         if gain <= need or effect_size(next_step.fit, chosen, camera) < least_size(next_step, chosen, found):
             # what looked like it is something else: perhaps the next in line
@@ -126,7 +146,7 @@ def search(
         step, problem = next_step, next_problem
     if len(found) > 1:
         say("whether each is still needed")
-        step = _without_needless(problem, explorations, found, folds, further, seed)
+        step = _without_needless(problem, explorations, found, folds, further, variants, seed)
     return Result(
         camera=step.fit.camera,
         found=found,
@@ -162,6 +182,7 @@ def _without_needless(
     found: list[Found],
     folds: Mapping[tuple[int, int], int],
     further: Sequence[Candidate],
+    variants: Sequence[Candidate],
     seed: int,
 ) -> Exploration:
     """Drop effects from ``found`` that gain too little beside those that joined after them.
@@ -182,12 +203,36 @@ def _without_needless(
             continue
         found.remove(one)
         names = {other.effect for other in found}
-        left = [candidate for candidate in _leading_variants(before) if candidate.effect not in names]
-        fitted = further_equations(without.fit, [*left, *further], folds, problem)
         step.forget()
-        step = explored(fitted, left, further=further, seed=seed)
+        step = _explored_further(without.fit, sorted(names), before, further, variants, folds, problem, seed)
         explorations[-1] = step
     return step
+
+
+def _explored_further(
+    fitted: Fit,
+    present: Sequence[str],
+    before: Exploration,
+    further: Sequence[Candidate],
+    variants: Sequence[Candidate],
+    folds: Mapping[tuple[int, int], int],
+    problem: Problem,
+    seed: int,
+) -> Exploration:
+    """Explore what a fit leaves, beside changes of the forms of the effects that were found.
+
+    Candidates are the leading ones of an exploration before, but those present.
+    """
+    left = [one for one in _leading_variants(before) if one.effect not in present]
+    forms = form_blocks(fitted, present, variants)
+    blocks = [*(one.block for one in (*left, *further)), *forms]
+    return explored(
+        further_equations(fitted, blocks, folds, problem),
+        left,
+        further=further,
+        forms=sum(len(one.regressors) for one in forms),
+        seed=seed,
+    )
 
 
 def _silent(text: str) -> None:
@@ -219,6 +264,7 @@ def _refined(
     failed: Set[str],
     folds: Mapping[tuple[int, int], int],
     further: Sequence[Candidate],
+    variants: Sequence[Candidate],
     seed: int,
     say: Callable[[str], None],
 ) -> tuple[list[str], float, Exploration, Problem]:
@@ -267,13 +313,8 @@ def _refined(
             best = (likelihood, names, alone, own)
     assert best is not None
     likelihood, names, alone, own = best
-    left = [one for one in _leading_variants(step) if one.effect not in names]
-    final = explored(
-        further_equations(alone.fit, [*left, *further], folds, own),
-        left,
-        further=further,
-        seed=seed,
-    )
+    present = [*(one.effect for one in found), *names]
+    final = _explored_further(alone.fit, present, step, further, variants, folds, own, seed)
     return names, final.scores.log_likelihood(), final, own
 
 
@@ -311,14 +352,14 @@ def _leading_variants(step: Exploration) -> list[Candidate]:
 
 
 def further_equations(
-    fitted: Fit, found: Sequence[Candidate], folds: Mapping[tuple[int, int], int], problem: Problem
+    fitted: Fit, blocks: Sequence[Block], folds: Mapping[tuple[int, int], int], problem: Problem
 ) -> Fit:
-    """Return a fit with the equations of more candidates at its solution."""
+    """Return a fit with the equations of more regressors at its solution."""
     return fit(
         problem,
         fitted.camera,
         fold_of=folds,
-        further=[one.block for one in found],
+        further=blocks,
         views=fitted.forward.views,
         warm=fitted,
         iterations=0,

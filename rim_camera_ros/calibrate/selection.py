@@ -147,11 +147,15 @@ class Scores:
         values = self.values(extra)
         strength = np.array([values[self.regressors[i].label] for i in extra])
         energy = float(strength @ self._energy[np.ix_(extra, extra)] @ strength)
-        scaled = strength / self.prior[list(extra)]
-        left = float(scaled @ (self._conditional(extra) - np.eye(len(scaled))) @ scaled)
+        expected = self.expected_gain(extra, strength)
         if not energy > 0:
             return 0.0, 0.0
-        return float(np.clip(left * self.temper / energy, 0.0, 1.0)), max(0.5 * left, 0.0)
+        return float(np.clip(2 * expected * self.temper / energy, 0.0, 1.0)), max(expected, 0.0)
+
+    def expected_gain(self, extra: Sequence[int], strength: Array) -> float:
+        """Return what regressors of this strength (K,) should gain [nats] after the base is fitted."""
+        scaled = strength / self.prior[list(extra)]
+        return float(0.5 * scaled @ (self._conditional(extra) - np.eye(len(scaled))) @ scaled)
 
     def _conditional(self, extra: Sequence[int]) -> Array:
         """Posterior precision of some regressors in units of their priors, after the base is fitted."""

@@ -13,6 +13,7 @@ from rim_camera_ros.calibrate.blocks import optics_block
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.parameters import flatten
 
 Array = NDArray[Any]
@@ -69,6 +70,21 @@ def contribution(prediction: Prediction, name: str, start: Camera) -> Array:
     if name == "emission_pattern":
         return np.asarray(np.nan_to_num(np.maximum(np.abs(moved), _SAME_SIZE * np.abs(relative))))
     return np.asarray(np.nan_to_num(moved))
+
+
+def change_by(prediction: Prediction, name: str) -> tuple[Array, Array | None]:
+    """Return what an effect of the camera does to measured distance [m] and published amplitude [counts]."""
+    effect = prediction.context.camera.effects[name]
+    shape = prediction.distance.shape
+    if isinstance(effect, DistanceTerm):
+        value = effect.term(prediction.delivered.distance, prediction.amplitude, prediction.context)
+        return np.broadcast_to(np.asarray(value, float), shape), None
+    if name == "amplitude_nonlinearity":
+        found = prediction.columns(effect)["compression"]
+        return np.zeros(shape), found[1] * effect.compression
+    relative, by_distance = _relative_light(prediction, name)
+    turned = 2 * np.pi / prediction.context.ambiguity * by_distance
+    return prediction.light_change(name, relative + 1j * turned)
 
 
 def _relative_light(prediction: Prediction, name: str) -> tuple[Array, Array]:

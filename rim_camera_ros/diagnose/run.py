@@ -168,10 +168,12 @@ def _diagnose(
     by_itself = linear and unknown is not None and unknown.on_top < named
     if unknown is not None and not by_itself and _is_unknown(unknown, named, final, result):
         described = describe(unknown, baseline, result, seed)
+        if result.found and described.gain <= BEYOND * result.found[0].gain:
+            described = None
     setup = check_setup(
         final.fit if described is None else described.fit,
         explained=explained,
-        physics=bool(result.found) or described is not None,
+        physics=[one.effect for one in result.found] if described is None else ["empirical"],
         before=baseline.fit,
     )
     reason = None if variance.pixels_vary_together or codes is not None else setup.reason
@@ -309,7 +311,7 @@ def _verdict(
         where = of_residuals(baseline.fit)
         final = baseline
         ties = []
-    elif unknown is not None and (not result.found or unknown.gain > BEYOND * result.found[0].gain):
+    elif unknown is not None:
         model, where, missing = unknown.camera, unknown.where, [unknown.missing]
         verdict = "unknown_physics"
         ties = []

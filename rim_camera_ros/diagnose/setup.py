@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import Fit
+from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.residuals import after_nuisances
+from rim_camera_ros.calibrate.sizes import change_by
+
+Array = NDArray[Any]
 
 #: A pose error beyond this many sigma of its instrument is no error of the instrument.
 FAR = 15.0
@@ -22,6 +28,12 @@ FEW = 0.15
 VERY_FEW = 0.05
 #: Factor on these limits where physics was found whose form may be wrong.
 _STRAINED = 3.0
+#: Chi-square that is left, over that which physics makes in a pose, up to which its form is to blame.
+_ACTED_ON = 3.0
+#: ... and share of it in the pixels that are moved by so many sigmas, where those are few, above which it is.
+_MOSTLY = 0.8
+_ACTS = 0.3
+_FEW_PIXELS = 0.5
 #: Median distance residual [m] and relative amplitude error beyond which nothing fits.
 GROSS_DISTANCE = 0.10
 GROSS_AMPLITUDE = 0.6
@@ -32,7 +44,11 @@ LEAST_OVERLAP = 0.15
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """One pose: chi-square per value, its greatest error in sigmas, its median residual [m] and name."""
+    """One pose: chi-square per value, its greatest error in sigmas, its median residual [m] and name.
+
+    ``acted_on`` is the chi-square per value that the physics found makes there, ``where_acted_on`` the share
+    of the pose's own chi-square that lies in the pixels it acts on, where those are few.
+    """
 
     key: tuple[int, int]
     chi_square: float
@@ -40,6 +56,8 @@ class PoseCheck:
     error_of: str
     median: float
     time: float
+    acted_on: float = 0.0
+    where_acted_on: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -64,8 +82,11 @@ class Setup:
         return 0 < len(self.bad) <= max(1.0, VERY_FEW * len(self.poses))
 
 
-def check_poses(fitted: Fit) -> list[PoseCheck]:
-    """Return how well each pose agrees with a fit, after the errors of poses and the fixed pattern."""
+def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:
+    """Return how well each pose agrees with a fit, after the errors of poses and the fixed pattern.
+
+    ``physics`` are effects of the camera that were found.
+    """
     worst: dict[tuple[int, int], tuple[float, str]] = {}
     sigma = {name: prior for fold in fitted.equations.folds for name, prior, _ in fold.nuisances}
     for name, value in fitted.nuisances.items():
@@ -82,6 +103,9 @@ def check_poses(fitted: Fit) -> list[PoseCheck]:
         rest_image, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
         z = rest_image[one.used] / one.sigma[one.used]
         error, name = worst.get(key, (0.0, ""))
+        moved = _moved(one, physics)[one.used]
+        acting = np.abs(moved) > _ACTS
+        few = acting.mean() < _FEW_PIXELS
         result[key] = PoseCheck(
             key,
             float(np.mean(z**2)),
@@ -89,8 +113,19 @@ def check_poses(fitted: Fit) -> list[PoseCheck]:
             name,
             float(np.median(one.residual[one.used])),
             one.station.time,
+            float(np.mean(moved**2)),
+            float(np.sum(z[acting] ** 2) / max(np.sum(z**2), 1e-300)) if few else 0.0,
         )
     return list(result.values())
+
+
+def _moved(prediction: Prediction, physics: Sequence[str]) -> Array:
+    """Return how far effects move distances together, (H, W) in sigmas."""
+    total: Any = np.zeros(prediction.used.shape)
+    for name in physics:
+        if name in prediction.context.camera.effects:
+            total = total + np.nan_to_num(change_by(prediction, name)[0]) / prediction.sigma
+    return np.asarray(total)
 
 
 def overlap(fitted: Fit) -> float:
@@ -104,16 +139,17 @@ def overlap(fitted: Fit) -> float:
 
 
 def check_setup(
-    fitted: Fit, *, explained: float = 0.0, physics: bool = False, before: Fit | None = None
+    fitted: Fit, *, explained: float = 0.0, physics: Sequence[str] = (), before: Fit | None = None
 ) -> Setup:
     """Say whether scene, poses and camera belong to the recording.
 
     ``explained`` is the share of the excess chi-square that the physics found explains: what it explains is
-    no fault of the setup. Where ``physics`` was found at all, its form may be wrong enough to strain a few
-    poses: then they must stand out by far more, and not be those that it acts on, whose chi-square it at
-    least halved since the fit ``before``.
+    no fault of the setup. Where ``physics`` was found at all, effects of the camera, its form may be wrong
+    enough to strain a few poses: then they must stand out by far more, and not be those that it acts on.
+    Those it moves by about as much as is left, or what is left lies where it acts, or it at least halved
+    their chi-square since the fit ``before``.
     """
-    poses = check_poses(fitted)
+    poses = check_poses(fitted, physics)
     reason, bad = None, list[PoseCheck]()
     if not poses:
         reason = "no pixel of the recording can be compared with the scene"
@@ -124,10 +160,16 @@ def check_setup(
             if bad and physics and before is not None:
                 first = {one.key: one.chi_square for one in check_poses(before)}
                 bad = [one for one in bad if one.chi_square > 0.5 * first.get(one.key, 0.0)]
+                bad = [one for one in bad if one.error > FAR or not _by_form(one)]
             reason = _of_few(bad, len(poses), _STRAINED if physics else 1.0) if bad else None
     if explained > 0.5 and reason is not None and "poses" not in reason:
         reason = None
     return Setup(tuple(poses), reason, tuple(one.key for one in bad))
+
+
+def _by_form(pose: PoseCheck) -> bool:
+    """Return whether the form of what was found is to blame for a pose."""
+    return pose.chi_square <= _ACTED_ON * pose.acted_on or pose.where_acted_on > _MOSTLY
 
 
 def _gross(fitted: Fit, poses: list[PoseCheck]) -> str | None:

@@ -92,6 +92,7 @@ def test_a_second_drift_must_gain_a_good_part_of_the_first() -> None:
     step: Any = SimpleNamespace(
         candidates=[SimpleNamespace(effect=name) for name in ("warm_up_drift", "incidence_angle")],
         thresholds=np.array([8.0, 8.0]),
+        unexplained=0.0,
     )
     first = Found("ambient_temperature", 520.0)
     assert needed(step, 0, [first]) == pytest.approx(130.0)
@@ -99,22 +100,59 @@ def test_a_second_drift_must_gain_a_good_part_of_the_first() -> None:
     assert needed(step, 0, [replace(first, effect="cyclic_error")]) == 8.0
 
 
+def test_what_is_a_hundredth_of_what_stays_unexplained_is_no_further_effect() -> None:
+    step: Any = SimpleNamespace(
+        candidates=[SimpleNamespace(effect=name) for name in ("emitter_offset", "warm_up_drift")],
+        thresholds=np.array([8.0, 8.0]),
+        unexplained=70_000.0,
+    )
+    first = Found("mixed_pixels", 6900.0)
+    assert needed(step, 0, [first]) == pytest.approx(700.0)
+    assert needed(step, 1, [first]) == 8.0  # whole poses: their errors limit what it gains
+    assert needed(step, 0, []) == 8.0
+
+
 @pytest.mark.parametrize(
-    ("before", "physics", "reason"),
+    ("before", "acted_on", "where", "error", "physics", "reason"),
     [
-        (30.0, True, "1 of 20 poses do not agree with the rest (7)"),  # nothing found acts on that pose
-        (400.0, True, None),  # what was found explains most of it
-        (400.0, False, "1 of 20 poses do not agree with the rest (7)"),
+        (
+            30.0,
+            0.0,
+            0.7,
+            0.5,
+            ["motion"],
+            "1 of 20 poses do not agree with the rest (7)",
+        ),  # nothing acts there
+        (400.0, 0.0, 0.0, 0.5, ["motion"], None),  # what was found explains most of it
+        (30.0, 60.0, 0.0, 0.5, ["motion"], None),  # its form leaves that much
+        (30.0, 2.0, 0.9, 0.5, ["motion"], None),  # ... and only where it acts
+        (30.0, 40.0, 0.0, 0.5, ["motion"], "1 of 20 poses do not agree with the rest (7)"),
+        (
+            30.0,
+            60.0,
+            0.9,
+            70.0,
+            ["motion"],
+            "1 of 20 poses do not agree with the rest (7)",
+        ),  # the pose is wrong
+        (400.0, 60.0, 0.9, 0.5, [], "1 of 20 poses do not agree with the rest (7)"),
     ],
 )
 def test_a_pose_on_which_named_physics_acts_is_no_bad_setup(
-    monkeypatch: pytest.MonkeyPatch, before: float, physics: bool, reason: str | None
+    monkeypatch: pytest.MonkeyPatch,
+    before: float,
+    acted_on: float,
+    where: float,
+    error: float,
+    physics: list[str],
+    reason: str | None,
 ) -> None:
     def checks(chi_square: float) -> list[PoseCheck]:
-        return [PoseCheck((0, k), chi_square if k == 7 else 1.0, 0.5, "", 0.0, float(k)) for k in range(20)]
+        bad = PoseCheck((0, 7), chi_square, error, "board.z", 0.0, 7.0, acted_on, where)
+        return [bad if k == 7 else PoseCheck((0, k), 1.0, 0.5, "", 0.0, float(k)) for k in range(20)]
 
     poses: Any = {"before": checks(before), "after": checks(150.0)}
-    monkeypatch.setattr(setup, "check_poses", lambda fitted: poses[fitted])
+    monkeypatch.setattr(setup, "check_poses", lambda fitted, physics=(): poses[fitted])
     monkeypatch.setattr(setup, "_gross", lambda fitted, found: None)
     after: Any = "after"
     start: Any = "before"

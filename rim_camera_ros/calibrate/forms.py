@@ -1,0 +1,153 @@
+"""How the form of a named effect may be wrong: what it does, changed a little.
+
+An effect's form is never quite the true one, and what a large effect leaves looks like small other ones.
+So further effects are judged beside columns that change what the named ones do: by smooth factors over the
+image, light and distance, by its spread along rows and columns, and by other variants of the effect.
+A discrepancy of the model in the sense of Kennedy and O'Hagan (2001), with the named effect as its scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from rim_camera_ros.calibrate.adjustment import Fit
+from rim_camera_ros.calibrate.blocks import Block, Regressor
+from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, Candidate
+from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.sizes import change_by
+from rim_camera_ros.effects.base import DistanceTerm
+
+Array = NDArray[Any]
+Change = tuple[Array, Array | None]
+
+#: 1-sigma of each change of a form, as a share of what the effect does (RMS in units of the noise).
+SHARE = 0.3
+#: Owner of these regressors.
+FORM = "form"
+#: Stations of which the sizes of columns are taken, at most.
+_MOST_STATIONS = 12
+#: Spreads along rows and along columns, as shares of the array's width.
+_SPREADS = (0.02, 0.07, 0.25)
+#: Effects that the image around a pixel makes.
+_OF_IMAGE = frozenset({"scattering", "mixed_pixels", "multipath", "saturation_bleed"})
+
+
+def form_blocks(fitted: Fit, names: Sequence[str], variants: Sequence[Candidate]) -> list[Block]:
+    """Return one block of changes for each effect of a fitted camera that acts on the light of the image.
+
+    ``variants`` of the same effects, as they stand in the library, join where they have their name.
+    Effects of the geometry, of surfaces and of the response have no block: they have curves of their own. Nor
+    have functions of distance, amplitude or angle: a free one could do what another effect does.
+    """
+    effects = fitted.camera.effects
+    blocks = []
+    for name in names:
+        if name not in effects or name in {*GEOMETRY, *OF_SURFACES, "amplitude_nonlinearity"}:
+            continue
+        if isinstance(effects[name], DistanceTerm) and name not in _OF_IMAGE:
+            continue
+        own = [one.block for one in variants if one.effect == name]
+        blocks.append(_sized(fitted, name, own))
+    return blocks
+
+
+def _sized(fitted: Fit, name: str, variants: Sequence[Block]) -> Block:
+    """Return the block whose priors are shares of what the effect does."""
+    every = max(1, len(fitted.forward.dataset.stations) // _MOST_STATIONS)
+    some = list(fitted.forward.predictions(every=every))
+    weights = [_squares(one, change_by(one, name)) for one in some]
+    whole = sum(float(one.sum()) for one in weights)
+
+    def moments(values: list[Array]) -> tuple[Array, Array]:
+        """Return mean and inverse spread (K, 1, 1) where the effect acts."""
+        first, second = (
+            np.sum([np.sum(w * f**k, axis=(1, 2)) for w, f in zip(weights, values, strict=True)], axis=0)
+            / max(whole, 1e-300)
+            for k in (1, 2)
+        )
+        spread = np.sqrt(np.maximum(second - first**2, 0.0))
+        inverse = np.where(spread > 1e-6, 1.0 / np.maximum(spread, 1e-6), 0.0)
+        return first[:, None, None], inverse[:, None, None]
+
+    middle, scale = moments([_factors(one) for one in some])
+
+    def columns(prediction: Prediction) -> list[Change]:
+        factors = (_factors(prediction) - middle) * scale
+        result = list(_changes(prediction, name, factors))
+        for block in variants:
+            result += block.columns(prediction)
+        return result
+
+    sums: Any = 0.0
+    for one in some:
+        sums = sums + np.array([float(_squares(one, change).sum()) for change in columns(one)])
+    priors = np.where(sums > 0, SHARE * np.sqrt(whole / np.where(sums > 0, sums, 1.0)), 0.0)
+    regressors = tuple(
+        Regressor(f"form.{name}.{i}", FORM, max(float(prior), 1e-9)) for i, prior in enumerate(priors)
+    )
+    return Block(regressors, columns)
+
+
+def _squares(prediction: Prediction, change: Change) -> Array:
+    """Return the squares of a column in units of the noise, (H, W), 0 where a pixel is not used."""
+    distance, amplitude = change
+    total = np.where(prediction.used, np.nan_to_num(distance) / prediction.sigma, 0.0) ** 2
+    if amplitude is not None:
+        lit = np.nan_to_num(amplitude) / prediction.amplitude_sigma
+        total = total + np.where(prediction.amplitude_used, lit, 0.0) ** 2
+    return np.asarray(np.nan_to_num(total))
+
+
+def _changes(prediction: Prediction, name: str, factors: Array) -> Iterator[Change]:
+    distance, amplitude = (None if one is None else np.nan_to_num(one) for one in change_by(prediction, name))
+    assert distance is not None
+    nothing = np.zeros(distance.shape)
+    if amplitude is not None:
+        yield nothing, amplitude
+    for factor in factors:
+        yield distance * factor, None
+        if amplitude is not None:
+            yield nothing, amplitude * factor
+    if name == "motion":
+        later, more = _later(prediction)
+        assert more is not None
+        for factor in (np.ones(1), *factors[:2]):
+            # from row to row at another time, as with a rolling shutter
+            yield later * factor, more * factor
+    if name not in _OF_IMAGE:
+        return
+    for share in _SPREADS:
+        width = share * distance.shape[1]
+        for axis in (0, 1):
+            yield gaussian_filter1d(distance, width, axis=axis, mode="nearest") - distance, None
+            if amplitude is not None:
+                yield nothing, gaussian_filter1d(amplitude, width, axis=axis, mode="nearest") - amplitude
+
+
+def _later(prediction: Prediction) -> Change:
+    """Return what it does that a frame is stamped at another time of its exposure, by a millisecond."""
+    context = prediction.context
+    assert context.geometry_at is not None
+    (before, light), (after, more) = context.geometry_at(-0.0005), context.geometry_at(0.0005)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.where((light > 0) & (more > 0), np.log(more / light), 0.0)
+    turned = 2 * np.pi / context.ambiguity * np.nan_to_num(after.distance - before.distance)
+    return prediction.light_change(None, np.nan_to_num(relative) + 1j * turned)
+
+
+def _factors(prediction: Prediction) -> Array:
+    """Return smooth factors (F, H, W) on what an effect does, where it acts otherwise from place to place."""
+    shape = prediction.distance.shape
+    v = np.linspace(-1.0, 1.0, shape[0])[:, None]
+    u = np.linspace(-1.0, 1.0, shape[1])[None, :]
+    found: list[Array] = [u, v, u * u, v * v, u * v]
+    amplitude = np.where(prediction.view.geometry.hit, np.nan_to_num(prediction.amplitude), 0.0)
+    light = np.log(np.maximum(amplitude, 1.0))
+    distance = np.nan_to_num(prediction.delivered.distance)
+    found += [light, light * light, distance, distance**2]
+    return np.stack([np.broadcast_to(one, shape) for one in found])
