@@ -33,6 +33,8 @@ FORM = "form"
 _MOST_STATIONS = 12
 #: Spreads along rows and along columns, as shares of the array's width.
 _SPREADS = (0.02, 0.07, 0.25)
+#: Degree of polynomials of the direction.
+_DEGREE = 4
 #: Effects that the image around a pixel makes.
 _OF_IMAGE = frozenset({"scattering", "mixed_pixels", "multipath", "saturation_bleed"})
 
@@ -113,6 +115,9 @@ def _changes(prediction: Prediction, name: str, factors: Array) -> Iterator[Chan
         yield distance * factor, None
         if amplitude is not None:
             yield nothing, amplitude * factor
+    if name == "emission_pattern":
+        for bright in _of_direction(distance.shape):
+            yield prediction.light_change(name, bright + 0j)
     if name == "motion":
         later, more = _later(prediction)
         assert more is not None
@@ -138,6 +143,14 @@ def _later(prediction: Prediction) -> Change:
         relative = np.where((light > 0) & (more > 0), np.log(more / light), 0.0)
     turned = 2 * np.pi / context.ambiguity * np.nan_to_num(after.distance - before.distance)
     return prediction.light_change(None, np.nan_to_num(relative) + 1j * turned)
+
+
+def _of_direction(shape: tuple[int, ...]) -> list[Array]:
+    """Return smooth functions (H, W) of the direction: a beam need not be round, nor point forwards."""
+    v = np.linspace(-1.0, 1.0, shape[0])[:, None]
+    u = np.linspace(-1.0, 1.0, shape[1])[None, :]
+    degrees = range(_DEGREE + 1)
+    return [u**i * v**j for i in degrees for j in degrees if 0 < i + j <= _DEGREE]
 
 
 def _factors(prediction: Prediction) -> Array:
