@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,11 @@ from scipy.stats import chi2
 
 from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.blocks import UNFITTED
+from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.search import Result
+from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import contribution
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers
@@ -123,3 +126,16 @@ def _varying(
         return 0.0
     variance = square[known] / count[known] - (total[known] / count[known]) ** 2
     return float(np.sqrt(np.mean(np.maximum(variance, 0.0))))
+
+
+def parameters_matter(camera: Camera, result: Result) -> bool:
+    """Return whether freeing the known terms gains on held-out poses beyond the threshold."""
+    fitted = result.explorations[-1].fit
+    changed_gain = abs(fitted.camera.radiometry.gain / camera.radiometry.gain - 1) > LEAST_GAIN
+    if total_change(camera, fitted) < LEAST_TOTAL and not changed_gain:
+        return False
+    frozen = replace(result.problem, effects=(), gain=False, geometry=())
+    folds = folds_of(result.problem.dataset)
+    step = explore(frozen, camera, [], folds, replicates=0, views=result.fit.forward.views, iterations=2)
+    gain = result.explorations[-1].scores.log_likelihood() - step.scores.log_likelihood()
+    return gain > max(result.explorations[0].threshold, 10.0)

@@ -17,7 +17,7 @@ from rim_camera_ros.effects.background_light import BackgroundLight
 #: Relative deviation of the variance below which it may be due to light that no named physics predicts.
 _OF_UNKNOWN_LIGHT = 0.2
 #: Share of what too small a noise costs, in nats, below which the unmodulated light that makes the noise is
-#: taken to make a shift as well.
+#: taken to make a shift as well, and what else differs to be nothing.
 _SHIFT_OF_BACKGROUND = 0.02
 
 
@@ -91,7 +91,16 @@ def only_background(result: Result, rest: Rest | None, variance: Variance, camer
     found = bool(result.found) and variance.noise_is_wrong and variance.background > 0
     if not found or "background_light" in camera.effects:
         return False
-    _, rows = result.explorations[0].scores.chi_square()
-    cost = 0.5 * max(variance.ratio - 1.0, 0.0) * rows
     gain = result.log_likelihood - result.start_log_likelihood + (0.0 if rest is None else rest.on_top)
-    return gain < _SHIFT_OF_BACKGROUND * cost
+    return gain < _SHIFT_OF_BACKGROUND * _cost(result, variance)
+
+
+def only_noise(result: Result, rest: Rest, variance: Variance) -> bool:
+    """Return whether what no effect explains is next to nothing beside what too small a noise costs."""
+    return variance.noise_is_wrong and rest.on_top < _SHIFT_OF_BACKGROUND * _cost(result, variance)
+
+
+def _cost(result: Result, variance: Variance) -> float:
+    """Return what too small a noise costs [nats]."""
+    _, rows = result.explorations[0].scores.chi_square()
+    return 0.5 * max(variance.ratio - 1.0, 0.0) * rows

@@ -27,7 +27,7 @@ from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import accuracy
-from rim_camera_ros.diagnose.adjusted import LEAST_GAIN, LEAST_TOTAL, adjusted_terms, total_change
+from rim_camera_ros.diagnose.adjusted import adjusted_terms, parameters_matter
 from rim_camera_ros.diagnose.codes import MissingCodes, missing_codes
 from rim_camera_ros.diagnose.described import (
     _LEAST_UNKNOWN,
@@ -46,7 +46,7 @@ from rim_camera_ros.diagnose.naming import (
     ranking_of,
     unseen_effects,
 )
-from rim_camera_ros.diagnose.noise_verdict import only_background, with_variance
+from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, with_variance
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.setup import Setup, check_setup
 from rim_camera_ros.diagnose.smooth import axes_of, own_covariates, single_terms
@@ -166,7 +166,8 @@ def _diagnose(
     # a curve of the light that is not refitted leaves a smooth rest by itself, smaller than what it explains
     linear = any(one.effect in OF_SURFACES for one in result.found)
     by_itself = linear and unknown is not None and unknown.on_top < named
-    if unknown is not None and not by_itself and _is_unknown(unknown, named, final, result):
+    doubted = unknown is not None and not by_itself and not only_noise(result, unknown, variance)
+    if doubted and unknown is not None and _is_unknown(unknown, named, final, result):
         described = describe(unknown, baseline, result, seed)
         if result.found and described.gain <= BEYOND * result.found[0].gain:
             described = None
@@ -329,7 +330,7 @@ def _verdict(
         verdict = "consistent"
     adjusted = adjusted_terms(camera, baseline.fit if verdict == "consistent" else fitted)
     if verdict == "consistent":
-        if adjusted and not variance.pixels_vary_together and _parameters_matter(camera, result):
+        if adjusted and not variance.pixels_vary_together and parameters_matter(camera, result):
             verdict = "wrong_parameters"
             where = of_change(fitted, camera)
         else:
@@ -386,16 +387,3 @@ def _notes_of_light(fitted: Fit) -> list[str]:
         f"amplitudes ripple by {curves.ripple():.1%} over the phase, as harmonics of the modulation make "
         "them; a camera file does not describe it"
     ]
-
-
-def _parameters_matter(camera: Camera, result: Result) -> bool:
-    """Say whether freeing the known terms gains on held-out poses beyond the threshold."""
-    fitted = result.explorations[-1].fit
-    changed_gain = abs(fitted.camera.radiometry.gain / camera.radiometry.gain - 1) > LEAST_GAIN
-    if total_change(camera, fitted) < LEAST_TOTAL and not changed_gain:
-        return False
-    frozen = replace(result.problem, effects=(), gain=False, geometry=())
-    folds = folds_of(result.problem.dataset)
-    step = explore(frozen, camera, [], folds, replicates=0, views=result.fit.forward.views, iterations=2)
-    gain = result.explorations[-1].scores.log_likelihood() - step.scores.log_likelihood()
-    return gain > max(result.explorations[0].threshold, 10.0)

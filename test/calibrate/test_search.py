@@ -156,7 +156,7 @@ def test_an_effect_that_later_ones_make_needless_is_dropped(tmp_path: Path, scal
     last = explore(problem, camera(tmp_path, CYCLIC, DistanceScale(0.001)), [], folds, replicates=0)
     explorations = [first, first, last]
     found = [Found("distance_scale", 900.0, step=0), Found("cyclic_error", 400.0, step=1)]
-    step = _without_needless(problem, explorations, found, folds, (), 0)
+    step = _without_needless(problem, explorations, found, folds, (), (), 0)
     names = ["distance_scale", "cyclic_error"] if kept else ["cyclic_error"]
     assert [one.effect for one in found] == names
     assert set(step.fit.camera.effects) == set(names)
