@@ -14,7 +14,7 @@ PIP_INSTALL := -m pip install --quiet --disable-pip-version-check --no-input --n
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-all test-oldest lint bench proof soak lock clean
+.PHONY: help venv demo test test-all test-blind test-oldest lint bench proof soak lock clean
 
 help: ## print this list of targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
@@ -36,6 +36,9 @@ endif
 
 test-all: $(VENV)/.installed ## run all tests
 	@$(RUN) -m pytest $(PYTEST_ARGS)
+
+test-blind: $(VENV)/.installed ## diagnose forty blind cases and hold the rates against what is demanded (ten minutes)
+	@$(RUN) -m pytest -m slow -k forty_cases $(PYTEST_ARGS) test/blind/test_proof.py
 
 test-oldest: $(OLDEST)/.installed ## run all tests with the oldest supported libraries, in .venv-oldest
 	@$(OLDEST)/bin/python -m pytest $(PYTEST_ARGS)
