@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.library import added
 from rim_camera_ros.calibrate.search import Result
 from rim_camera_ros.camera import Camera
@@ -16,6 +17,8 @@ from rim_camera_ros.effects.background_light import BackgroundLight
 
 #: Relative deviation of the variance below which it may be due to light that no named physics predicts.
 _OF_UNKNOWN_LIGHT = 0.2
+#: Covariates that the light of a surface goes with.
+_OF_LIGHT = frozenset({"amplitude", "distance", "contrast"})
 #: Share of what too small a noise costs, in nats, below which the unmodulated light that makes the noise is
 #: taken to make a shift as well, and what else differs to be nothing.
 _SHIFT_OF_BACKGROUND = 0.02
@@ -47,7 +50,7 @@ def with_variance(
     possible = variance.background > 0 and "background_light" not in model.effects
     # what it adds to the distance goes with the light that a surface reflects of it
     of_light = {one.effect for one in missing} <= {UNKNOWN} and all(
-        set(one.covariates) <= {"amplitude", "distance", "contrast"} for one in missing
+        set(one.covariates) <= _OF_LIGHT for one in missing
     )
     unknown_light = verdict == "unknown_physics" and abs(variance.ratio - 1) < _OF_UNKNOWN_LIGHT
     if variance.noise_is_wrong and not (unknown_light and not (possible and of_light)):
@@ -87,12 +90,24 @@ def with_variance(
 
 
 def only_background(result: Result, rest: Rest | None, variance: Variance, camera: Camera) -> bool:
-    """Return whether all that was found is no more than the shift that comes with unmodulated light."""
+    """Return whether all that was found is no more than the shift that comes with unmodulated light.
+
+    Next to nothing beside the noise, or less than a smooth function of the light says of it.
+    """
     found = bool(result.found) and variance.noise_is_wrong and variance.background > 0
     if not found or "background_light" in camera.effects:
         return False
-    gain = result.log_likelihood - result.start_log_likelihood + (0.0 if rest is None else rest.on_top)
-    return gain < _SHIFT_OF_BACKGROUND * _cost(result, variance)
+    named = result.log_likelihood - result.start_log_likelihood
+    gain = named + (0.0 if rest is None else rest.on_top)
+    return gain < _SHIFT_OF_BACKGROUND * _cost(result, variance) or _by_light(result.explorations[0]) > named
+
+
+def _by_light(baseline: Exploration) -> float:
+    """Return the gain of the best smooth function of what goes with the light."""
+    smooth = range(baseline.named, len(baseline.candidates))
+    return max(
+        (float(baseline.gains[k]) for k in smooth if baseline.candidates[k].variant in _OF_LIGHT), default=0.0
+    )
 
 
 def only_noise(result: Result, rest: Rest, variance: Variance) -> bool:
