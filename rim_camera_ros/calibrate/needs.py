@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.sizes import effect_size
+from rim_camera_ros.effects.base import DistanceTerm, Effect
 
 #: A further effect must gain this share of what the effects before it gained: more where it is of the kind
 #: of one of them, whose form is never quite the true one and leaves such a rest.
@@ -67,6 +68,10 @@ LEAST_SIZE_OF_KIND = 0.15
 LEAST_SIZE_OF_ALL = 0.07
 
 
+#: What drifts depend on.
+_OF_DRIFTS = {"warm_up_drift": {"time"}, "ambient_temperature": {"ambient_temperature", "temperature"}}
+
+
 @dataclass
 class Found:
     """An effect that joined: its gain in nats alone at that step, and who else could have explained it.
@@ -95,8 +100,26 @@ def least_size(step: Exploration, chosen: Sequence[str], found: Sequence[Found])
     return max([LEAST_SIZE, *(share * sizes[name] for name, share in shares.items())])
 
 
+def own_covariates(effect: Effect) -> frozenset[str]:
+    """Return the covariates that a distance term of the vocabulary is a function of."""
+    if not isinstance(effect, DistanceTerm):
+        return frozenset()
+    return frozenset({*effect.depends_on(), *_OF_DRIFTS.get(effect.name, ())})
+
+
+def left_by_forms(step: Exploration, found: Sequence[Found]) -> float:
+    """Return the gain of the best smooth function of a covariate that an effect found depends on."""
+    effects = [step.fit.camera.effects.get(one.effect) for one in found]
+    own = {name for one in effects if one is not None for name in own_covariates(one)}
+    smooth = range(step.named, len(step.candidates))
+    return max([0.0, *(float(step.gains[k]) for k in smooth if step.candidates[k].variant in own)])
+
+
 def needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
-    """Return what a candidate must gain [nats] after others were found."""
+    """Return what a candidate must gain [nats] after others were found.
+
+    After two, more than a smooth function of what those depend on, which would say the same.
+    """
     effect = step.candidates[number].effect
     share = LEAST_SHARE_OF_POSES if effect in OF_POSES else LEAST_SHARE
     need = share * sum(one.gain for one in found)
@@ -109,4 +132,6 @@ def needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
             need = max(need, LEAST_SHARE_BESIDE_ROUGH * one.gain)
     if found and effect not in OF_POSES:
         need = max(need, LEAST_SHARE_OF_UNEXPLAINED * step.unexplained)
+    if len(found) > 1 and effect not in OF_POSES:
+        need = max(need, left_by_forms(step, found))
     return max(float(step.thresholds[number]), need)

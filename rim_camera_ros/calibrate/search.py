@@ -41,8 +41,8 @@ _TOLERANCE = 0.15
 _SMOOTHER = 1.5
 #: Gain of a fit over its linear forecast above which it is looked at what gained it.
 _BY_ITSELF = 2.0
-#: Share of the values by which a further effect may raise the chi-square of held-out poses.
-_WORSE = 0.01
+#: What each value may cost more [nats] of held-out poses beside a further effect.
+_WORSE = 0.005
 #: Sigma [px] up to which stray light is none: the pixel's own footprint.
 _LEAST_SPREAD = 1.0
 #: Variants of an effect that are looked at again once another effect was found.
@@ -135,7 +135,7 @@ def search(
             again = _fitted_anew(problem, with_effects(step.fit.camera, left), next_step, folds, seed)
             gain = min(gain, likelihood - again.scores.log_likelihood())
         need = max(needed(step, k, found) for k in step.best_of(chosen))
-        if found and _unexplained_more(next_step, step):
+        if found and _unexplained_more(next_step, step, gain):
             gain = 0.0
         if gain <= need or effect_size(next_step.fit, chosen, camera) < least_size(next_step, chosen, found):
             # what looked like it is something else: perhaps the next in line
@@ -239,11 +239,11 @@ def _explored_further(
     )
 
 
-def _unexplained_more(after: Exploration, before: Exploration) -> bool:
-    """Return whether held-out poses agree worse, though likelier as amplitudes are predicted better."""
+def _unexplained_more(after: Exploration, before: Exploration, gain: float) -> bool:
+    """Return whether held-out poses agree worse by more than they got likelier as amplitudes fit better."""
     old, rows = before.scores.chi_square(held_out=True)
     new, _ = after.scores.chi_square(held_out=True)
-    return new - old > _WORSE * rows
+    return 0.5 * (new - old) > max(_WORSE * rows, gain)
 
 
 def _silent(text: str) -> None:

@@ -21,6 +21,7 @@ from rim_camera_ros.calibrate.coarser import (
 from rim_camera_ros.calibrate.exploration import Exploration, explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import OF_SURFACES, Facts
+from rim_camera_ros.calibrate.needs import left_by_forms
 from rim_camera_ros.calibrate.plan import shipped_experiments
 from rim_camera_ros.calibrate.search import MOST_EFFECTS, Result, search
 from rim_camera_ros.calibrate.selection import folds_of
@@ -49,7 +50,7 @@ from rim_camera_ros.diagnose.naming import (
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, with_variance
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.setup import Setup, check_setup
-from rim_camera_ros.diagnose.smooth import axes_of, own_covariates, single_terms
+from rim_camera_ros.diagnose.smooth import axes_of, single_terms
 from rim_camera_ros.diagnose.variance import Variance, examine_variance
 from rim_camera_ros.diagnose.where import nowhere, of_change, of_residuals, of_terms
 from rim_camera_ros.errors import RimError
@@ -264,20 +265,8 @@ def _is_unknown(unknown: Rest, named: float, final: Exploration, result: Result)
     if unknown.on_top < max(_LEAST_UNKNOWN, 1.5 * unknown.threshold):
         return False
     # a named effect whose form is not quite the true one leaves a smooth rest in its own covariates
-    of_forms = 0.0 if unknown.fine is not None else _left_by_forms(final, result)
+    of_forms = 0.0 if unknown.fine is not None else left_by_forms(final, result.found)
     return unknown.on_top - of_forms > DOUBT * named
-
-
-def _left_by_forms(final: Exploration, result: Result) -> float:
-    """Return the gain of the best smooth function of a covariate that a named effect depends on."""
-    effects = [final.fit.camera.effects.get(one.effect) for one in result.found]
-    own = {name for one in effects if one is not None for name in own_covariates(one)}
-    gains = [
-        float(final.gains[k])
-        for k, one in enumerate(final.candidates)
-        if one.variant in own and k >= final.named
-    ]
-    return max([0.0, *gains])
 
 
 def _verdict(

@@ -18,7 +18,6 @@ from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import Candidate, Coefficients, added
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import DistanceTerm, Effect
 from rim_camera_ros.effects.covariates import SCALAR, covariate
 from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.parameters import NestedList
@@ -45,8 +44,6 @@ SMOOTH = (
 )
 #: Covariates that are the same in every frame: the fixed pattern takes up what depends on them alone.
 STATIC = frozenset({"row", "column"})
-#: What drifts depend on.
-_OF_EFFECTS = {"warm_up_drift": ("time",), "ambient_temperature": ("ambient_temperature", "temperature")}
 _KNOTS_ALONE = 8
 _KNOTS_TIME = 12
 _KNOTS_PAIR = 5
@@ -58,13 +55,6 @@ class Axis:
 
     name: str
     knots: tuple[float, ...]
-
-
-def own_covariates(effect: Effect) -> tuple[str, ...]:
-    """Return the covariates of smooth terms that a distance term of the vocabulary is a function of."""
-    if not isinstance(effect, DistanceTerm):
-        return ()
-    return tuple(name for name in SMOOTH if name in effect.depends_on()) + _OF_EFFECTS.get(effect.name, ())
 
 
 def values_of(name: str, prediction: Prediction) -> Array | float | None:

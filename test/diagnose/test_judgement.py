@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.needs import Found, needed
+from rim_camera_ros.calibrate.needs import Found, needed, own_covariates
 from rim_camera_ros.diagnose import setup
-from rim_camera_ros.diagnose.noise_verdict import only_background, with_variance
+from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, with_variance
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.run import _is_unknown
 from rim_camera_ros.diagnose.setup import PoseCheck
-from rim_camera_ros.diagnose.smooth import own_covariates
 from rim_camera_ros.diagnose.variance import Variance, VarianceBin
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
@@ -55,11 +54,14 @@ def test_noise_beside_unknown_physics_must_be_far_off(
 
 
 def test_distance_terms_have_covariates_of_their_own() -> None:
-    assert own_covariates(HYPERBOLA) == ("amplitude",)
-    assert own_covariates(IncidenceAngle(polynomial={16.0: (0.0, 0.0, 1e-5, 2e-4)})) == ("incidence",)
+    assert own_covariates(HYPERBOLA) == {"amplitude", "settings"}
+    assert own_covariates(IncidenceAngle(polynomial={16.0: (0.0, 0.0, 1e-5, 2e-4)})) == {
+        "incidence",
+        "settings",
+    }
     lagging = AmbientTemperature(coefficient=0.002, reference=20.0, time_constant=600.0)
-    assert own_covariates(lagging) == ("ambient_temperature", "temperature")
-    assert own_covariates(Scattering((Kernel(0.01, (3.0, 4.0)),))) == ()
+    assert own_covariates(lagging) == {"ambient_temperature", "temperature", "settings"}
+    assert own_covariates(Scattering((Kernel(0.01, (3.0, 4.0)),))) == frozenset()
 
 
 @pytest.mark.parametrize(
@@ -163,21 +165,28 @@ def test_a_pose_on_which_named_physics_acts_is_no_bad_setup(
 
 
 @pytest.mark.parametrize(
-    ("ratio", "background", "gain", "rest", "only"),
+    ("ratio", "background", "gain", "rest", "by_light", "only"),
     [
-        (1.25, 1900.0, 86.0, 50.0, True),  # of 12,500 nats that the noise costs
-        (1.25, 1900.0, 240.0, 50.0, False),
-        (1.25, 0.0, 86.0, 50.0, False),  # its form over the amplitude is not that of such light
-        (1.0, 1900.0, 86.0, 50.0, False),
+        (1.25, 1900.0, 86.0, 50.0, 40.0, True),  # of 12,500 nats that the noise costs
+        (1.25, 1900.0, 240.0, 50.0, 40.0, False),
+        (1.25, 1900.0, 9200.0, 8500.0, 10_200.0, True),  # a function of the light says more
+        (1.25, 1900.0, 9200.0, 8500.0, 9100.0, False),
+        (1.25, 0.0, 86.0, 50.0, 400.0, False),  # its form over the amplitude is not that of such light
+        (1.0, 1900.0, 86.0, 50.0, 400.0, False),
     ],
 )
 def test_what_comes_with_unmodulated_light_is_its_own_shift(
-    tmp_path: Path, ratio: float, background: float, gain: float, rest: float, only: bool
+    tmp_path: Path, ratio: float, background: float, gain: float, rest: float, by_light: float, only: bool
 ) -> None:
-    scores = SimpleNamespace(chi_square=lambda: (1.0, 100_000))
+    first = SimpleNamespace(
+        scores=SimpleNamespace(chi_square=lambda: (1.0, 100_000)),
+        candidates=[SimpleNamespace(variant=name) for name in ("", "time", "amplitude", "distance")],
+        gains=np.array([gain, 2e4, by_light, 10.0]),
+        named=1,
+    )
     result: Any = SimpleNamespace(
         found=[Found("distance_scale", gain)],
-        explorations=[SimpleNamespace(scores=scores)],
+        explorations=[first],
         log_likelihood=1000.0 + gain,
         start_log_likelihood=1000.0,
     )
@@ -185,3 +194,34 @@ def test_what_comes_with_unmodulated_light_is_its_own_shift(
     seen = replace(variance(ratio), background=background)
     assert only_background(result, left, seen, camera(tmp_path)) is only
     assert not only_background(SimpleNamespace(found=[]), left, seen, camera(tmp_path))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("on_top", "ratio", "only"), [(130.0, 1.09, True), (130.0, 1.0, False), (1300.0, 1.09, False)]
+)
+def test_what_is_nothing_beside_the_noise_is_no_unknown_physics(
+    on_top: float, ratio: float, only: bool
+) -> None:
+    scores = SimpleNamespace(chi_square=lambda: (1.0, 460_000))
+    result: Any = SimpleNamespace(explorations=[SimpleNamespace(scores=scores)])
+    rest: Any = SimpleNamespace(on_top=on_top)
+    assert only_noise(result, rest, variance(ratio)) is only
+
+
+def test_a_third_effect_says_more_than_a_function_of_what_the_first_two_depend_on(tmp_path: Path) -> None:
+    names = ["distance_scale", "warm_up_drift"]
+    step: Any = SimpleNamespace(
+        fit=SimpleNamespace(camera=camera(tmp_path, HYPERBOLA)),
+        candidates=[
+            *(SimpleNamespace(effect=name, variant="") for name in names),
+            *(SimpleNamespace(effect="unknown", variant=name) for name in ("amplitude", "distance")),
+        ],
+        gains=np.array([36.0, 36.0, 42.0, 90.0]),
+        thresholds=np.full(4, 8.0),
+        named=2,
+        unexplained=0.0,
+    )
+    both = [Found("amplitude_offset", 7400.0), Found("incidence_angle", 130.0)]
+    assert needed(step, 0, both) == 42.0
+    assert needed(step, 1, both) == 8.0  # errors of poses limit what it gains, no form of the others
+    assert needed(step, 0, both[:1]) == pytest.approx(0.0015 * 7400.0)
