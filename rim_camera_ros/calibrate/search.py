@@ -27,15 +27,11 @@ from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects.scattering import Scattering
 
 MOST_EFFECTS = 4
-
-
 #: Leaders that may prove wrong when they are fitted, until the search ends.
 _MOST_FAILURES = 2
 #: Iterations of fits that add an effect, and shares of the sigmas at which they end.
 _ITERATIONS = 12
 _TOLERANCE = 0.15
-
-
 #: A smooth function of one covariate that gains this many times what any two effects do is another physics'
 #: mark: of an effect's own covariate it gains what the effect does.
 _SMOOTHER = 1.5
@@ -115,11 +111,9 @@ def search(
                 break
             numbers = pair[1]
         need = max(needed(step, k, found) for k in numbers)
-        before_it = [one.effect for one in found]
+        names = [one.effect for one in found]
         local = {
-            step.candidates[k].effect
-            for k in numbers
-            if not shows_elsewhere(problem, step, k, before_it, folds)
+            step.candidates[k].effect for k in numbers if not shows_elsewhere(problem, step, k, names, folds)
         }
         if local:
             failed |= local
@@ -127,16 +121,10 @@ def search(
         chosen, likelihood, next_step, next_problem = _refined(
             problem, step, numbers, leader, found, failed, folds, further, variants, seed, say
         )
-        before = step.scores.log_likelihood()
-        gain = likelihood - before
-        if found and gain > _BY_ITSELF * step.joint(*step.best_of(chosen)):
-            # perhaps the fit before had not come to its end: what the effects found gain by themselves
-            left = {name: e for name, e in next_step.fit.camera.effects.items() if name not in chosen}
-            again = _fitted_anew(problem, with_effects(step.fit.camera, left), next_step, folds, seed)
-            gain = min(gain, likelihood - again.scores.log_likelihood())
+        gain = likelihood - step.scores.log_likelihood()
+        if found:
+            gain = _gain_of_further(problem, step, next_step, chosen, gain, folds, seed)
         need = max(needed(step, k, found) for k in step.best_of(chosen))
-        if found and _unexplained_more(next_step, step, gain):
-            gain = 0.0
         if gain <= need or effect_size(next_step.fit, chosen, camera) < least_size(next_step, chosen, found):
             # what looked like it is something else: perhaps the next in line
             failed |= {step.candidates[k].effect for k in numbers}
@@ -239,11 +227,25 @@ def _explored_further(
     )
 
 
-def _unexplained_more(after: Exploration, before: Exploration, gain: float) -> bool:
-    """Return whether held-out poses agree worse by more than they got likelier as amplitudes fit better."""
+def _gain_of_further(
+    problem: Problem,
+    before: Exploration,
+    after: Exploration,
+    chosen: Sequence[str],
+    gain: float,
+    folds: Mapping[tuple[int, int], int],
+    seed: int,
+) -> float:
+    """Return what of a gain is that of further effects and not of those found before them, in nats."""
+    if gain > _BY_ITSELF * before.joint(*before.best_of(chosen)):
+        # perhaps the fit before had not come to its end: what the effects found gain by themselves
+        left = {name: e for name, e in after.fit.camera.effects.items() if name not in chosen}
+        again = _fitted_anew(problem, with_effects(before.fit.camera, left), after, folds, seed)
+        gain = min(gain, after.scores.log_likelihood() - again.scores.log_likelihood())
     old, rows = before.scores.chi_square(held_out=True)
     new, _ = after.scores.chi_square(held_out=True)
-    return 0.5 * (new - old) > max(_WORSE * rows, gain)
+    # likelier as amplitudes are predicted better, while distances agree worse
+    return 0.0 if 0.5 * (new - old) > max(_WORSE * rows, gain) else gain
 
 
 def _silent(text: str) -> None:

@@ -105,7 +105,9 @@ def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:
         error, name = worst.get(key, (0.0, ""))
         moved = _moved(one, physics)[one.used]
         acting = np.abs(moved) > _ACTS
-        few = acting.mean() < _FEW_PIXELS
+        # a few saturated pixels may act on every row, though not in other poses
+        bleeding = "saturation_bleed" in physics and bool((one.station.saturated > 0).any())
+        few = bleeding or acting.mean() < _FEW_PIXELS
         result[key] = PoseCheck(
             key,
             float(np.mean(z**2)),
@@ -160,7 +162,7 @@ def check_setup(
             if bad and physics and before is not None:
                 first = {one.key: one.chi_square for one in check_poses(before)}
                 bad = [one for one in bad if one.chi_square > 0.5 * first.get(one.key, 0.0)]
-                bad = [one for one in bad if one.error > FAR or not _by_form(one)]
+                bad = [one for one in bad if one.error > _STRAINED * FAR or not _by_form(one)]
             reason = _of_few(bad, len(poses), _STRAINED if physics else 1.0) if bad else None
     if explained > 0.5 and reason is not None and "poses" not in reason:
         reason = None
