@@ -37,8 +37,6 @@ _TOLERANCE = 0.15
 _SMOOTHER = 1.5
 #: Gain of a fit over its linear forecast above which it is looked at what gained it.
 _BY_ITSELF = 2.0
-#: What each value may cost more [nats] of held-out poses beside a further effect.
-_WORSE = 0.005
 #: Sigma [px] up to which stray light is none: the pixel's own footprint.
 _LEAST_SPREAD = 1.0
 #: Variants of an effect that are looked at again once another effect was found.
@@ -242,10 +240,7 @@ def _gain_of_further(
         left = {name: e for name, e in after.fit.camera.effects.items() if name not in chosen}
         again = _fitted_anew(problem, with_effects(before.fit.camera, left), after, folds, seed)
         gain = min(gain, after.scores.log_likelihood() - again.scores.log_likelihood())
-    old, rows = before.scores.chi_square(held_out=True)
-    new, _ = after.scores.chi_square(held_out=True)
-    # likelier as amplitudes are predicted better, while distances agree worse
-    return 0.0 if 0.5 * (new - old) > max(_WORSE * rows, gain) else gain
+    return gain
 
 
 def _silent(text: str) -> None:
