@@ -213,6 +213,21 @@ def explored(
     return Exploration(fitted, found, scores, spans, gains, maxima, thresholds, len(named), beside)
 
 
+def further_equations(
+    fitted: Fit, blocks: Sequence[Block], folds: Mapping[tuple[int, int], int], problem: Problem
+) -> Fit:
+    """Return a fit with the equations of more regressors at its solution."""
+    return fit(
+        problem,
+        fitted.camera,
+        fold_of=folds,
+        further=blocks,
+        views=fitted.forward.views,
+        warm=fitted,
+        iterations=0,
+    )
+
+
 def _gain(scores: Scores, candidate: Candidate, span: Sequence[int]) -> float:
     gain = float(scores.gain(span))
     if candidate.positive and gain > 0:

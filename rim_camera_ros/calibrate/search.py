@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
-from rim_camera_ros.calibrate.blocks import Block
+from rim_camera_ros.calibrate.adjustment import Fit, Problem
 from rim_camera_ros.calibrate.elsewhere import shows_elsewhere
-from rim_camera_ros.calibrate.exploration import Exploration, explore, explored
+from rim_camera_ros.calibrate.exploration import Exploration, explore, explored, further_equations
 from rim_camera_ros.calibrate.forms import form_blocks
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, Candidate, Facts, candidates
 from rim_camera_ros.calibrate.needs import Found, least_size, needed
@@ -93,6 +92,7 @@ def search(
     found: list[Found] = []
     step = first
     failed: set[str] = set()
+    settled: set[int] = set()
     while len(found) < most and len(failed) <= _MOST_FAILURES:
         named = [one for one in _named(step, found) if step.candidates[one[0]].effect not in failed]
         if not named:
@@ -120,9 +120,18 @@ def search(
             problem, step, numbers, leader, found, failed, folds, further, variants, seed, say
         )
         gain = likelihood - step.scores.log_likelihood()
-        if found:
-            gain = _gain_of_further(problem, step, next_step, chosen, gain, folds, seed)
         need = max(needed(step, k, found) for k in step.best_of(chosen))
+        again = _without_further(problem, step, next_step, chosen, gain, folds, seed) if found else None
+        if again is not None:
+            more = again.scores.log_likelihood() - step.scores.log_likelihood()
+            gain -= max(more, 0.0)
+            if gain <= need < more and len(found) not in settled:
+                # the fit before had not come to its end: look at what is left of it
+                settled.add(len(found))
+                step.forget()
+                step = _explored_further(again.fit, names, step, further, variants, folds, problem, seed)
+                explorations[-1] = step
+                continue
         if gain <= need or effect_size(next_step.fit, chosen, camera) < least_size(next_step, chosen, found):
             # what looked like it is something else: perhaps the next in line
             failed |= {step.candidates[k].effect for k in numbers}
@@ -225,7 +234,7 @@ def _explored_further(
     )
 
 
-def _gain_of_further(
+def _without_further(
     problem: Problem,
     before: Exploration,
     after: Exploration,
@@ -233,14 +242,15 @@ def _gain_of_further(
     gain: float,
     folds: Mapping[tuple[int, int], int],
     seed: int,
-) -> float:
-    """Return what of a gain is that of further effects and not of those found before them, in nats."""
-    if gain > _BY_ITSELF * before.joint(*before.best_of(chosen)):
-        # perhaps the fit before had not come to its end: what the effects found gain by themselves
-        left = {name: e for name, e in after.fit.camera.effects.items() if name not in chosen}
-        again = _fitted_anew(problem, with_effects(before.fit.camera, left), after, folds, seed)
-        gain = min(gain, after.scores.log_likelihood() - again.scores.log_likelihood())
-    return gain
+) -> Exploration | None:
+    """Return the fit without further effects from where that with them ended, where it gained much.
+
+    Perhaps it is the effects found before them that gained, whose fit had not come to its end.
+    """
+    if gain <= _BY_ITSELF * before.joint(*before.best_of(chosen)):
+        return None
+    left = {name: e for name, e in after.fit.camera.effects.items() if name not in chosen}
+    return _fitted_anew(problem, with_effects(before.fit.camera, left), after, folds, seed)
 
 
 def _silent(text: str) -> None:
@@ -357,21 +367,6 @@ def _leading_variants(step: Exploration) -> list[Candidate]:
             kept.add(int(k))
             count[effect] += 1
     return [step.candidates[k] for k in sorted(kept)]
-
-
-def further_equations(
-    fitted: Fit, blocks: Sequence[Block], folds: Mapping[tuple[int, int], int], problem: Problem
-) -> Fit:
-    """Return a fit with the equations of more regressors at its solution."""
-    return fit(
-        problem,
-        fitted.camera,
-        fold_of=folds,
-        further=blocks,
-        views=fitted.forward.views,
-        warm=fitted,
-        iterations=0,
-    )
 
 
 def _rivals(step: Exploration, name: str, need: float) -> tuple[list[tuple[str, float]], list[str]]:

@@ -15,12 +15,11 @@ from rim_camera_ros.calibrate import elsewhere
 from rim_camera_ros.calibrate.adjustment import Problem
 from rim_camera_ros.calibrate.blocks import Block, Regressor
 from rim_camera_ros.calibrate.elsewhere import shows_elsewhere
-from rim_camera_ros.calibrate.exploration import Exploration, explore, explored
+from rim_camera_ros.calibrate.exploration import Exploration, explore, explored, further_equations
 from rim_camera_ros.calibrate.forms import SHARE, form_blocks
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import Candidate, Facts, candidates
 from rim_camera_ros.calibrate.prediction import Prediction
-from rim_camera_ros.calibrate.search import further_equations
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import change_by
 from rim_camera_ros.calibrate.stations import Dataset
