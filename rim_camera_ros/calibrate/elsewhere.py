@@ -37,7 +37,8 @@ def shows_elsewhere(
 ) -> bool:
     """Return whether a candidate of an exploration gains where the effects ``found`` do not act.
 
-    Also where that cannot be told: too few pixels are left, or they would tell too little.
+    Also where that cannot be told: too few pixels are left, or they would tell too little, or what was found
+    are parameters of the optics or surfaces, which act everywhere.
     """
     names = [name for name in found if name in step.fit.camera.effects]
     if not names:

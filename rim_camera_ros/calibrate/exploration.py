@@ -170,7 +170,8 @@ def explored(
 ) -> Exploration:
     """Score the candidates whose columns stand in a fit's equations after its parameters.
 
-    The last ``forms`` columns of the equations are changes of the forms of the camera's effects.
+    The last ``forms`` columns of the equations are changes of the forms of the camera's effects, beside which
+    the named candidates are scored. Thresholds are those without them.
     """
     count = len(fitted.parameters)
     found = [*named, *further]

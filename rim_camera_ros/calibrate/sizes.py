@@ -60,9 +60,8 @@ def contribution(prediction: Prediction, name: str, start: Camera) -> Array:
     if name in GEOMETRY:
         return _geometry_contribution(prediction, name, start)
     effect = camera.effects[name]
-    if hasattr(effect, "term"):
-        value = effect.term(prediction.delivered.distance, prediction.amplitude, prediction.context)
-        return np.broadcast_to(np.asarray(value, float), prediction.used.shape)
+    if isinstance(effect, DistanceTerm):
+        return change_by(prediction, name)[0]
     if name == "amplitude_nonlinearity":
         return np.asarray(_SAME_SIZE * effect.compression * prediction.amplitude)
     relative, by_distance = _relative_light(prediction, name)

@@ -167,11 +167,10 @@ def _diagnose(
     # a curve of the light that is not refitted leaves a smooth rest by itself, smaller than what it explains
     linear = any(one.effect in OF_SURFACES for one in result.found)
     by_itself = linear and unknown is not None and unknown.on_top < named
-    doubted = unknown is not None and not by_itself and not only_noise(result, unknown, variance)
-    if doubted and unknown is not None and _is_unknown(unknown, named, final, result):
-        described = describe(unknown, baseline, result, seed)
-        if result.found and described.gain <= BEYOND * result.found[0].gain:
-            described = None
+    if unknown is not None and not by_itself and not only_noise(result, unknown, variance):
+        beyond = not result.found or unknown.gain > BEYOND * result.found[0].gain
+        if beyond and _is_unknown(unknown, named, final, result):
+            described = describe(unknown, baseline, result, seed)
     setup = check_setup(
         final.fit if described is None else described.fit,
         explained=explained,

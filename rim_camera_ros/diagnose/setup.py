@@ -147,9 +147,9 @@ def check_setup(
 
     ``explained`` is the share of the excess chi-square that the physics found explains: what it explains is
     no fault of the setup. Where ``physics`` was found at all, effects of the camera, its form may be wrong
-    enough to strain a few poses: then they must stand out by far more, and not be those that it acts on.
-    Those it moves by about as much as is left, or what is left lies where it acts, or it at least halved
-    their chi-square since the fit ``before``.
+    enough to strain a few poses: then they must stand out by far more, and not be those that it acts on: in
+    which it moves distances by about as much as is left, or most of what is left lies where it acts, or which
+    lost half of their chi-square since the fit ``before``.
     """
     poses = check_poses(fitted, physics)
     reason, bad = None, list[PoseCheck]()

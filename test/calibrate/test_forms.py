@@ -180,7 +180,7 @@ def test_where_nothing_is_left_to_ask_the_first_look_stands(
     assert shows_elsewhere(problem, step, 0, ["incidence_angle"], folds)
 
 
-def test_an_unlike_effect_is_what_it_does(tmp_path: Path) -> None:
+def test_the_change_by_an_effect_is_what_it_does(tmp_path: Path) -> None:
     """The change by a term is the term; by stray light, that of the prediction without it."""
     board = scene(tmp_path)
     data = record(camera(tmp_path, STRAY, DistanceScale(0.013)), board, poses=3, seed=1)

@@ -90,12 +90,16 @@ def test_a_form_that_is_not_quite_true_is_no_unknown_physics(
     assert _is_unknown(fine, 1000.0, final, result) is (gains["distance"] > 150.0)
 
 
-def test_a_second_drift_must_gain_a_good_part_of_the_first() -> None:
-    step: Any = SimpleNamespace(
-        candidates=[SimpleNamespace(effect=name) for name in ("warm_up_drift", "incidence_angle")],
-        thresholds=np.array([8.0, 8.0]),
-        unexplained=0.0,
+def judged(*names: str, unexplained: float = 0.0) -> Any:
+    return SimpleNamespace(
+        candidates=[SimpleNamespace(effect=name) for name in names],
+        thresholds=np.full(len(names), 8.0),
+        unexplained=unexplained,
     )
+
+
+def test_a_second_drift_must_gain_a_good_part_of_the_first() -> None:
+    step = judged("warm_up_drift", "incidence_angle")
     first = Found("ambient_temperature", 520.0)
     assert needed(step, 0, [first]) == pytest.approx(130.0)
     assert needed(step, 1, [first]) == 8.0
@@ -103,11 +107,7 @@ def test_a_second_drift_must_gain_a_good_part_of_the_first() -> None:
 
 
 def test_what_is_a_hundredth_of_what_stays_unexplained_is_no_further_effect() -> None:
-    step: Any = SimpleNamespace(
-        candidates=[SimpleNamespace(effect=name) for name in ("emitter_offset", "warm_up_drift")],
-        thresholds=np.array([8.0, 8.0]),
-        unexplained=70_000.0,
-    )
+    step = judged("emitter_offset", "warm_up_drift", unexplained=70_000.0)
     first = Found("mixed_pixels", 6900.0)
     assert needed(step, 0, [first]) == pytest.approx(700.0)
     assert needed(step, 1, [first]) == 8.0  # whole poses: their errors limit what it gains
