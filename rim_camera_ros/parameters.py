@@ -271,9 +271,11 @@ def _nested_list(
 
 
 def encode(value: Any) -> Any:
-    """Return plain YAML data for a parameter dataclass; the inverse of `decode`."""
+    """Return plain YAML data for a parameter dataclass, without what is absent; the inverse of `decode`."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type | ArrayFile | NestedList):
-        return {one.name: encode(getattr(value, one.name)) for one in dataclasses.fields(value) if one.init}
+        given = {one.name: getattr(value, one.name) for one in dataclasses.fields(value) if one.init}
+        absent = {one.name for one in dataclasses.fields(value) if one.default is None}
+        return {name: encode(one) for name, one in given.items() if one is not None or name not in absent}
     if isinstance(value, ArrayFile):
         return value.file
     if isinstance(value, NestedList):

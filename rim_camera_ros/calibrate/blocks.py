@@ -91,6 +91,12 @@ def effect_block(
     return Block(regressors, columns)
 
 
+def together(*blocks: Block) -> Block:
+    """Return one block of the regressors of several, in their order."""
+    regressors = tuple(regressor for one in blocks for regressor in one.regressors)
+    return Block(regressors, lambda prediction: [c for one in blocks for c in one.columns(prediction)])
+
+
 def light_block(labels: Sequence[str]) -> Block:
     """Return the regressors of curves of the light: `light_curves.RIPPLES` or `light_curves.SURFACES`."""
     prior = _RIPPLE_PRIOR if labels[0] in RIPPLES else _REFLECTANCE_PRIOR

@@ -25,6 +25,7 @@ from rim_camera_ros.calibrate.blocks import (
     optics_block,
     optics_value,
     present_priors,
+    together,
 )
 from rim_camera_ros.calibrate.light_curves import SURFACES
 from rim_camera_ros.calibrate.prediction import Prediction
@@ -53,6 +54,10 @@ Array = NDArray[Any]
 
 
 Coefficients = Mapping[str, float]
+
+
+#: Least time between samples [s] at which the fit of a moving camera begins.
+_SHORTEST = 1e-4
 
 
 @dataclass(frozen=True)
@@ -335,7 +340,21 @@ def _multipath(camera: Camera, facts: Facts) -> list[Candidate]:
 
 
 def _motion(camera: Camera, facts: Facts) -> list[Candidate]:
-    return [_linear(Motion(sample_interval=0.0), {"sample_interval": 0.003})] if facts.moves else []
+    if not facts.moves:
+        return []
+    path, prior = "sample_interval", {"sample_interval": 0.003}
+    plain = _linear(Motion(sample_interval=0.0), prior)
+    # linear in the interval and in its product with the share of unmodulated light
+    alone = effect_block(Motion(sample_interval=0.0), prior, label="@modulated")
+    both = effect_block(Motion(sample_interval=0.0, unmodulated=1.0), prior, label="@unmodulated")
+
+    def build(one: Camera, values: Coefficients) -> Camera:
+        product = max(values[both.regressors[0].label], 0.0)
+        interval = max(values[alone.regressors[0].label] + product, _SHORTEST)
+        return added(one, Motion(sample_interval=interval, unmodulated=product / interval))
+
+    positive = (f"effects.motion.{path}@unmodulated",)
+    return [plain, Candidate("motion", "unmodulated", together(alone, both), build, positive)]
 
 
 def _compression(camera: Camera, facts: Facts) -> list[Candidate]:

@@ -27,8 +27,9 @@ from rim_camera_ros.phasor import to_phasor
 class Motion(Effect):
     """Sample k (0..3) is taken at stamp + (k - 1.5) * sample_interval.
 
-    Samples are c_k = Re(S(t_k) exp(-i k pi / 2)) without the unmodulated offset, which these cameras
-    subtract; what the earlier effects made of S is carried along as a factor per pixel.
+    Samples are c_k = Re(S(t_k) exp(-i k pi / 2)) + unmodulated |S(t_k)|, the offset B of eq. 2.5. The SR-3000
+    subtracts B, the SR-2 does not (sec. 2.3.1), and while the camera moves it no longer cancels in c_0 - c_2
+    and c_1 - c_3. What the earlier effects made of S is carried along as a factor per pixel.
     """
 
     name = "motion"
@@ -38,8 +39,15 @@ class Motion(Effect):
     undo: ClassVar[Undo] = "none"
 
     sample_interval: float = quantity("s", "time between two samples", minimum=0.0, typical=0.005)
+    unmodulated: float | None = quantity(
+        "-",
+        "unmodulated over modulated light, where the camera does not subtract it",
+        default=None,
+        minimum=0.0,
+        typical=1.0,
+    )
 
-    def _sampled(self, signal: Signal, context: Context, interval: float) -> Image:
+    def _sampled(self, signal: Signal, context: Context, interval: float, offset: float) -> Image:
         if context.geometry_at is None:
             raise InputError("motion needs the scene's geometry", remedy="simulate a scene file")
         here = to_phasor(signal.distance, signal.amplitude, context.ambiguity)
@@ -50,33 +58,47 @@ class Motion(Effect):
         for k in range(4):
             geometry, amplitude = context.geometry_at((k - 1.5) * interval)
             moved = factor * to_phasor(geometry.distance, amplitude, context.ambiguity)
-            parts.append(np.real(moved * (-1j) ** k))
+            parts.append(np.real(moved * (-1j) ** k) + offset * np.abs(moved))
         result: Image = ((parts[0] - parts[2]) + 1j * (parts[1] - parts[3])) / 2
         return result
 
     def simulate(self, signal: Signal, context: Context) -> Signal:
         if context.geometry_at is None or not context.moving:
             return signal
-        return from_phasor(self._sampled(signal, context, self.sample_interval), signal, context)
+        return from_phasor(self._now(signal, context), signal, context)
+
+    def _now(self, signal: Signal, context: Context) -> Image:
+        return self._sampled(signal, context, self.sample_interval, self.unmodulated or 0.0)
 
     def columns(self, signal: Signal, context: Context) -> dict[str, Column]:
         """Central difference over 10 us: the scene is a function of time only by its rays."""
+        paths = ["sample_interval", *(["unmodulated"] if self.unmodulated is not None else [])]
         if not context.moving:
             zero = np.zeros_like(signal.distance)
-            return {"sample_interval": (zero, zero)}
-        step = 1e-5
-        after = self._sampled(signal, context, self.sample_interval + step)
-        before = self._sampled(signal, context, max(self.sample_interval - step, 0.0))
-        change = (after - before) / (step + min(step, self.sample_interval))
-        middle = self._sampled(signal, context, self.sample_interval)
-        return {"sample_interval": phasor_derivative(middle, change, context.ambiguity)}
+            return dict.fromkeys(paths, (zero, zero))
+        step, offset, interval = 1e-5, self.unmodulated or 0.0, self.sample_interval
+        after = self._sampled(signal, context, interval + step, offset)
+        before = self._sampled(signal, context, max(interval - step, 0.0), offset)
+        changes = [(after - before) / (step + min(step, interval))]
+        middle = self._now(signal, context)
+        if self.unmodulated is not None:
+            changes.append(self._sampled(signal, context, interval, offset + 1.0) - middle)
+        return {
+            path: phasor_derivative(middle, change, context.ambiguity)
+            for path, change in zip(paths, changes, strict=True)
+        }
 
     def sentence(self) -> str:
+        rest = (
+            f"; {self.unmodulated:.2g} of unmodulated light to each of modulated stays in them"
+            if self.unmodulated
+            else ""
+        )
         return (
-            f"motion: the four samples are taken {self.sample_interval * 1e3:.2g} ms apart; while the camera "
-            "moves, edges and oblique surfaces are measured wrong"
+            f"motion: the four samples are taken {self.sample_interval * 1e3:.2g} ms apart{rest}; while the "
+            "camera moves, edges and oblique surfaces are measured wrong"
         )
 
     @classmethod
     def example(cls, camera: Camera) -> Motion:
-        return cls(sample_interval=0.004)
+        return cls(sample_interval=0.004, unmodulated=0.7)

@@ -22,6 +22,7 @@ from rim_camera_ros.calibrate.stations import reduce_frames
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
+from rim_camera_ros.effects.motion import Motion
 from rim_camera_ros.effects.scattering import Ghost, Kernel, Scattering
 from rim_camera_ros.frame import Pose, RawFrame, Settings
 
@@ -161,3 +162,17 @@ def test_an_effect_that_later_ones_make_needless_is_dropped(tmp_path: Path, scal
     assert [one.effect for one in found] == names
     assert set(step.fit.camera.effects) == set(names)
     assert explorations[-1] is step
+
+
+def test_unmodulated_light_of_a_moving_camera_is_a_share_of_the_modulated(tmp_path: Path) -> None:
+    """A (A) + b (A + B) = interval (A + share B): 1.5 + 2.5 ms of which 2.5 with the unmodulated light."""
+    model = camera(tmp_path)
+    facts = Facts((60.0,), 1000.0, None, None, 1.0, saturated=False, moves=True, surfaces=1)
+    plain, more = candidates(model, facts, effects=["motion"])
+    labels = [one.label for one in more.block.regressors]
+    found = more.build(model, dict(zip(labels, (0.0015, 0.0025), strict=True))).effects["motion"]
+    assert found == Motion(sample_interval=pytest.approx(0.004), unmodulated=pytest.approx(0.625))
+    backwards = more.build(model, dict(zip(labels, (-0.003, 0.001), strict=True))).effects["motion"]
+    assert backwards.sample_interval == 1e-4  # type: ignore[attr-defined]
+    assert more.positive == (labels[1],)
+    assert plain.build(model, {plain.block.regressors[0].label: 0.002}).effects["motion"] == Motion(0.002)

@@ -36,7 +36,7 @@ from rim_camera_ros.effects.warm_up_drift import Exponential, WarmUpDrift
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera
 from rim_camera_ros.frame import Settings
-from rim_camera_ros.parameters import ArrayFile, NestedList
+from rim_camera_ros.parameters import ArrayFile, NestedList, encode
 from rim_camera_ros.pipeline.correct import Correction
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
 from rim_camera_ros.scene import CameraMotion, Scene, ScenePose, Surface, rotation_matrix
@@ -317,6 +317,25 @@ def test_motion_towards_a_wall() -> None:
     np.testing.assert_allclose(found.distance, phase / (2 * np.pi) * L, atol=1e-9)
     np.testing.assert_allclose(found.amplitude, np.hypot(c[1] - c[3], c[0] - c[2]) / 2, rtol=1e-9)
     assert np.abs(found.distance - signal.distance).max() > 1e-4
+
+
+def test_unmodulated_light_does_not_cancel_in_the_samples_of_a_moving_camera() -> None:
+    """c_k = A cos(phi_k - k pi / 2) + B_k (eq. 2.5) with B = 1.3 A: bent by how B changes."""
+    interval, speed, share = 0.006, -1.2, 1.3
+    signal, here = ideal(_moving(speed))
+    found = Motion(interval, unmodulated=share).simulate(signal, here)
+    cosine = CAMERA.rays[..., 2]
+    c = []
+    for k in range(4):
+        d = (2.0 - speed * (k - 1.5) * interval) / cosine
+        a = 500.0 * 60 * 0.8 * cosine / d**2
+        c.append(a * (np.cos(2 * np.pi * d / L - k * np.pi / 2) + share))
+    phase = np.arctan2(c[1] - c[3], c[0] - c[2]) % (2 * np.pi)
+    np.testing.assert_allclose(found.distance, phase / (2 * np.pi) * L, atol=1e-9)
+    without = Motion(interval).simulate(signal, here)
+    assert np.abs(found.distance - without.distance).max() > 1e-3
+    assert "1.3 of unmodulated light" in Motion(interval, share).sentence()
+    assert "unmodulated" not in encode(Motion(interval))
 
 
 def test_nothing_moves_nothing_happens() -> None:
