@@ -40,14 +40,20 @@ from .table import (
 )
 
 _COMMENT = """\
-<!-- Written by `make proof` from the results of the run; changes here are lost. -->
+<!-- Written by `make proof` from the results of the run and from proof/history.md; changes here are lost. -->
 """
+
+#: What people say of a run: what was seen before it, what came after; Markdown.
+HISTORY = "history.md"
 
 
 def write_page(
     results: Sequence[Result], folder: Path, *, ledger: Path, command: str, not_run: Sequence[str] = ()
 ) -> Path:
-    """Write `proof.md`, and the pictures and the ledger into `proof/` beside it; return the page's path."""
+    """Write `proof.md`, and the pictures and the ledger into `proof/` beside it; return the page's path.
+
+    What people say of the run, in `proof/history.md`, becomes part of the page.
+    """
     pictures = folder / "proof"
     pictures.mkdir(parents=True, exist_ok=True)
     found = score(results)
@@ -55,18 +61,28 @@ def write_page(
     if ledger.exists():
         shutil.copyfile(ledger, pictures / LEDGER)
     path = folder / "proof.md"
-    path.write_text(page(results, found, drawn, command=command, not_run=not_run), encoding="utf-8")
+    said = pictures / HISTORY
+    history = said.read_text(encoding="utf-8") if said.exists() else ""
+    text = page(results, found, drawn, command=command, not_run=not_run, history=history)
+    path.write_text(text, encoding="utf-8")
     return path
 
 
 def page(
-    results: Sequence[Result], found: Score, drawn: Sequence[str], *, command: str, not_run: Sequence[str]
+    results: Sequence[Result],
+    found: Score,
+    drawn: Sequence[str],
+    *,
+    command: str,
+    not_run: Sequence[str],
+    history: str = "",
 ) -> str:
     """The page's text."""
     parts = [
         "# Proof: does `rim diagnose` name the right physics?",
         _COMMENT,
         _about(results, command),
+        history,
         "## What was reached",
         _table(
             ["measure", "demanded", "measured (95 % interval)", "met"],
