@@ -13,9 +13,10 @@ import pytest
 from rim_camera_ros.calibrate.adjustment import Problem, _settled
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.leaders import smooth_says_more, what_it_became
 from rim_camera_ros.calibrate.library import Facts, candidates
 from rim_camera_ros.calibrate.needs import Found
-from rim_camera_ros.calibrate.search import _smooth_says_more, _what_it_became, _without_needless
+from rim_camera_ros.calibrate.search import Search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import contribution, effect_size
 from rim_camera_ros.calibrate.stations import reduce_frames
@@ -54,13 +55,13 @@ def exploration(smooth: tuple[float, int] | None, pair: tuple[float, tuple[int, 
 def test_a_smooth_function_that_says_far_more_is_the_mark_of_another_physics(
     smooth: tuple[float, int] | None, pair: tuple[float, tuple[int, int]] | None, another: bool
 ) -> None:
-    assert _smooth_says_more(exploration(smooth, pair)) is another
+    assert smooth_says_more(exploration(smooth, pair)) is another
 
 
 def test_a_smooth_function_below_its_threshold_says_nothing() -> None:
     step = exploration((15.0, 3), None)
     step.gains = np.array([1.0, 0.5, 0.2, 15.0])
-    assert not _smooth_says_more(step)
+    assert not smooth_says_more(step)
 
 
 @pytest.mark.parametrize(
@@ -82,8 +83,8 @@ def test_stray_light_within_its_pixel_is_two_surfaces_in_a_pixel(
         best=lambda: {"scattering": 4, "mixed_pixels": 7},
         candidates={k: SimpleNamespace(effect=name) for k, name in effects.items()},
     )
-    assert _what_it_became(alone, (4,), step) == became
-    assert _what_it_became(alone, (4, 7), step) is None
+    assert what_it_became(alone, (4,), step) == became
+    assert what_it_became(alone, (4, 7), step) is None
 
 
 def test_terms_of_the_distance_are_judged_at_the_same_noise(tmp_path: Path) -> None:
@@ -155,13 +156,13 @@ def test_an_effect_that_later_ones_make_needless_is_dropped(tmp_path: Path, scal
     pool = candidates(camera(tmp_path), facts, effects=["distance_scale", "cyclic_error"])
     first = explore(problem, camera(tmp_path), pool, folds, replicates=0)
     last = explore(problem, camera(tmp_path, CYCLIC, DistanceScale(0.001)), [], folds, replicates=0)
-    explorations = [first, first, last]
     found = [Found("distance_scale", 900.0, step=0), Found("cyclic_error", 400.0, step=1)]
-    step = _without_needless(problem, explorations, found, folds, (), (), 0)
+    state = Search(problem, camera(tmp_path), [first, first, last], folds, found=found)
+    state.drop_needless()
     names = ["distance_scale", "cyclic_error"] if kept else ["cyclic_error"]
     assert [one.effect for one in found] == names
-    assert set(step.fit.camera.effects) == set(names)
-    assert explorations[-1] is step
+    assert set(state.step.fit.camera.effects) == set(names)
+    assert len(state.explorations) == 3
 
 
 def test_unmodulated_light_of_a_moving_camera_is_a_share_of_the_modulated(tmp_path: Path) -> None:

@@ -1,0 +1,120 @@
+"""What an exploration tells a search: who leads, what they rival, and what is the mark of something else."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence, Set
+
+import numpy as np
+
+from rim_camera_ros.calibrate.exploration import Exploration
+from rim_camera_ros.calibrate.library import Candidate
+from rim_camera_ros.calibrate.needs import Found, needed
+from rim_camera_ros.effects.scattering import Scattering
+
+#: A smooth function of one covariate that gains this many times what any two effects do is another physics'
+#: mark: of an effect's own covariate it gains what the effect does.
+_SMOOTHER = 1.5
+#: Sigma [px] up to which stray light is none: the pixel's own footprint.
+_LEAST_SPREAD = 1.0
+#: Variants of an effect that are looked at again once another effect was found.
+_MOST_VARIANTS = 4
+
+
+def smooth_says_more(step: Exploration) -> bool:
+    """Return whether a smooth function explains so much more than effects do that none of them is it."""
+    smooth = step.best_further()
+    if smooth is None or smooth[0] <= _SMOOTHER * float(step.thresholds[smooth[1]]):
+        return False
+    pair = step.best_pair()
+    leader = float(step.gains[: step.named].max()) if step.named else 0.0
+    return smooth[0] > _SMOOTHER * max(leader, 0.0 if pair is None else pair[0])
+
+
+def leaders(
+    step: Exploration, found: Sequence[Found], failed: Set[str]
+) -> tuple[tuple[int, ...], int] | None:
+    """Return the candidate or the pair to fit next, and the leader alone; None where nothing gains enough.
+
+    ``failed`` effects are left out.
+    """
+    named = [one for one in _named(step, found) if step.candidates[one[0]].effect not in failed]
+    if not named:
+        return None
+    leader, gain = named[0]
+    need = needed(step, leader, found)
+    pair = step.best_pair(without=failed) if gain > 0.5 * step.threshold else None
+    both = 0.0 if pair is None else max(needed(step, k, found) for k in pair[1])
+    if pair is not None and leader not in pair[1] and pair[0] > gain + max(both, 0.25 * gain):
+        return pair[1], leader
+    if gain > need:
+        return (leader,), leader
+    return None if pair is None or pair[0] <= 1.5 * both else (pair[1], leader)
+
+
+def near_rivals(
+    step: Exploration, numbers: tuple[int, ...], leader: int, found: Sequence[Found], failed: Set[str]
+) -> list[tuple[int, ...]]:
+    """Return what to fit beside the chosen: the leader alone for a pair, else who gains nearly as much."""
+    if len(numbers) == 2:
+        return [(leader,)] if step.gains[leader] > needed(step, leader, found) else []
+    lead = step.joint(*numbers)
+    result: list[tuple[int, ...]] = []
+    for effect, k in step.best().items():
+        close = step.gains[k] > 0.6 * lead or lead - step.gains[k] < 2 * step.threshold
+        possible = close and step.gains[k] > needed(step, k, found)
+        if possible and effect not in {step.candidates[numbers[0]].effect, *failed}:
+            result.append((k,))
+    return result
+
+
+def _named(step: Exploration, found: Sequence[Found]) -> list[tuple[int, float]]:
+    """Return candidates and gains, those first that gain what they must, by gain."""
+    order = [(k, float(step.gains[k])) for k in range(step.named)]
+    return sorted(order, key=lambda one: (one[1] < needed(step, one[0], found), -one[1]))
+
+
+def leading_variants(step: Exploration) -> list[Candidate]:
+    """Return the variants of each effect that are still worth their columns, in their order."""
+    kept: set[int] = set()
+    count: Counter[str] = Counter()
+    for k in np.argsort(-step.gains[: step.named], kind="stable"):
+        effect = step.candidates[int(k)].effect
+        if count[effect] < _MOST_VARIANTS:
+            kept.add(int(k))
+            count[effect] += 1
+    return [step.candidates[k] for k in sorted(kept)]
+
+
+def rivals(step: Exploration, name: str, need: float) -> tuple[list[tuple[str, float]], list[str]]:
+    """Return the gains of all effects, and those which the named one cannot be told apart from.
+
+    The encompassing test: a rival ties unless the named effect gains well on top of it.
+    """
+    best = step.best()
+    gains = [(effect, float(step.gains[k])) for effect, k in best.items()]
+    own = best.get(name)
+    ties = []
+    if own is not None:
+        for effect, k in best.items():
+            if effect == name or step.gains[k] < 0.5 * step.gains[own]:
+                continue
+            on_top = step.joint(own, k) - float(step.gains[k])
+            if on_top < min(need, 0.5 * float(step.gains[own])):
+                ties.append(effect)
+    return gains, ties
+
+
+def what_it_became(alone: Exploration, trial: tuple[int, ...], step: Exploration) -> tuple[int, ...] | None:
+    """Return the trial with two surfaces in a pixel for stray light that was fitted within its own pixel.
+
+    None where each effect is what it was.
+    """
+    scattering = alone.fit.camera.effects.get("scattering")
+    mixed = step.best().get("mixed_pixels")
+    numbers = [k for k in trial if step.candidates[k].effect == "scattering"]
+    if not isinstance(scattering, Scattering) or mixed is None or mixed in trial or not numbers:
+        return None
+    if scattering.ghost is not None or max(max(one.sigma) for one in scattering.kernels) > _LEAST_SPREAD:
+        return None
+    return tuple(mixed if k in numbers else k for k in trial)
