@@ -45,7 +45,8 @@ _KINDS = (
 )
 
 
-#: ... unless it changes whole poses, whose errors limit what it can gain.
+#: ... unless it changes whole poses, whose errors limit what it can gain: how far it must move distances
+#: tells it from a rest.
 LEAST_SHARE_OF_POSES = 0.0005
 
 
@@ -54,7 +55,9 @@ LEAST_SHARE_OF_POSES = 0.0005
 LEAST_SHARE_OF_UNEXPLAINED = 0.01
 
 
-OF_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_offset"})
+OF_POSES = frozenset(
+    {"warm_up_drift", "ambient_temperature", "integration_time_offset", "distance_scale"}
+)
 
 
 #: A further effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
@@ -124,7 +127,7 @@ def needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
     share = LEAST_SHARE_OF_POSES if effect in OF_POSES else LEAST_SHARE
     need = share * sum(one.gain for one in found)
     for one in found:
-        if any(effect in kind and one.effect in kind for kind in _KINDS):
+        if effect not in OF_POSES and any(effect in kind and one.effect in kind for kind in _KINDS):
             need = max(need, LEAST_SHARE_OF_KIND * one.gain)
         if effect in _THERMAL and one.effect in _THERMAL:
             need = max(need, LEAST_SHARE_OF_THERMAL * one.gain)
