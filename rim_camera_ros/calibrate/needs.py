@@ -45,8 +45,7 @@ _KINDS = (
 )
 
 
-#: ... unless it changes whole poses, whose errors limit what it can gain: how far it must move distances
-#: tells it from a rest.
+#: ... unless it changes whole poses, whose errors limit what it can gain.
 LEAST_SHARE_OF_POSES = 0.0005
 
 
@@ -55,9 +54,11 @@ LEAST_SHARE_OF_POSES = 0.0005
 LEAST_SHARE_OF_UNEXPLAINED = 0.01
 
 
-OF_POSES = frozenset(
-    {"warm_up_drift", "ambient_temperature", "integration_time_offset", "distance_scale"}
-)
+OF_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_offset"})
+
+
+#: It nearly changes whole poses; how far it moves distances tells it from the rest of another of its kind.
+_OF_SIZE = frozenset({"distance_scale"})
 
 
 #: A further effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
@@ -127,7 +128,7 @@ def needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
     share = LEAST_SHARE_OF_POSES if effect in OF_POSES else LEAST_SHARE
     need = share * sum(one.gain for one in found)
     for one in found:
-        if effect not in OF_POSES and any(effect in kind and one.effect in kind for kind in _KINDS):
+        if effect not in _OF_SIZE and any(effect in kind and one.effect in kind for kind in _KINDS):
             need = max(need, LEAST_SHARE_OF_KIND * one.gain)
         if effect in _THERMAL and one.effect in _THERMAL:
             need = max(need, LEAST_SHARE_OF_THERMAL * one.gain)
