@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +20,20 @@ _SMOOTHER = 1.5
 _LEAST_SPREAD = 1.0
 #: Variants of an effect that are looked at again once another effect was found.
 _MOST_VARIANTS = 4
+#: Why an effect that would gain beside those found was not added.
+AS_REST = "as what was found leaves such a rest where its form is not quite the true one"
+NOT_ELSEWHERE = "as it gains only where what was found acts"
+ONCE_FITTED = "as it gains or moves too little once it is fitted"
+
+
+@dataclass(frozen=True)
+class Refused:
+    """An effect that was not added though it would gain: gain and what it had to gain [nats], and why."""
+
+    effect: str
+    gain: float
+    needed: float
+    why: str
 
 
 def smooth_says_more(step: Exploration) -> bool:
@@ -50,6 +65,20 @@ def leaders(
     if gain > need:
         return (leader,), leader
     return None if pair is None or pair[0] <= 1.5 * both else (pair[1], leader)
+
+
+def refused(step: Exploration, found: Sequence[Found], failed: Mapping[str, str]) -> list[Refused]:
+    """Return the effects that would gain beside those ``found`` and were not added, the best first.
+
+    ``failed`` tells why, of those that were tried.
+    """
+    result = []
+    for effect, k in step.best().items():
+        gain, need = float(step.gains[k]), needed(step, k, found)
+        why = failed.get(effect, AS_REST if gain <= need else None)
+        if found and why is not None and gain > step.thresholds[k]:
+            result.append(Refused(effect, gain, need, why))
+    return result
 
 
 def near_rivals(

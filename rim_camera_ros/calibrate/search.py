@@ -16,9 +16,13 @@ from rim_camera_ros.calibrate.elsewhere import shows_elsewhere
 from rim_camera_ros.calibrate.exploration import Exploration, explore, explored, further_equations
 from rim_camera_ros.calibrate.forms import form_blocks
 from rim_camera_ros.calibrate.leaders import (
+    NOT_ELSEWHERE,
+    ONCE_FITTED,
+    Refused,
     leaders,
     leading_variants,
     near_rivals,
+    refused,
     rivals,
     smooth_says_more,
     what_it_became,
@@ -45,7 +49,10 @@ _BY_ITSELF = 2.0
 
 @dataclass
 class Result:
-    """The search's end: the camera with all that was found, its last fit, and every exploration."""
+    """The search's end: the camera with all that was found, its last fit, and every exploration.
+
+    ``refused`` are effects that would have gained beside those found.
+    """
 
     camera: Camera
     found: list[Found]
@@ -54,6 +61,7 @@ class Result:
     start_log_likelihood: float
     problem: Problem
     folds: Mapping[tuple[int, int], int]
+    refused: list[Refused] = field(default_factory=list)
 
     @property
     def fit(self) -> Fit:
@@ -107,6 +115,7 @@ def search(
         start_log_likelihood=start,
         problem=state.problem,
         folds=folds,
+        refused=refused(state.step, state.found, state.failed),
     )
 
 
@@ -138,7 +147,8 @@ class Search:
     """What was found so far, and what the next steps need to know.
 
     ``explorations`` begin with that of the camera file; each effect found adds one. ``failed`` are leaders
-    that proved wrong since then, ``settled`` the numbers of effects found at which the fit was repeated.
+    that proved wrong since then, and why; ``settled`` the numbers of effects found at which the fit was
+    repeated.
     """
 
     problem: Problem
@@ -150,7 +160,7 @@ class Search:
     seed: int = 0
     say: Callable[[str], None] = _silent
     found: list[Found] = field(default_factory=list)
-    failed: set[str] = field(default_factory=set)
+    failed: dict[str, str] = field(default_factory=dict)
     settled: set[int] = field(default_factory=set)
 
     @property
@@ -161,13 +171,13 @@ class Search:
     def add(self, most: int) -> None:
         """Add effects, ``most`` in all, until nothing gains enough or too many leaders proved wrong."""
         while len(self.found) < most and len(self.failed) <= _MOST_FAILURES:
-            chosen = leaders(self.step, self.found, self.failed)
+            chosen = leaders(self.step, self.found, self.failed.keys())
             if chosen is None:
                 return
             numbers, leader = chosen
             local = {self._effect(k) for k in numbers if not self._shows_elsewhere(k)}
             if local:
-                self.failed |= local
+                self.failed |= dict.fromkeys(local, NOT_ELSEWHERE)
             else:
                 self._try(numbers, leader)
 
@@ -220,7 +230,7 @@ class Search:
         least = least_size(final, trial.effects, self.found)
         if gain <= need or effect_size(final.fit, trial.effects, self.camera) < least:
             # what looked like it is something else: perhaps the next in line
-            self.failed |= {self._effect(k) for k in numbers}
+            self.failed |= {self._effect(k): ONCE_FITTED for k in numbers}
             return
         self.failed.clear()
         for name in trial.effects:
@@ -236,7 +246,8 @@ class Search:
         A pair must beat the leader alone by what a further effect must gain: linearly, one that bends the
         light much looks worse than it is.
         """
-        choices = [numbers, *near_rivals(self.step, numbers, leader, self.found, self.failed)][:_MOST_TRIALS]
+        beside = near_rivals(self.step, numbers, leader, self.found, self.failed.keys())
+        choices = [numbers, *beside][:_MOST_TRIALS]
         best: _Trial | None = None
         for choice in choices:
             trial = self._trial(choice)

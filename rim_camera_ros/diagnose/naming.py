@@ -154,3 +154,12 @@ def next_recording(
             )
         parts += [f"for {name}: {known[name].observable}" for name in names if name in known]
     return "; ".join(parts) if parts else None
+
+
+def notes_of_refused(result: Result) -> list[str]:
+    """Return what is said of effects that would gain beside those named: one sentence for each reason."""
+    by_reason: dict[str, list[str]] = {}
+    for one in result.refused:
+        told = f"{one.effect} ({one.gain:,.0f} nats, {one.needed:,.0f} asked)"
+        by_reason.setdefault(one.why, []).append(told)
+    return [f"not added, {why}: {', '.join(told)}" for why, told in by_reason.items()]

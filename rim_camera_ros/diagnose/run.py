@@ -44,6 +44,7 @@ from rim_camera_ros.diagnose.naming import (
     missing_codes_of,
     missing_effect,
     next_recording,
+    notes_of_refused,
     ranking_of,
     unseen_effects,
 )
@@ -314,6 +315,7 @@ def _verdict(
                 share = float(1 / (1 + np.exp(-min(one.gain, 500.0))))
             missing.append(missing_effect(one.effect, fitted, intervals, min(max(share, 0.0), 1.0)))
         where = of_terms(fitted, [one.effect for one in result.found], origin)
+        notes += notes_of_refused(result)
     else:
         verdict = "consistent"
     adjusted = adjusted_terms(camera, baseline.fit if verdict == "consistent" else fitted)

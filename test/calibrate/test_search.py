@@ -13,7 +13,14 @@ import pytest
 from rim_camera_ros.calibrate.adjustment import Problem, _settled
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.leaders import smooth_says_more, what_it_became
+from rim_camera_ros.calibrate.leaders import (
+    AS_REST,
+    ONCE_FITTED,
+    Refused,
+    refused,
+    smooth_says_more,
+    what_it_became,
+)
 from rim_camera_ros.calibrate.library import Facts, candidates
 from rim_camera_ros.calibrate.needs import Found
 from rim_camera_ros.calibrate.search import Search
@@ -85,6 +92,24 @@ def test_stray_light_within_its_pixel_is_two_surfaces_in_a_pixel(
     )
     assert what_it_became(alone, (4,), step) == became
     assert what_it_became(alone, (4, 7), step) is None
+
+
+def test_effects_that_would_gain_and_were_not_added_are_told_with_the_reason() -> None:
+    names = ["emitter_offset", "scattering", "warm_up_drift", "distance_scale"]
+    step: Any = SimpleNamespace(
+        best=lambda: {name: k for k, name in enumerate(names)},
+        gains=np.array([400.0, 30.0, 5.0, 60.0]),
+        thresholds=np.full(4, 8.0),
+        candidates=[SimpleNamespace(effect=name) for name in names],
+        unexplained=0.0,
+    )
+    found = [Found("cyclic_error", 10_000.0)]
+    # of the kind of a cyclic error 5 %, else 0.15 %; noise is not told, nor what could still be added
+    assert refused(step, found, {"scattering": ONCE_FITTED}) == [
+        Refused("emitter_offset", 400.0, 500.0, AS_REST),
+        Refused("scattering", 30.0, 15.0, ONCE_FITTED),
+    ]
+    assert refused(step, [], {"scattering": ONCE_FITTED}) == []
 
 
 def test_terms_of_the_distance_are_judged_at_the_same_noise(tmp_path: Path) -> None:

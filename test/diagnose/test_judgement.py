@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rim_camera_ros.calibrate.leaders import AS_REST, NOT_ELSEWHERE, Refused
 from rim_camera_ros.calibrate.needs import Found, needed, own_covariates
 from rim_camera_ros.diagnose import setup
+from rim_camera_ros.diagnose.naming import notes_of_refused
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, with_variance
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.run import _is_unknown
@@ -225,3 +227,16 @@ def test_a_third_effect_says_more_than_a_function_of_what_the_first_two_depend_o
     assert needed(step, 0, both) == 42.0
     assert needed(step, 1, both) == 8.0  # errors of poses limit what it gains, no form of the others
     assert needed(step, 0, both[:1]) == pytest.approx(0.0015 * 7400.0)
+
+
+def test_a_note_for_each_reason_tells_what_was_not_added() -> None:
+    refused = [
+        Refused("emitter_offset", 2381.4, 5440.0, AS_REST),
+        Refused("scattering", 97.0, 163.0, NOT_ELSEWHERE),
+        Refused("radiometry", 60.0, 163.0, AS_REST),
+    ]
+    result: Any = SimpleNamespace(refused=refused)
+    assert notes_of_refused(result) == [
+        f"not added, {AS_REST}: emitter_offset (2,381 nats, 5,440 asked), radiometry (60 nats, 163 asked)",
+        f"not added, {NOT_ELSEWHERE}: scattering (97 nats, 163 asked)",
+    ]
