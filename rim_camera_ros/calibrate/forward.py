@@ -59,6 +59,7 @@ class Forward:
     different cameras can be compared. ``shifts`` of each station and channel are what another simulation
     says beyond this one's prediction at the start. ``variance_factors`` by recording and placement multiply
     the variances of a pose's distances. ``light_curves`` change the light beside the camera file's effects.
+    ``near_edges`` takes in pixels beside edges, where no masks are given.
     ``tick`` is called for each station and may raise to end the work.
     """
 
@@ -69,6 +70,7 @@ class Forward:
         self.amplitude_model = AmplitudeModel()
         self.masks: Sequence[tuple[Array, Array]] | None = None
         self.shifts: Sequence[tuple[Array, Array]] | None = None
+        self.near_edges = False
         self.variance_factors: Mapping[tuple[int, int], float] = {}
         self.light_curves: LightCurves | None = None
         self.tick: Callable[[], None] | None = None
@@ -163,6 +165,14 @@ class Forward:
     def pixels_used(self) -> list[tuple[Array, Array]]:
         """Return the pixels of each station that are fitted: both channels, (H, W) each."""
         return [(one.used, one.amplitude_used) for one in self.predictions(slopes=False)]
+
+    def pixels_near_edges(self) -> list[tuple[Array, Array]]:
+        """Return the pixels that could be fitted if those beside edges were, as `pixels_used`."""
+        masks, self.masks, self.near_edges = self.masks, None, True
+        try:
+            return self.pixels_used()
+        finally:
+            self.masks, self.near_edges = masks, False
 
     def _expanded(self, published: Array) -> Array:
         effect: Any = self.camera.effects.get("amplitude_nonlinearity")
@@ -298,7 +308,8 @@ class Forward:
         variance = (variance + camera.sensor.lsb**2 / 12) / n
         single_variance = amplitude_variance * slope_published**2 + 1.0 / 12
         amplitude_variance = single_variance / n + (model.tau * model_reading) ** 2
-        used = view.clean & lit & (station.count > 0) & (station.saturated == 0)
+        clean = self.views.near_edges(view) if self.near_edges else view.clean
+        used = clean & lit & (station.count > 0) & (station.saturated == 0)
         used &= np.isfinite(residual) & np.isfinite(variance) & (station.count * 2 > station.frames)
         threshold = max(camera.sensor.amplitude_threshold, camera.minimum_amplitude or 0.0)
         single = np.sqrt(single_variance)

@@ -16,8 +16,9 @@ from rim_camera_ros.effects.scattering import Scattering
 #: A smooth function of one covariate that gains this many times what any two effects do is another physics'
 #: mark: of an effect's own covariate it gains what the effect does.
 _SMOOTHER = 1.5
-#: Sigma [px] up to which stray light is none: the pixel's own footprint.
-_LEAST_SPREAD = 1.0
+#: Sigma [px] up to which stray light is none: the footprint of a pixel and what crosses to its neighbours.
+#: Halos between lens and chip are wider.
+_LEAST_SPREAD = 2.0
 #: Variants of an effect that are looked at again once another effect was found.
 _MOST_VARIANTS = 4
 #: Why an effect that would gain beside those found was not added.

@@ -310,7 +310,7 @@ def _blurred(blur: float) -> Candidate:
     block = Block((Regressor(label, effect.name, 1.0),), columns)
 
     def build(camera: Camera, values: Coefficients) -> Camera:
-        share = float(np.clip(values[label], 0.01, 4.0))
+        share = float(np.clip(values[label], 1e-6, 4.0))
         return added(camera, MixedPixels(blur=_blur_of_variance(share * _variance_of_blur(blur))))
 
     return Candidate("mixed_pixels", f"{blur:g} px", block, build, positive=(label,))

@@ -51,7 +51,8 @@ _BY_ITSELF = 2.0
 class Result:
     """The search's end: the camera with all that was found, its last fit, and every exploration.
 
-    ``refused`` are effects that would have gained beside those found.
+    ``refused`` are effects that would have gained beside those found; explorations from number
+    ``beside_edges`` on take in pixels beside edges.
     """
 
     camera: Camera
@@ -62,11 +63,21 @@ class Result:
     problem: Problem
     folds: Mapping[tuple[int, int], int]
     refused: list[Refused] = field(default_factory=list)
+    beside_edges: int | None = None
 
     @property
     def fit(self) -> Fit:
         """The fit of the final camera."""
         return self.explorations[-1].fit
+
+    @property
+    def gained(self) -> float:
+        """What the search gained in held-out log likelihood [nats], each step at its own pixels."""
+        total = self.log_likelihood - self.start_log_likelihood
+        if self.beside_edges is None:
+            return total
+        before, at = self.explorations[self.beside_edges - 1 : self.beside_edges + 1]
+        return total - (at.scores.log_likelihood() - before.scores.log_likelihood())
 
 
 def search(
@@ -107,6 +118,8 @@ def search(
     if len(state.found) > 1:
         say("whether each is still needed")
         state.drop_needless()
+    left_out = refused(state.step, state.found, state.failed)
+    beside_edges = state.look_beside_edges() if len(state.found) < most else None
     return Result(
         camera=state.step.fit.camera,
         found=state.found,
@@ -115,7 +128,8 @@ def search(
         start_log_likelihood=start,
         problem=state.problem,
         folds=folds,
-        refused=refused(state.step, state.found, state.failed),
+        refused=left_out,
+        beside_edges=beside_edges,
     )
 
 
@@ -199,6 +213,34 @@ class Search:
                 continue
             self.found.remove(one)
             self._replace_step(without.fit, before)
+
+    def look_beside_edges(self) -> int | None:
+        """Look for mixed pixels in pixels beside edges, which are left out while other effects are sought.
+
+        There a footprint no wider than a pixel shows, and everything else shows no better. Returns the number
+        of the first exploration of those pixels, None where mixed pixels are not found in them.
+        """
+        own = [one for one in self.variants if one.effect == "mixed_pixels"]
+        fitted = self.step.fit
+        if not own or "mixed_pixels" in fitted.camera.effects:
+            return None
+        self.say("pixels beside edges")
+        problem = replace(self.problem, masks=fitted.forward.pixels_near_edges())
+        beside = self._fitted(problem, fitted.camera, self.step, own, replicates=200)
+        number = beside.best()["mixed_pixels"]
+        if beside.gains[number] <= needed(beside, number, self.found):
+            return None
+        names = [one.effect for one in self.found]
+        step = self._explored(beside.fit, names, self.step, problem)
+        kept, self.explorations = self.explorations, [*self.explorations, step]
+        away, self.problem = self.problem, problem
+        count = len(self.found)
+        number = step.best()["mixed_pixels"]
+        self._try((number,), number)
+        if len(self.found) > count:
+            return len(kept)
+        self.explorations, self.problem = kept, away
+        return None
 
     def _effect(self, number: int) -> str:
         return self.step.candidates[number].effect
@@ -292,17 +334,24 @@ class Search:
         left = {name: e for name, e in after.fit.camera.effects.items() if name not in effects}
         return self._fitted(self.problem, with_effects(step.fit.camera, left), after)
 
-    def _fitted(self, problem: Problem, camera: Camera, step: Exploration) -> Exploration:
-        """Return the fit of a camera that begins at the nuisances of a step, without candidates."""
+    def _fitted(
+        self,
+        problem: Problem,
+        camera: Camera,
+        step: Exploration,
+        wanted: Sequence[Candidate] = (),
+        replicates: int = 0,
+    ) -> Exploration:
+        """Return the fit of a camera that begins at the nuisances of a step, and scores candidates."""
         return explore(
             problem,
             camera,
-            [],
+            wanted,
             self.folds,
             views=step.fit.forward.views,
             warm=step.fit,
             seed=self.seed,
-            replicates=0,
+            replicates=replicates,
             iterations=_ITERATIONS,
             tolerance=_TOLERANCE,
         )

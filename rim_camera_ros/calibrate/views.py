@@ -19,11 +19,15 @@ Array = NDArray[Any]
 #: A pixel is left out whose ray passes this near to the outline of a surface, or to the edge of a tile [px].
 OUTLINE_MARGIN = 0.4
 TILE_MARGIN = 0.3
+#: ... and where pixels beside edges are looked at: as far as errors of poses move edges.
+NEAR_OUTLINE_MARGIN = 0.25
+NEAR_TILE_MARGIN = 0.12
 #: Geometries are kept up to this many bytes; beyond, they are computed again in each pass.
 _KEPT_BYTES = 400_000_000
 #: Bytes that a pixel of a view takes, by the arrays of its geometry and of the errors of a pose.
 _PIXEL_BYTES = 140
 
+_MARGINS = (OUTLINE_MARGIN, TILE_MARGIN, NEAR_OUTLINE_MARGIN, NEAR_TILE_MARGIN)
 _OPTICAL = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -65,7 +69,7 @@ class Views:
         height, width = camera.shape
         self._most = max(4, _KEPT_BYTES // (height * width * _PIXEL_BYTES))
         self._kept: dict[Any, View] = {}
-        self._around = {m: _rays_around(camera.rays, m) for m in (OUTLINE_MARGIN, TILE_MARGIN)}
+        self._around = {m: _rays_around(camera.rays, m) for m in _MARGINS}
 
     def fits(self, camera: Camera) -> bool:
         """Return whether these views hold for a camera: same rays."""
@@ -78,20 +82,26 @@ class Views:
         found = self._kept.get(key)
         if found is None:
             geometry = see(self.scene, poses, self.camera.rays)
-            found = View(geometry, self._clean(geometry, poses), poses)
+            found = View(geometry, self._clean(geometry, poses, OUTLINE_MARGIN, TILE_MARGIN), poses)
             found.pose_columns.extend(self._pose_columns(found))
             if len(self._kept) >= self._most:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[key] = found
         return found
 
-    def _clean(self, geometry: Geometry, poses: Mapping[str, Pose]) -> NDArray[np.bool_]:
+    def near_edges(self, view: View) -> NDArray[np.bool_]:
+        """Return the clean pixels (H, W) of a view, and those beside edges that errors hardly move."""
+        return self._clean(view.geometry, view.poses, NEAR_OUTLINE_MARGIN, NEAR_TILE_MARGIN)
+
+    def _clean(
+        self, geometry: Geometry, poses: Mapping[str, Pose], outline: float, tile: float
+    ) -> NDArray[np.bool_]:
         clean = geometry.hit.copy()
         surfaces = self.scene.surfaces
         there = [one for one in surfaces if one.name in poses]
         uncertain = len(there) > 1 or there[0].type != "plane"
         if uncertain:
-            for rays in self._around[OUTLINE_MARGIN]:
+            for rays in self._around[outline]:
                 clean &= see(self.scene, poses, rays).surface == geometry.surface
         textured = [i for i, one in enumerate(surfaces) if one.texture is not None and one in there]
         for i in textured:
@@ -100,7 +110,7 @@ class Views:
             pose = poses[surfaces[i].name]
             rotation = rotation_matrix(pose.orientation)
             mine = geometry.surface == i
-            for rays in self._around[TILE_MARGIN]:
+            for rays in self._around[tile]:
                 length = surfaces[i].lengths(pose, np.zeros(3), rays[mine])
                 met = np.isfinite(length)
                 local = (

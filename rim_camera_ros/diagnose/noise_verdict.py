@@ -97,7 +97,7 @@ def only_background(result: Result, rest: Rest | None, variance: Variance, camer
     found = bool(result.found) and variance.noise_is_wrong and variance.background > 0
     if not found or "background_light" in camera.effects:
         return False
-    named = result.log_likelihood - result.start_log_likelihood
+    named = result.gained
     gain = named + (0.0 if rest is None else rest.on_top)
     return gain < _SHIFT_OF_BACKGROUND * _cost(result, variance) or _by_light(result.explorations[0]) > named
 

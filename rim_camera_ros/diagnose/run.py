@@ -162,8 +162,8 @@ def _diagnose(
     unknown = None if alone or one_pose else best_rest(result, samples, problem, seed)
     variance = examine_variance(final.fit.forward)
     codes = missing_codes(dataset.codes, noise=camera.noise.floor / camera.sensor.lsb)
-    named = result.log_likelihood - result.start_log_likelihood
-    explained = _explained(baseline, result, unknown)
+    named = result.gained
+    explained = _explained(result, unknown)
     described = None
     # a curve of the light that is not refitted leaves a smooth rest by itself, smaller than what it explains
     linear = any(one.effect in OF_SURFACES for one in result.found)
@@ -249,15 +249,20 @@ def _silent(text: str) -> None:
     return None
 
 
-def _explained(baseline: Exploration, result: Result, unknown: Rest | None) -> float:
-    """Return the share of the baseline's excess chi-square that the final fit explains."""
-    before, rows = baseline.scores.chi_square()
-    after, _ = result.explorations[-1].scores.chi_square()
-    excess = before - rows
+def _explained(result: Result, unknown: Rest | None) -> float:
+    """Return the share of the excess chi-square that the final fit explains, each step at its pixels."""
+    chi_squares = [one.scores.chi_square() for one in result.explorations]
+    after, rows = chi_squares[-1]
+    at = result.beside_edges
+    explained = chi_squares[0][0] - after
+    if at is not None:
+        # there are more pixels from there on
+        explained += chi_squares[at][0] - chi_squares[at - 1][0]
+    excess = explained + after - rows
     if excess <= 0:
         return 0.0
     by_unknown = 2 * unknown.gain if unknown is not None else 0.0
-    return max(before - after, by_unknown) / excess
+    return max(explained, by_unknown) / excess
 
 
 def _is_unknown(unknown: Rest, named: float, final: Exploration, result: Result) -> bool:

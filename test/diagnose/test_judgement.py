@@ -189,8 +189,7 @@ def test_what_comes_with_unmodulated_light_is_its_own_shift(
     result: Any = SimpleNamespace(
         found=[Found("distance_scale", gain)],
         explorations=[first],
-        log_likelihood=1000.0 + gain,
-        start_log_likelihood=1000.0,
+        gained=gain,
     )
     left: Any = SimpleNamespace(on_top=rest)
     seen = replace(variance(ratio), background=background)
