@@ -23,16 +23,18 @@ from rim_camera_ros.calibrate.leaders import (
 )
 from rim_camera_ros.calibrate.library import Facts, candidates
 from rim_camera_ros.calibrate.needs import Found
-from rim_camera_ros.calibrate.search import Search
+from rim_camera_ros.calibrate.search import Search, search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import contribution, effect_size
-from rim_camera_ros.calibrate.stations import reduce_frames
+from rim_camera_ros.calibrate.stations import Dataset, reduce_frames
+from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.motion import Motion
 from rim_camera_ros.effects.scattering import Ghost, Kernel, Scattering
 from rim_camera_ros.frame import Pose, RawFrame, Settings
+from rim_camera_ros.scene import Scene, see
 
 from .helpers import camera, record, scene
 
@@ -170,6 +172,56 @@ def test_mixed_pixels_count_by_their_amplitudes_where_one_surface_keeps_the_dist
     )
     assert np.sqrt(np.mean(np.sort(moved)[-len(moved) // 20 :] ** 2)) < 0.0025
     assert effect_size(fitted, ["mixed_pixels"], truth) > 0.004
+
+
+def with_footprints(told: Camera, board: Scene, data: Dataset, width: float, seed: int) -> Dataset:
+    """The stations anew, one frame each, noise and all: light averaged over squares of ``width`` [px].
+
+    S = mean of gain T rho cos(incidence) / d^2 exp(i 2 pi d / L), by 9 x 9 rays a pixel.
+    """
+    rng = np.random.default_rng(seed)
+    down, across = np.gradient(told.rays, axis=0), np.gradient(told.rays, axis=1)
+    period = told.sensor.ambiguity
+    frames = []
+    for one in data.stations:
+        time = one.settings.integration_time
+        assert time is not None
+        image = np.zeros(told.shape, complex)
+        for dv, du in np.ndindex(9, 9):
+            rays = told.rays + width / 9 * ((dv - 4) * down + (du - 4) * across)
+            seen = see(board, one.truth, rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+            light = told.radiometry.gain * time * seen.reflectivity * seen.cos_incidence / seen.distance**2
+            phasor = light * np.exp(2j * np.pi / period * seen.distance)
+            image += np.where(seen.hit, phasor, 0.0) / 81
+        amplitude, phase = np.abs(image), np.angle(image)
+        relative = 2 * np.pi / period * told.noise.sigma_distance(np.maximum(amplitude, 1.0))
+        noise = relative * rng.normal(size=(2, *told.shape))
+        turns = np.mod((phase + noise[0]) / (2 * np.pi), 1.0)
+        frames.append(
+            RawFrame(
+                stamp=one.stamp,
+                distance=np.round(turns * 65536).astype(np.uint16),
+                amplitude=np.round(amplitude * (1 + noise[1])).astype(np.uint16),
+                settings=one.settings,
+                truth=one.truth,
+                pose_stamps={"board": one.stamp},
+            )
+        )
+    return Dataset(list(reduce_frames(frames, told)), ["simulated"], [], len(frames))
+
+
+@pytest.mark.parametrize(("width", "found"), [(0.0, []), (0.5, ["mixed_pixels"])])
+def test_a_footprint_of_a_pixel_is_found_beside_edges(tmp_path: Path, width: float, found: list[str]) -> None:
+    """Pixels within half a footprint of an edge are mixed, those within 0.3 px left out of all else."""
+    told, board = camera(tmp_path), scene(tmp_path)
+    # of finite size: at a horizon a footprint spans many tiles
+    board = Scene((replace(board.surfaces[0], type="rectangle", size=(1.55, 1.35)),))
+    data = with_footprints(told, board, record(told, board, poses=14, frames=1, seed=9), width, 4)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
+    result = search(Problem(data, board), told, facts, effects=["mixed_pixels"])
+    assert [one.effect for one in result.found] == found
+    assert result.beside_edges == (1 if found else None)
+    assert result.gained == pytest.approx(sum(one.gain for one in result.found))
 
 
 @pytest.mark.parametrize(("scale", "kept"), [(0.0, False), (0.01, True)])
