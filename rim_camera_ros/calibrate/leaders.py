@@ -19,6 +19,8 @@ _SMOOTHER = 1.5
 #: Sigma [px] up to which stray light is none: the footprint of a pixel and what crosses to its neighbours.
 #: Halos between lens and chip are wider.
 _LEAST_SPREAD = 2.0
+#: Share of the light that is spread below which one of its halos does not count.
+_LEAST_WEIGHT = 0.01
 #: Variants of an effect that are looked at again once another effect was found.
 _MOST_VARIANTS = 4
 #: Why an effect that would gain beside those found was not added.
@@ -145,6 +147,8 @@ def what_it_became(alone: Exploration, trial: tuple[int, ...], step: Exploration
     numbers = [k for k in trial if step.candidates[k].effect == "scattering"]
     if not isinstance(scattering, Scattering) or mixed is None or mixed in trial or not numbers:
         return None
-    if scattering.ghost is not None or max(max(one.sigma) for one in scattering.kernels) > _LEAST_SPREAD:
+    least = _LEAST_WEIGHT * sum(one.weight for one in scattering.kernels)
+    widest = max((max(one.sigma) for one in scattering.kernels if one.weight >= least), default=np.inf)
+    if scattering.ghost is not None or widest > _LEAST_SPREAD:
         return None
     return tuple(mixed if k in numbers else k for k in trial)

@@ -80,6 +80,7 @@ def test_a_smooth_function_below_its_threshold_says_nothing() -> None:
         ((Kernel(0.002, (1.9, 1.3)),), None, (7,)),
         ((Kernel(0.002, (0.65, 2.3)),), None, None),
         ((Kernel(0.002, (0.65, 0.7)), Kernel(0.001, (24.0, 31.0))), None, None),
+        ((Kernel(0.002, (0.65, 0.7)), Kernel(1e-6, (24.0, 31.0))), None, (7,)),
         ((Kernel(0.002, (0.65, 0.7)),), Ghost(0.01, (20.0, -3.0)), None),
     ],
 )
