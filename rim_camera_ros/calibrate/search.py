@@ -28,7 +28,8 @@ from rim_camera_ros.calibrate.leaders import (
     what_it_became,
 )
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, Candidate, Facts, candidates
-from rim_camera_ros.calibrate.needs import Found, least_size, needed
+from rim_camera_ros.calibrate.needs import OF_POSES, Found, least_size, needed
+from rim_camera_ros.calibrate.pose_errors import poses_explained
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import effect_size
 from rim_camera_ros.calibrate.stations import Dataset
@@ -270,7 +271,8 @@ class Search:
                 self._replace_step(again.fit, self.step)
                 return
         least = least_size(final, trial.effects, self.found)
-        if gain <= need or effect_size(final.fit, trial.effects, self.camera) < least:
+        small = gain <= need or effect_size(final.fit, trial.effects, self.camera) < least
+        if small or not self._explains_poses(trial.effects, final):
             # what looked like it is something else: perhaps the next in line
             self.failed |= {self._effect(k): ONCE_FITTED for k in numbers}
             return
@@ -281,6 +283,11 @@ class Search:
         self.step.forget()
         self.explorations.append(final)
         self.problem = trial.problem
+
+    def _explains_poses(self, effects: Sequence[str], after: Exploration) -> bool:
+        if not self.found or OF_POSES.isdisjoint(effects):
+            return True
+        return poses_explained(self.step.fit, after.fit)
 
     def _best_trial(self, numbers: tuple[int, ...], leader: int) -> _Trial:
         """Fit candidates and their near rivals non-linearly; return the best by held-out likelihood.

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rim_camera_ros.calibrate import pose_errors
 from rim_camera_ros.calibrate.adjustment import Problem, _settled
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
@@ -256,3 +257,24 @@ def test_unmodulated_light_of_a_moving_camera_is_a_share_of_the_modulated(tmp_pa
     assert backwards.sample_interval == 1e-4  # type: ignore[attr-defined]
     assert more.positive == (labels[1],)
     assert plain.build(model, {plain.block.regressors[0].label: 0.002}).effects["motion"] == Motion(0.002)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "explained"),
+    [
+        ({"wall": 1.8}, {"wall": 1.0}, True),
+        ({"wall": 4.7, "plate": 3.7}, {"wall": 1.1, "plate": 1.5}, True),
+        ({"wall": 11.0}, {"wall": 5.0}, True),  # by more than half: something else bends the rest
+        ({"wall": 11.4}, {"wall": 6.2}, False),
+        ({"wall": 4.1, "plate": 13.1}, {"wall": 1.0, "plate": 13.5}, False),
+        ({}, {}, True),
+    ],
+)
+def test_a_drift_explains_the_errors_of_poses(
+    monkeypatch: pytest.MonkeyPatch, before: dict[str, float], after: dict[str, float], explained: bool
+) -> None:
+    monkeypatch.setattr(
+        pose_errors, "pose_error_ratios", lambda ratios: {name: (one, 9.0) for name, one in ratios.items()}
+    )
+    fits: Any = (before, after)
+    assert pose_errors.poses_explained(*fits) is explained
