@@ -342,7 +342,7 @@ def _multipath(camera: Camera, facts: Facts) -> list[Candidate]:
 def _motion(camera: Camera, facts: Facts) -> list[Candidate]:
     if not facts.moves:
         return []
-    path, prior = "sample_interval", {"sample_interval": 0.003}
+    prior = {"sample_interval": 0.003}
     plain = _linear(Motion(sample_interval=0.0), prior)
     # linear in the interval and in its product with the share of unmodulated light
     alone = effect_block(Motion(sample_interval=0.0), prior, label="@modulated")
@@ -353,7 +353,7 @@ def _motion(camera: Camera, facts: Facts) -> list[Candidate]:
         interval = max(values[alone.regressors[0].label] + product, _SHORTEST)
         return added(one, Motion(sample_interval=interval, unmodulated=product / interval))
 
-    positive = (f"effects.motion.{path}@unmodulated",)
+    positive = (both.regressors[0].label,)
     return [plain, Candidate("motion", "unmodulated", together(alone, both), build, positive)]
 
 

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import Fit, Problem
 from rim_camera_ros.calibrate.elsewhere import shows_elsewhere
@@ -17,6 +19,7 @@ from rim_camera_ros.calibrate.exploration import Exploration, explore, explored,
 from rim_camera_ros.calibrate.forms import form_blocks
 from rim_camera_ros.calibrate.leaders import (
     NOT_ELSEWHERE,
+    NOT_THE_POSES,
     ONCE_FITTED,
     Refused,
     leaders,
@@ -35,6 +38,8 @@ from rim_camera_ros.calibrate.sizes import effect_size
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
+
+Array = NDArray[Any]
 
 MOST_EFFECTS = 4
 #: Leaders that may prove wrong when they are fitted, until the search ends.
@@ -115,12 +120,17 @@ def search(
         seed=seed,
         say=say,
     )
-    state.add(0 if smooth_says_more(first) else most)
+    if smooth_says_more(first):
+        most = 0
+    state.add(most)
     if len(state.found) > 1:
         say("whether each is still needed")
         state.drop_needless()
     left_out = refused(state.step, state.found, state.failed)
-    beside_edges = state.look_beside_edges() if len(state.found) < most else None
+    # masks that somebody chose may leave out pixels beside edges for good
+    may_look = len(state.found) < most and problem.masks is None
+    beside_edges = state.look_beside_edges() if may_look else None
+    names = {one.effect for one in state.found}
     return Result(
         camera=state.step.fit.camera,
         found=state.found,
@@ -129,13 +139,17 @@ def search(
         start_log_likelihood=start,
         problem=state.problem,
         folds=folds,
-        refused=left_out,
+        refused=[one for one in left_out if one.effect not in names],
         beside_edges=beside_edges,
     )
 
 
 def _silent(text: str) -> None:
     return None
+
+
+def _more_pixels(masks: Sequence[tuple[Array, Array]], others: Sequence[tuple[Array, Array]]) -> bool:
+    return any(bool((one[0] & ~other[0]).any()) for one, other in zip(masks, others, strict=True))
 
 
 def _level(dataset: Dataset) -> float:
@@ -225,8 +239,11 @@ class Search:
         fitted = self.step.fit
         if not own or "mixed_pixels" in fitted.camera.effects:
             return None
+        masks = fitted.forward.pixels_near_edges()
+        if self.problem.masks is not None and not _more_pixels(masks, self.problem.masks):
+            return None
         self.say("pixels beside edges")
-        problem = replace(self.problem, masks=fitted.forward.pixels_near_edges())
+        problem = replace(self.problem, masks=masks)
         beside = self._fitted(problem, fitted.camera, self.step, own, replicates=200)
         number = beside.best()["mixed_pixels"]
         if beside.gains[number] <= needed(beside, number, self.found):
@@ -239,6 +256,7 @@ class Search:
         number = step.best()["mixed_pixels"]
         self._try((number,), number)
         if len(self.found) > count:
+            kept[-1].forget()
             return len(kept)
         self.explorations, self.problem = kept, away
         return None
@@ -271,10 +289,14 @@ class Search:
                 self._replace_step(again.fit, self.step)
                 return
         least = least_size(final, trial.effects, self.found)
-        small = gain <= need or effect_size(final.fit, trial.effects, self.camera) < least
-        if small or not self._explains_poses(trial.effects, final):
+        why = None
+        if gain <= need or effect_size(final.fit, trial.effects, self.camera) < least:
+            why = ONCE_FITTED
+        elif not self._explains_poses(trial.effects, final):
+            why = NOT_THE_POSES
+        if why is not None:
             # what looked like it is something else: perhaps the next in line
-            self.failed |= {self._effect(k): ONCE_FITTED for k in numbers}
+            self.failed |= {self._effect(k): why for k in numbers}
             return
         self.failed.clear()
         for name in trial.effects:

@@ -27,7 +27,6 @@ _KEPT_BYTES = 400_000_000
 #: Bytes that a pixel of a view takes, by the arrays of its geometry and of the errors of a pose.
 _PIXEL_BYTES = 140
 
-_MARGINS = (OUTLINE_MARGIN, TILE_MARGIN, NEAR_OUTLINE_MARGIN, NEAR_TILE_MARGIN)
 _OPTICAL = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -69,7 +68,7 @@ class Views:
         height, width = camera.shape
         self._most = max(4, _KEPT_BYTES // (height * width * _PIXEL_BYTES))
         self._kept: dict[Any, View] = {}
-        self._around = {m: _rays_around(camera.rays, m) for m in _MARGINS}
+        self._around: dict[float, list[Array]] = {}
 
     def fits(self, camera: Camera) -> bool:
         """Return whether these views hold for a camera: same rays."""
@@ -93,6 +92,11 @@ class Views:
         """Return the clean pixels (H, W) of a view, and those beside edges that errors hardly move."""
         return self._clean(view.geometry, view.poses, NEAR_OUTLINE_MARGIN, NEAR_TILE_MARGIN)
 
+    def _rays_around(self, margin: float) -> list[Array]:
+        if margin not in self._around:
+            self._around[margin] = _rays_around(self.camera.rays, margin)
+        return self._around[margin]
+
     def _clean(
         self, geometry: Geometry, poses: Mapping[str, Pose], outline: float, tile: float
     ) -> NDArray[np.bool_]:
@@ -101,7 +105,7 @@ class Views:
         there = [one for one in surfaces if one.name in poses]
         uncertain = len(there) > 1 or there[0].type != "plane"
         if uncertain:
-            for rays in self._around[outline]:
+            for rays in self._rays_around(outline):
                 clean &= see(self.scene, poses, rays).surface == geometry.surface
         textured = [i for i, one in enumerate(surfaces) if one.texture is not None and one in there]
         for i in textured:
@@ -110,7 +114,7 @@ class Views:
             pose = poses[surfaces[i].name]
             rotation = rotation_matrix(pose.orientation)
             mine = geometry.surface == i
-            for rays in self._around[tile]:
+            for rays in self._rays_around(tile):
                 length = surfaces[i].lengths(pose, np.zeros(3), rays[mine])
                 met = np.isfinite(length)
                 local = (

@@ -234,7 +234,7 @@ def nulls(result: Diagnosis) -> str:
     gained = 0.0
     steps = [result.baseline] if result.final is result.baseline else [result.baseline, result.final]
     for step in steps:
-        gained = 0.0 if step is result.baseline else sum(one.gain for one in result.found)
+        gained = 0.0 if step is result.baseline else max(0.0, result.gained)
         if not step.null_maxima.size or not step.named:
             continue
         leader, k = next(iter(step.best().items()))

@@ -66,6 +66,7 @@ class Diagnosis:
     reason: str | None = None
     unseen: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    gained: float = 0.0
     smooth_rest: tuple[str, float] | None = None
     looked_at: Camera | None = None
 

@@ -370,6 +370,7 @@ def _verdict(
         reason=reason,
         unseen=unseen,
         notes=notes,
+        gained=result.gained,
         smooth_rest=None if rest is None else (" and ".join(rest.covariates), rest.on_top),
     )
 

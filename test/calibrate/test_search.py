@@ -278,3 +278,12 @@ def test_a_drift_explains_the_errors_of_poses(
     )
     fits: Any = (before, after)
     assert pose_errors.poses_explained(*fits) is explained
+    # asked of drifts beside other effects alone
+    first, last = (SimpleNamespace(fit=one) for one in fits)
+    nothing: Any = None
+    state = Search(nothing, nothing, [first], {}, found=[Found("cyclic_error", 900.0)])  # type: ignore[list-item]
+    after_it: Any = last
+    assert state._explains_poses(["warm_up_drift"], after_it) is explained
+    assert state._explains_poses(["scattering"], after_it)
+    state.found.clear()
+    assert state._explains_poses(["warm_up_drift"], after_it)
