@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.library import added
+from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects

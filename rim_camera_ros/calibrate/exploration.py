@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import TOLERANCE, Fit, Problem, fit
 from rim_camera_ros.calibrate.blocks import Block
-from rim_camera_ros.calibrate.library import Candidate
+from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.nulls import null_scores
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera

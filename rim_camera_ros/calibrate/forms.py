@@ -17,7 +17,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.blocks import Block, Regressor
-from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, Candidate
+from rim_camera_ros.calibrate.candidate import Candidate
+from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.sizes import change_by
 from rim_camera_ros.effects.base import DistanceTerm

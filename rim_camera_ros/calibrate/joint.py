@@ -8,6 +8,7 @@ from typing import Any
 
 from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
 from rim_camera_ros.calibrate.blocks import UNFITTED, gain_block, light_block, optics_block, present_blocks
+from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.clusters import widening
 from rim_camera_ros.calibrate.determined import (
     EffectStatus,
@@ -18,7 +19,7 @@ from rim_camera_ros.calibrate.determined import (
 from rim_camera_ros.calibrate.empirical_fit import empirical_block, empirical_covariates, empirical_start
 from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, explore
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, Facts, candidates
+from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, candidates
 from rim_camera_ros.calibrate.light_curves import SURFACES
 from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT
 from rim_camera_ros.calibrate.search import search

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.library import Candidate
 from rim_camera_ros.calibrate.needs import Found, needed
 from rim_camera_ros.effects.scattering import Scattering
 

@@ -8,7 +8,7 @@ the non-linear fit goes on.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -27,9 +27,9 @@ from rim_camera_ros.calibrate.blocks import (
     present_priors,
     together,
 )
+from rim_camera_ros.calibrate.candidate import Candidate, Coefficients, Facts, added
 from rim_camera_ros.calibrate.light_curves import SURFACES
 from rim_camera_ros.calibrate.prediction import Prediction
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
@@ -53,63 +53,8 @@ from rim_camera_ros.phasor import to_phasor
 Array = NDArray[Any]
 
 
-Coefficients = Mapping[str, float]
-
-
 #: Least time between samples [s] at which the fit of a moving camera begins.
 _SHORTEST = 1e-4
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """One variant of an effect that a camera file lacks.
-
-    ``effect`` is its name in the vocabulary, ``variant`` tells variants apart; ``build`` makes the camera
-    with it from the coefficients by label. ``positive`` coefficients by
-    label: light that is added cannot be negative, which speaks for something else.
-    """
-
-    effect: str
-    variant: str
-    block: Block
-    build: Callable[[Camera, Coefficients], Camera]
-    positive: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Facts:
-    """What the recordings contain, as far as the library depends on it."""
-
-    integration_times: tuple[float, ...]
-    amplitude: float
-    uptime: tuple[float, float] | None
-    ambient: tuple[float, float] | None
-    duration: float
-    saturated: bool
-    moves: bool
-    surfaces: int
-
-    @classmethod
-    def of(cls, dataset: Dataset, *, moves: bool, surfaces: int, camera: Camera) -> Facts:
-        """Collect them from the stations."""
-        times = {camera.integration_time(one.settings) for one in dataset.stations}
-        uptimes = [one.settings.uptime for one in dataset.stations]
-        ambients = [one.settings.ambient_temperature for one in dataset.stations]
-        known_up = [u for u in uptimes if u is not None]
-        known_ambient = [a for a in ambients if a is not None]
-        bright = [
-            float(np.median(one.amplitude[one.count > 0])) for one in dataset.stations if one.count.any()
-        ]
-        return cls(
-            integration_times=tuple(sorted(times)),
-            amplitude=float(np.median(bright)) if bright else 1.0,
-            uptime=(min(known_up), max(known_up)) if len(known_up) == len(uptimes) and known_up else None,
-            ambient=(min(known_ambient), max(known_ambient)) if known_ambient else None,
-            duration=max((one.time for one in dataset.stations), default=0.0),
-            saturated=any(bool(one.saturated.any()) for one in dataset.stations),
-            moves=moves,
-            surfaces=surfaces,
-        )
 
 
 def candidates(camera: Camera, facts: Facts, *, effects: Sequence[str] | None = None) -> list[Candidate]:
@@ -143,13 +88,6 @@ def _linear(effect: Effect, priors: Mapping[str, float], variant: str = "") -> C
 def _large(camera: Camera) -> bool:
     """Say whether so many pixels make every variant expensive: then there are fewer."""
     return camera.sensor.width * camera.sensor.height > 60_000
-
-
-def added(camera: Camera, effect: Effect) -> Camera:
-    """Return the camera with one effect more, in the order along the light."""
-    from rim_camera_ros.camera_file import with_effects
-
-    return with_effects(camera, {**camera.effects, effect.name: effect})
 
 
 def _cyclic(camera: Camera, facts: Facts) -> list[Candidate]:

@@ -179,3 +179,8 @@ class _Zones:
         median = float(np.median(values))
         sigma = 1.4826 * 1.2533 * float(np.median(np.abs(np.array(values) - median))) / np.sqrt(len(values))
         return median if abs(median) > max(STEP, 3.0 * sigma) else 0.0
+
+
+def more_pixels(masks: Sequence[tuple[Array, Array]], others: Sequence[tuple[Array, Array]]) -> bool:
+    """Return whether masks (H, W) of the same stations take in distances that others leave out."""
+    return any(bool((one[0] & ~other[0]).any()) for one, other in zip(masks, others, strict=True))

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.blocks import Regressor, gain_block, present_blocks
+from rim_camera_ros.calibrate.candidate import Candidate, Facts
 from rim_camera_ros.calibrate.coarser import BY_POSITION, coarser_camera
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.library import Candidate, Facts, candidates
+from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.normal_equations import accumulate
 from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.camera import Camera

@@ -16,6 +16,7 @@ from rim_camera_ros.bags import Topics
 from rim_camera_ros.calibrate import checks
 from rim_camera_ros.calibrate.adjustment import Problem
 from rim_camera_ros.calibrate.beyond_hyperbola import beyond_hyperbola
+from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.coarser import coarseness_of, coarser_camera
 from rim_camera_ros.calibrate.determined import EffectStatus
 from rim_camera_ros.calibrate.forward import Forward
@@ -23,7 +24,6 @@ from rim_camera_ros.calibrate.held_out import Accuracy, evaluate
 from rim_camera_ros.calibrate.integral import IntegralFit
 from rim_camera_ros.calibrate.joint import Outcome, by_search, exactly
 from rim_camera_ros.calibrate.large_sensor import LargeSensor
-from rim_camera_ros.calibrate.library import Facts
 from rim_camera_ros.calibrate.noise_fit import POOR, NoiseFit, fit_noise
 from rim_camera_ros.calibrate.pixels import beside_in_view, usable_pixels
 from rim_camera_ros.calibrate.provenance import Source, checksum, provenance

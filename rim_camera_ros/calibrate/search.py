@@ -8,12 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import Fit, Problem
+from rim_camera_ros.calibrate.candidate import Candidate, Facts
 from rim_camera_ros.calibrate.elsewhere import shows_elsewhere
 from rim_camera_ros.calibrate.exploration import Exploration, explore, explored, further_equations
 from rim_camera_ros.calibrate.forms import form_blocks
@@ -30,16 +27,15 @@ from rim_camera_ros.calibrate.leaders import (
     smooth_says_more,
     what_it_became,
 )
-from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, Candidate, Facts, candidates
+from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, candidates
 from rim_camera_ros.calibrate.needs import OF_POSES, Found, least_size, needed
+from rim_camera_ros.calibrate.pixels import more_pixels
 from rim_camera_ros.calibrate.pose_errors import poses_explained
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import effect_size
-from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.calibrate.stations import level_of
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
-
-Array = NDArray[Any]
 
 MOST_EFFECTS = 4
 #: Leaders that may prove wrong when they are fitted, until the search ends.
@@ -105,7 +101,7 @@ def search(
     say = progress if progress is not None else _silent
     folds = folds_of(problem.dataset)
     if "amplitude_nonlinearity" in camera.effects and problem.gain:
-        problem = replace(problem, response=_level(problem.dataset))
+        problem = replace(problem, response=level_of(problem.dataset))
     pool = candidates(camera, facts, effects=effects)
     say(f"baseline and {len(pool)} candidates")
     first = explore(problem, camera, pool, folds, further=further, seed=seed)
@@ -146,16 +142,6 @@ def search(
 
 def _silent(text: str) -> None:
     return None
-
-
-def _more_pixels(masks: Sequence[tuple[Array, Array]], others: Sequence[tuple[Array, Array]]) -> bool:
-    return any(bool((one[0] & ~other[0]).any()) for one, other in zip(masks, others, strict=True))
-
-
-def _level(dataset: Dataset) -> float:
-    """Return the amplitude [counts] in the middle of a recording's."""
-    values = np.concatenate([one.amplitude[one.count > 0][::17] for one in dataset.stations])
-    return max(float(np.median(values)), 1.0) if values.size else 1000.0
 
 
 @dataclass(frozen=True)
@@ -240,7 +226,7 @@ class Search:
         if not own or "mixed_pixels" in fitted.camera.effects:
             return None
         masks = fitted.forward.pixels_near_edges()
-        if self.problem.masks is not None and not _more_pixels(masks, self.problem.masks):
+        if self.problem.masks is not None and not more_pixels(masks, self.problem.masks):
             return None
         self.say("pixels beside edges")
         problem = replace(self.problem, masks=masks)
@@ -344,7 +330,7 @@ class Search:
         fitted = self._fitted(problem, start, step)
         if "amplitude_nonlinearity" in names:
             # its one parameter first: together with a free response it would not find the way
-            problem = replace(problem, response=_level(problem.dataset))
+            problem = replace(problem, response=level_of(problem.dataset))
             views, camera = step.fit.forward.views, fitted.fit.camera
             fitted = explore(problem, camera, [], self.folds, views=views, warm=fitted.fit, replicates=0)
         likelihood = fitted.scores.log_likelihood()

@@ -375,3 +375,9 @@ def merged(parts: Iterable[Dataset]) -> Dataset:
         if part.codes is not None:
             result.codes = part.codes if result.codes is None else result.codes + part.codes
     return result
+
+
+def level_of(dataset: Dataset) -> float:
+    """Return the amplitude [counts] in the middle of a recording's."""
+    values = np.concatenate([one.amplitude[one.count > 0][::17] for one in dataset.stations])
+    return max(float(np.median(values)), 1.0) if values.size else 1000.0

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import Fit, Problem
+from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.calibrate.exploration import Exploration, explore
-from rim_camera_ros.calibrate.library import added
 from rim_camera_ros.calibrate.search import Result
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.result import Missing

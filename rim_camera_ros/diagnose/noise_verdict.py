@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.library import added
 from rim_camera_ros.calibrate.search import Result
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.adjusted import Adjusted

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from rim_camera_ros.calibrate.adjustment import Fit, Problem
+from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.checks import WITHOUT_POSES
 from rim_camera_ros.calibrate.coarser import (
     coarseness,
@@ -20,7 +21,7 @@ from rim_camera_ros.calibrate.coarser import (
 )
 from rim_camera_ros.calibrate.exploration import Exploration, explore
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.library import OF_SURFACES, Facts
+from rim_camera_ros.calibrate.library import OF_SURFACES
 from rim_camera_ros.calibrate.needs import left_by_forms
 from rim_camera_ros.calibrate.plan import shipped_experiments
 from rim_camera_ros.calibrate.search import MOST_EFFECTS, Result, search

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.blocks import TERM_SIZE, Block, Regressor
+from rim_camera_ros.calibrate.candidate import Candidate, Coefficients, added
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.library import Candidate, Coefficients, added
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.covariates import SCALAR, covariate

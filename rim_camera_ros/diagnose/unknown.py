@@ -239,6 +239,6 @@ def closed_form(name: str, x: Array, y: Array, sigma: Array) -> str:
 
 def with_table(camera: Camera, table: Empirical) -> Camera:
     """Return the camera with an `empirical` effect; one that it has already is kept and this one left out."""
-    from rim_camera_ros.calibrate.library import added
+    from rim_camera_ros.calibrate.candidate import added
 
     return camera if table.name in camera.effects else added(camera, table)

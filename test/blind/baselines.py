@@ -16,8 +16,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from rim_camera_ros.calibrate.blocks import present_blocks
+from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.library import Facts, candidates
+from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.stations import reduce_recording
 from rim_camera_ros.camera_file import load_camera

@@ -10,9 +10,9 @@ import pytest
 from scipy.stats import binomtest
 
 from rim_camera_ros.calibrate.adjustment import Problem
+from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.joint import exactly
-from rim_camera_ros.calibrate.library import Facts
 from rim_camera_ros.calibrate.noise_fit import fit_noise
 from rim_camera_ros.calibrate.pixels import usable_pixels
 from rim_camera_ros.camera import Camera

@@ -12,6 +12,7 @@ import pytest
 
 from rim_camera_ros.calibrate import pose_errors
 from rim_camera_ros.calibrate.adjustment import Problem, _settled
+from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.leaders import (
@@ -22,7 +23,7 @@ from rim_camera_ros.calibrate.leaders import (
     smooth_says_more,
     what_it_became,
 )
-from rim_camera_ros.calibrate.library import Facts, candidates
+from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.needs import Found
 from rim_camera_ros.calibrate.search import Search, search
 from rim_camera_ros.calibrate.selection import folds_of
