@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import ClassVar
 
 import numpy as np
@@ -32,6 +32,9 @@ TOLERANCE = "multipath.tolerance"
 _EXACT = 1e-9
 #: Receivers at a time, which bounds the memory.
 _CHUNK = 2048
+#: Differences of normals up to which a surface is a plane, and heights [m] above it that count as none.
+_FLAT = 1e-9
+_SAME_PLANE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -90,36 +93,71 @@ class Multipath(Effect):
 def _bounce(signal: Signal, geometry: Geometry, context: Context) -> Image:
     senders = _senders(signal, geometry, context.camera)
     hit = geometry.hit.ravel()
+    surface = geometry.surface.ravel()[hit]
     points = geometry.points.reshape(-1, 3)[hit]
     normals = geometry.normals.reshape(-1, 3)[hit]
-    reflectivity = geometry.reflectivity.ravel()[hit]
-    length = geometry.distance.ravel()[hit]
     wave = 2 * np.pi / context.ambiguity
-    # the path's phase is the sender's, the receiver's and that of the way between, in float32 for speed:
-    # its errors are 1e-6 of a weak light
-    sent = senders.amplitude * np.exp(0.5j * wave * senders.outward)
-    area = senders.area.astype(np.float32)
-    sender_plane = np.einsum("jk,jk->j", senders.normals, senders.points)
-    received = np.empty(len(points), complex)
-    for start in range(0, len(points), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        own_plane = np.einsum("ik,ik->i", normals[part], points[part])
-        # both cosines times r: sender's normal . r, receiver's normal . -r
-        factor = (points[part] @ senders.normals.T - sender_plane).astype(np.float32)
-        np.maximum(factor, 0, out=factor)
-        arriving = (normals[part] @ senders.points.T - own_plane[:, None]).astype(np.float32)
-        factor *= np.maximum(arriving, 0, out=arriving)
-        square = _square_distances(points[part], senders.points)
-        factor /= square
-        factor *= area
-        factor /= np.float32(np.pi) * square + area
+    arrived = np.zeros(len(points), complex)
+    for own in np.unique(surface):
+        receivers = np.flatnonzero(surface == own)
+        for other in np.unique(senders.surface):
+            chosen = np.flatnonzero(senders.surface == other)
+            part, light = _between(points[receivers], normals[receivers], senders.only(chosen), wave=wave)
+            arrived[receivers[part]] += light
+    # the path's phase is the sender's, the receiver's and that of the way between
+    length = geometry.distance.ravel()[hit]
+    result = np.zeros(hit.shape, complex)
+    result[hit] = geometry.reflectivity.ravel()[hit] * arrived * np.exp(0.5j * wave * length)
+    return result.reshape(geometry.distance.shape)
+
+
+def _between(points: Image, normals: Image, senders: _Senders, *, wave: float) -> tuple[Image, Image]:
+    """Return which receivers of one surface are lit by senders of one surface, and the light there.
+
+    Each is lit by those before its surface, and sends to those before its own: for planes that is told
+    without looking at pairs.
+    """
+    rows, columns = np.arange(len(points)), np.arange(len(senders.area))
+    flat_here, flat_there = _is_flat(normals), _is_flat(senders.normals)
+    # r times the cosine at the sender, and at the receiver, of a pair
+    if flat_there:
+        leaving = (points - senders.points[0]) @ senders.normals[0]
+        rows = np.flatnonzero(leaving > _SAME_PLANE)
+    if flat_here:
+        arriving = (senders.points - points[0]) @ normals[0]
+        columns = np.flatnonzero(arriving > _SAME_PLANE)
+    light = np.zeros(len(rows), complex)
+    if not rows.size or not columns.size:
+        return rows, light
+    there = senders.only(columns)
+    sent = there.amplitude * np.exp(0.5j * wave * there.outward)
+    if flat_here:
+        sent = sent * arriving[columns]
+    # in float32 for speed: its errors are 1e-6 of a weak light
+    parts = np.stack([sent.real, sent.imag], axis=1).astype(np.float32)
+    area = there.area.astype(np.float32)
+    for start in range(0, len(rows), _CHUNK):
+        chunk = rows[start : start + _CHUNK]
+        square = _square_distances(points[chunk], there.points)
+        factor = area / (square * (np.float32(np.pi) * square + area))
+        if not flat_there:
+            plane = np.einsum("jk,jk->j", there.normals, there.points)
+            factor *= np.maximum(points[chunk] @ there.normals.T - plane, 0).astype(np.float32)
+        if not flat_here:
+            plane = np.einsum("ik,ik->i", normals[chunk], points[chunk])
+            factor *= np.maximum(normals[chunk] @ there.points.T - plane[:, None], 0).astype(np.float32)
         phase = np.sqrt(square, out=square)
         phase *= np.float32(0.5 * wave)
-        arrived = (factor * np.cos(phase)) @ sent + 1j * ((factor * np.sin(phase)) @ sent)
-        received[part] = reflectivity[part] * arrived * np.exp(0.5j * wave * length[part])
-    result = np.zeros(hit.shape, complex)
-    result[hit] = received
-    return result.reshape(geometry.distance.shape)
+        cosine = (factor * np.cos(phase)) @ parts
+        sine = np.multiply(factor, np.sin(phase), out=factor) @ parts
+        light[start : start + _CHUNK] = cosine[:, 0] - sine[:, 1] + 1j * (cosine[:, 1] + sine[:, 0])
+    if flat_there:
+        light *= leaving[rows]
+    return rows, light
+
+
+def _is_flat(normals: Image) -> bool:
+    return bool(np.ptp(normals, axis=0).max() <= _FLAT)
 
 
 @dataclass(frozen=True)
@@ -158,6 +196,11 @@ class _Senders:
     amplitude: Image
     area: Image
     outward: Image
+    surface: Image
+
+    def only(self, chosen: Image) -> _Senders:
+        """Return some of the senders."""
+        return _Senders(*(getattr(self, one.name)[chosen] for one in fields(self)))
 
 
 def _senders(signal: Signal, geometry: Geometry, camera: Camera) -> _Senders:
@@ -166,7 +209,7 @@ def _senders(signal: Signal, geometry: Geometry, camera: Camera) -> _Senders:
     block = np.arange(height)[:, None] // BLOCK * (width // BLOCK + 1) + np.arange(width)[None] // BLOCK
     label = block * (int(geometry.surface.max()) + 2) + geometry.surface
     hit = geometry.hit
-    _, index, count = np.unique(label[hit], return_inverse=True, return_counts=True)
+    _, first, index, count = np.unique(label[hit], return_index=True, return_inverse=True, return_counts=True)
 
     def mean(values: Image) -> Image:
         return np.bincount(index, values, len(count)) / count
@@ -185,4 +228,5 @@ def _senders(signal: Signal, geometry: Geometry, camera: Camera) -> _Senders:
         area=np.bincount(index, area, len(count)),
         # from the emitter to the patch: twice the delivered distance less the way back
         outward=mean((2 * signal.distance - geometry.distance)[hit]),
+        surface=geometry.surface[hit][first],
     )

@@ -99,6 +99,11 @@ def corner() -> Scene:
     )
 
 
+def scene_for(kind: type[Effect]) -> Scene:
+    """A scene in which an effect shows: only walls that face each other light each other."""
+    return corner() if kind.name == "multipath" else room()
+
+
 def frame_of(scene: Scene, cam: Camera, **settings: Any) -> tuple[Simulation, Exposure, RawFrame]:
     simulation = Simulation(cam, scene, seed=5, noise=False, quantised=False)
     exposure = Exposure(stamp=10**18, settings=replace(SETTINGS, **settings), poses=scene.fixed_poses())
@@ -140,7 +145,7 @@ class TestEffect:
 
     def test_does_something(self, kind: type[Effect]) -> None:
         cam = camera()
-        scene = corner() if kind.name == "multipath" else room()
+        scene = scene_for(kind)
         scene = replace(scene, camera_motion=CameraMotion((0.3, 0.0, 0.4), (0.0, 0.1, 0.0)))
         signal, context = lit(cam, scene)
         after = kind.example(cam).simulate(signal, context)
@@ -154,7 +159,7 @@ class TestEffect:
         """By itself, on the signal: to 1e-5 m where it declares to be exact."""
         cam = camera()
         effect = kind.example(cam)
-        signal, context = lit(cam, room())
+        signal, context = lit(cam, scene_for(kind))
         after = effect.simulate(signal, context)
         back = effect.correct(
             Signal(after.measured % context.ambiguity, after.amplitude, published=after.published), context
@@ -192,7 +197,7 @@ class TestEffect:
     def test_columns_are_finite_differences(self, kind: type[Effect]) -> None:
         cam = camera()
         effect = kind.example(cam)
-        scene = replace(room(), camera_motion=CameraMotion((0.3, 0.0, 0.4), (0.0, 0.1, 0.0)))
+        scene = replace(scene_for(kind), camera_motion=CameraMotion((0.3, 0.0, 0.4), (0.0, 0.1, 0.0)))
         signal, context = lit(cam, scene)
         if kind.name in WITHOUT_COLUMNS:
             assert effect.columns(signal, context) == {}
@@ -242,7 +247,7 @@ class TestEffect:
         cam = camera()
         true = kind.example(cam)
         rng = np.random.default_rng(3)
-        signal, context = lit(cam, room())
+        signal, context = lit(cam, scene_for(kind))
         start = with_values(true, {path: value * 1.0005 for path, value in flatten(true).items()})
         sigma_d, sigma_a = 1e-5, 1e-5 * signal.amplitude
         data = self._after(true, signal, context)
