@@ -304,14 +304,19 @@ def fit(
 
 
 def _settled(warm: Camera, camera: Camera) -> int:
-    """Return until which iteration it is estimated anew how well amplitudes are predicted.
+    """Return until which iteration it is estimated anew how well amplitudes are predicted."""
+    if keeps_amplitude_error(warm, camera):
+        return -1
+    return _SETTLED_NEW if warm.effects.keys() ^ camera.effects.keys() else _SETTLED_WARM
 
-    Not at all where only distances are bent otherwise: then likelihoods are those of the same noise.
+
+def keeps_amplitude_error(warm: Camera, camera: Camera) -> bool:
+    """Return whether a fit keeps how well another predicts amplitudes: where new effects bend distances.
+
+    Then likelihoods are those of the same noise.
     """
     new = [camera.effects[name] for name in camera.effects.keys() - warm.effects.keys()]
-    if new and all(isinstance(one, DistanceTerm) for one in new):
-        return -1
-    return _SETTLED_NEW if new or warm.effects.keys() - camera.effects.keys() else _SETTLED_WARM
+    return bool(new) and all(isinstance(one, DistanceTerm) for one in new)
 
 
 def freed(problem: Problem, fitted: Fit) -> Problem:

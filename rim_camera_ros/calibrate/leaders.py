@@ -10,7 +10,9 @@ import numpy as np
 
 from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.needs import Found, needed
+from rim_camera_ros.calibrate.needs import Found, least_size, needed
+from rim_camera_ros.calibrate.sizes import effect_size
+from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.scattering import Scattering
 
 #: A smooth function of one covariate that gains this many times what any two effects do is another physics'
@@ -138,12 +140,20 @@ def rivals(step: Exploration, name: str, need: float) -> tuple[list[tuple[str, f
     return gains, ties
 
 
-def what_it_became(alone: Exploration, trial: tuple[int, ...], step: Exploration) -> tuple[int, ...] | None:
-    """Return the trial with two surfaces in a pixel for stray light that was fitted within its own pixel.
+def what_it_became(
+    fitted: Exploration, trial: tuple[int, ...], step: Exploration, found: Sequence[Found], start: Camera
+) -> tuple[int, ...] | None:
+    """Return what a trial became once it was fitted; None where each effect is what it was.
 
-    None where each effect is what it was.
+    A pair becomes one effect where the other moves next to nothing; stray light that was fitted within its
+    own pixel becomes two surfaces in a pixel. ``start`` is the camera before anything was found.
     """
-    scattering = alone.fit.camera.effects.get("scattering")
+    if len(trial) == 2:
+        for k, other in (trial, trial[::-1]):
+            names = [step.candidates[k].effect]
+            if effect_size(fitted.fit, names, start) < least_size(fitted, names, found):
+                return (other,)
+    scattering = fitted.fit.camera.effects.get("scattering")
     mixed = step.best().get("mixed_pixels")
     numbers = [k for k in trial if step.candidates[k].effect == "scattering"]
     if not isinstance(scattering, Scattering) or mixed is None or mixed in trial or not numbers:

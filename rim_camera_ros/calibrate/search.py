@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from rim_camera_ros.calibrate.adjustment import Fit, Problem
+from rim_camera_ros.calibrate.adjustment import Fit, Problem, keeps_amplitude_error
 from rim_camera_ros.calibrate.candidate import Candidate, Facts
 from rim_camera_ros.calibrate.elsewhere import shows_elsewhere
 from rim_camera_ros.calibrate.exploration import Exploration, explore, explored, further_equations
@@ -260,12 +260,10 @@ class Search:
     def _try(self, numbers: tuple[int, ...], leader: int) -> None:
         """Fit candidates and what rivals them; the best joins, where it gains and moves enough."""
         trial = self._best_trial(numbers, leader)
-        final = self._explored(
-            trial.fitted.fit, [*(one.effect for one in self.found), *trial.effects], self.step, trial.problem
-        )
+        fitted = trial.fitted
         need = self._needed(self.step.best_of(trial.effects))
-        gain = final.scores.log_likelihood() - self.step.scores.log_likelihood()
-        again = self._without(trial.effects, final, gain)
+        gain = fitted.scores.log_likelihood() - self.step.scores.log_likelihood()
+        again = self._without(trial.effects, fitted, gain)
         if again is not None:
             more = again.scores.log_likelihood() - self.step.scores.log_likelihood()
             gain -= max(more, 0.0)
@@ -274,11 +272,11 @@ class Search:
                 self.settled.add(len(self.found))
                 self._replace_step(again.fit, self.step)
                 return
-        least = least_size(final, trial.effects, self.found)
+        least = least_size(fitted, trial.effects, self.found)
         why = None
-        if gain <= need or effect_size(final.fit, trial.effects, self.camera) < least:
+        if gain <= need or effect_size(fitted.fit, trial.effects, self.camera) < least:
             why = ONCE_FITTED
-        elif not self._explains_poses(trial.effects, final):
+        elif not self._explains_poses(trial.effects, fitted):
             why = NOT_THE_POSES
         if why is not None:
             # what looked like it is something else: perhaps the next in line
@@ -288,9 +286,13 @@ class Search:
         for name in trial.effects:
             gains, ties = rivals(self.step, name, need)
             self.found.append(Found(name, gain, gains, ties, step=len(self.explorations) - 1))
+        self.problem = trial.problem
+        if keeps_amplitude_error(self.step.fit.camera, fitted.fit.camera):
+            # or the next effect that has it estimated anew would gain what this one did
+            fitted = self._fitted(self.problem, fitted.fit.camera, fitted)
+        final = self._explored(fitted.fit, [one.effect for one in self.found], self.step, self.problem)
         self.step.forget()
         self.explorations.append(final)
-        self.problem = trial.problem
 
     def _explains_poses(self, effects: Sequence[str], after: Exploration) -> bool:
         if not self.found or OF_POSES.isdisjoint(effects):
@@ -308,7 +310,7 @@ class Search:
         best: _Trial | None = None
         for choice in choices:
             trial = self._trial(choice)
-            other = what_it_became(trial.fitted, choice, self.step)
+            other = what_it_became(trial.fitted, choice, self.step, self.found, self.camera)
             if other is not None:
                 if other not in choices:
                     choices.append(other)
