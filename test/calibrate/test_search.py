@@ -30,6 +30,7 @@ from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import contribution, effect_size
 from rim_camera_ros.calibrate.stations import Dataset, reduce_frames
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
@@ -243,6 +244,35 @@ def test_an_effect_that_later_ones_make_needless_is_dropped(tmp_path: Path, scal
     assert [one.effect for one in found] == names
     assert set(state.step.fit.camera.effects) == set(names)
     assert len(state.explorations) == 3
+
+
+def test_a_member_of_a_pair_that_moves_nothing_does_not_join(tmp_path: Path) -> None:
+    """On one grey surface two surfaces in a pixel are none, whatever the pair gains."""
+    truth, board = camera(tmp_path, CYCLIC), scene(tmp_path)
+    board = Scene((replace(board.surfaces[0], texture=None, reflectivity=0.6),))
+    data = record(truth, board, poses=12, seed=3)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=truth)
+    problem, folds = Problem(data, board), folds_of(data)
+    pool = candidates(camera(tmp_path), facts, effects=["cyclic_error", "mixed_pixels"])
+    first = explore(problem, camera(tmp_path), pool, folds, replicates=0)
+    state = Search(problem, camera(tmp_path), [first], folds)
+    best = first.best()
+    trial = state._best_trial((best["cyclic_error"], best["mixed_pixels"]), best["mixed_pixels"])
+    assert trial.effects == ["cyclic_error"]
+
+
+def test_once_a_distance_term_joined_amplitudes_count_for_the_next_step(tmp_path: Path) -> None:
+    """Poses that turned to follow it had spoilt what is predicted of amplitudes; they are exact here."""
+    truth, board = (
+        camera(tmp_path, AmplitudeOffset({t: Hyperbola(40.0, 2.0) for t in (16.0, 60.0, 100.0)})),
+        scene(tmp_path),
+    )
+    data = record(truth, board, seed=7)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=truth)
+    result = search(Problem(data, board), camera(tmp_path), facts, effects=["amplitude_offset"])
+    assert [one.effect for one in result.found] == ["amplitude_offset"]
+    before, after = (one.fit.forward.amplitude_model.tau for one in result.explorations)
+    assert after < 0.5 * before
 
 
 def test_unmodulated_light_of_a_moving_camera_is_a_share_of_the_modulated(tmp_path: Path) -> None:
