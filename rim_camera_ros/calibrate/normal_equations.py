@@ -286,19 +286,23 @@ class _FoldSums:
         of_distance = [distance for distance, _ in columns]
         of_distance += [distance for *_, distance, _ in nuisances]
         design = _rows([*of_distance, prediction.residual], pixels)
-        weighted = design * weight
-        gram = weighted @ design.T
+        # a product with its own transpose takes half the time
+        root = np.sqrt(weight)
+        design *= root
+        gram = design @ design.T
         if lit.size:
             of_light = [(i, amplitude) for i, (_, amplitude) in enumerate(columns) if amplitude is not None]
             of_light += [(len(columns) + i, one[-1]) for i, one in enumerate(nuisances)]
             of_light.append((len(design) - 1, prediction.amplitude_residual))
             index = np.array([i for i, _ in of_light])
             light = _rows([amplitude for _, amplitude in of_light], lit)
-            gram[np.ix_(index, index)] += (light * weight_a) @ light.T
+            light *= np.sqrt(weight_a)
+            gram[np.ix_(index, index)] += light @ light.T
         self._rows += len(weight) + len(weight_a)
         self._log_sigma -= 0.5 * float(np.log(weight).sum() + np.log(weight_a).sum())
         self._sum(gram, nuisances)
         if pattern:
+            weighted = np.multiply(design, root, out=design)
             for sums, row in zip(self._pixel, weighted[: self._count], strict=True):
                 sums[pixels] += row.astype(self._type, copy=False)
             self._pixel_y[pixels] += weighted[-1].astype(self._type, copy=False)
