@@ -29,6 +29,7 @@ from rim_camera_ros.calibrate.steps import (
     Solved,
     bounds_of,
     in_units,
+    longest_steps,
     moved_light,
     moved_scene,
     of_shape,
@@ -54,8 +55,10 @@ _SETTLED_NEW = 7
 #: Iterations in which the shapes (widths, lags) of effects that are new to a fit are held, and how firmly.
 _SHAPES_HELD = 2
 _HOLD = 1e9
-#: Times that a step of such a fit is halved where it makes things worse.
-_MOST_HALVED = 4
+#: Damping of a step that makes things worse, as shares of the diagonal, one after the other; in the end no
+#: step. A step after one that was damped is damped so many times less.
+_DAMPING = (1e-3, 0.03, 1.0, np.inf)
+_LESS_DAMPED = 30.0
 #: Step of a parameter in units of its sigma, and change of chi-square between two iterations (for that
 #: tolerance), below which the adjustment has converged.
 TOLERANCE = 0.05
@@ -180,7 +183,7 @@ def fit(
     trying = warm is not None
     converged = stuck = False
     solved: Solved | None = None
-    objective, halved = np.inf, 0
+    objective, tried, damping = np.inf, 0, 0.0
     for count in range(iterations + 2):
         forward = _forward(problem, scene, camera, None if moved else views, offsets)
         views = forward.views
@@ -233,21 +236,23 @@ def fit(
         sigma = np.sqrt(np.diag(covariance))
         here = float(reduced.square) + float(np.sum((away / prior) ** 2))
         reached = here + 2 * reduced.log_norm
-        worse = trying and reached > objective + _LEVEL and halved < _MOST_HALVED and count <= iterations
+        worse = trying and reached > objective + _LEVEL and tried < len(_DAMPING) and count <= iterations
         if worse and solved is not None:
-            # the step went too far: half of it, or none where no more may be tried
-            halved = _MOST_HALVED if final else halved + 1
-            share = 0.0 if halved == _MOST_HALVED else 0.5**halved
-            shorter = {path: share * change for path, change in solved.changes.items()}
-            camera, offsets = stepped(start, solved.offsets, shorter, lows, highs, numbers)
+            # the step went too far: a shorter one from where it began, or none where no more may be tried
+            tried = len(_DAMPING) if final else tried + 1
+            damping = max(_DAMPING[tried - 1], damping * _LESS_DAMPED)
+            solved = replace(solved, damping=damping)
+            camera, offsets = stepped(start, solved.offsets, solved.changes, lows, highs, numbers)
             within_bounds(offsets, camera, numbers)
             scene, moved = moved_scene(problem.scene, offsets)
             tau = solved.tau
-            nuisances, gains, found = solved.errors(share, pattern)
+            nuisances, gains, found = solved.errors(pattern)
             pattern = found if problem.pattern else pattern
-            converged |= share == 0.0
+            converged |= bool(np.isinf(damping))
             continue
-        objective, halved = reached, 0
+        if tried == 0:
+            damping = damping / _LESS_DAMPED if damping > _DAMPING[0] else 0.0
+        objective, tried = reached, 0
         best = Fit(
             start=start,
             camera=camera,
@@ -274,25 +279,29 @@ def fit(
             progress(f"iteration {count + 1}: chi-square per value {here / max(reduced.rows, 1):.4f}")
         if not np.all(np.isfinite(step)):
             raise RimError("the adjustment found no finite solution", remedy="check scene and camera file")
-        changes = dict(zip((one.label for one in regressors), step.tolist(), strict=True))
-        solved = Solved(reduced, step, tau, dict(gains), dict(offsets), changes)
-        nuisances, gains, found = solved.errors(1.0, pattern)
+        labels = [one.label for one in regressors]
+        most = longest_steps(labels, offsets, numbers)
+        before = dict(offsets)
+        solved = Solved(reduced, labels, matrix, right, most, tau, dict(gains), before, damping)
+        nuisances, gains, found = solved.errors(pattern)
         pattern = found if problem.pattern else pattern
         converged = bool(np.all(np.abs(step) <= tolerance * sigma)) if owned else True
         converged &= not held or count >= _SHAPES_HELD
         # parameters that the data hardly tell apart wander along a valley whose floor is level
         converged |= (
-            count >= min(settled, _SETTLED) and abs(previous - here) < _LEVEL * (tolerance / TOLERANCE) ** 2
+            damping == 0
+            and count >= min(settled, _SETTLED)
+            and abs(previous - here) < _LEVEL * (tolerance / TOLERANCE) ** 2
         )
         previous = here
         try:
-            camera, offsets = stepped(start, offsets, changes, lows, highs, numbers)
+            camera, offsets = stepped(start, offsets, solved.changes, lows, highs, numbers)
         except (InputError, ValueError):
             stuck = converged = True
             continue
         within_bounds(offsets, camera, numbers)
         scene, moved = moved_scene(problem.scene, offsets)
-        last_step = changes
+        last_step = solved.changes
     assert best is not None
     best.converged = converged and not stuck
     if stuck:

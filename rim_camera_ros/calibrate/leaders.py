@@ -10,7 +10,8 @@ import numpy as np
 
 from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.needs import Found, least_size, needed
+from rim_camera_ros.calibrate.needs import MOVES_POSES, Found, least_size, needed
+from rim_camera_ros.calibrate.pose_errors import WIDER, poses_unexplained
 from rim_camera_ros.calibrate.sizes import effect_size
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.scattering import Scattering
@@ -70,6 +71,12 @@ def leaders(
         return pair[1], leader
     if gain > need:
         return (leader,), leader
+    if found and poses_unexplained(step.fit, WIDER):
+        # beside terms that moved with a large effect linear gains of what moves whole poses are too small,
+        # and poses tell it from a rest
+        for k, gain in named:
+            if step.candidates[k].effect in MOVES_POSES and gain > float(step.thresholds[k]):
+                return (k,), k
     return None if pair is None or pair[0] <= 1.5 * both else (pair[1], leader)
 
 

@@ -16,6 +16,8 @@ _ROUNDS = 5
 #: Errors found over those stated up to which poses are explained, or as a share of what it was before.
 _EXPLAINED = 2.5
 _SHARE_LEFT = 0.5
+#: ... and up to which they are just those stated.
+_AS_STATED = 1.25
 _TILTS = ("tilt_x", "tilt_y")
 
 
@@ -50,10 +52,21 @@ def poses_explained(before: Fit, after: Fit) -> bool:
     A drift moves whole poses, and so does what the form of a large effect leaves; but once a true drift is
     known, errors along the normals are about as large as stated.
     """
-    was, left = (
-        max((offset for offset, _ in pose_error_ratios(one).values()), default=0.0) for one in (before, after)
-    )
-    return left <= _EXPLAINED or left <= _SHARE_LEFT * was
+    return not poses_unexplained(after) or _worst_offset(after) <= _SHARE_LEFT * _worst_offset(before)
+
+
+def poses_unexplained(fitted: Fit, limit: float = _EXPLAINED) -> bool:
+    """Return whether errors along the normals are larger than stated, by a factor ``limit``."""
+    return _worst_offset(fitted) > limit
+
+
+def settles_poses(before: Fit, after: Fit) -> bool:
+    """Return whether an effect that joined makes errors of poses that were larger just those stated."""
+    return poses_unexplained(before, WIDER) and not poses_unexplained(after, _AS_STATED)
+
+
+def _worst_offset(fitted: Fit) -> float:
+    return max((offset for offset, _ in pose_error_ratios(fitted).values()), default=0.0)
 
 
 def with_wider_poses(scene: Scene, fitted: Fit) -> Scene | None:

@@ -28,7 +28,7 @@ from rim_camera_ros.calibrate.leaders import (
     what_it_became,
 )
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, candidates
-from rim_camera_ros.calibrate.needs import OF_POSES, Found, least_size, needed
+from rim_camera_ros.calibrate.needs import OF_POSES, Found, least_size, needed, needed_once_fitted
 from rim_camera_ros.calibrate.pixels import more_pixels
 from rim_camera_ros.calibrate.pose_errors import poses_explained
 from rim_camera_ros.calibrate.selection import folds_of
@@ -210,7 +210,9 @@ class Search:
             without = self._fitted(self.problem, with_effects(self.step.fit.camera, left), self.step)
             before = self.explorations[one.step]
             gain = self.step.scores.log_likelihood() - without.scores.log_likelihood()
-            if gain > needed(before, before.best()[one.effect], others):
+            number = before.best()[one.effect]
+            need = needed_once_fitted(before, [number], others, without=without.fit, fitted=self.step.fit)
+            if gain > need:
                 continue
             self.found.remove(one)
             self._replace_step(without.fit, before)
@@ -261,7 +263,8 @@ class Search:
         """Fit candidates and what rivals them; the best joins, where it gains and moves enough."""
         trial = self._best_trial(numbers, leader)
         fitted = trial.fitted
-        need = self._needed(self.step.best_of(trial.effects))
+        own = self.step.best_of(trial.effects)
+        need = needed_once_fitted(self.step, own, self.found, without=self.step.fit, fitted=fitted.fit)
         gain = fitted.scores.log_likelihood() - self.step.scores.log_likelihood()
         again = self._without(trial.effects, fitted, gain)
         if again is not None:
@@ -272,12 +275,7 @@ class Search:
                 self.settled.add(len(self.found))
                 self._replace_step(again.fit, self.step)
                 return
-        least = least_size(fitted, trial.effects, self.found)
-        why = None
-        if gain <= need or effect_size(fitted.fit, trial.effects, self.camera) < least:
-            why = ONCE_FITTED
-        elif not self._explains_poses(trial.effects, fitted):
-            why = NOT_THE_POSES
+        why = self._why_not(trial, gain, need)
         if why is not None:
             # what looked like it is something else: perhaps the next in line
             self.failed |= {self._effect(k): why for k in numbers}
@@ -287,17 +285,20 @@ class Search:
             gains, ties = rivals(self.step, name, need)
             self.found.append(Found(name, gain, gains, ties, step=len(self.explorations) - 1))
         self.problem = trial.problem
-        if keeps_amplitude_error(self.step.fit.camera, fitted.fit.camera):
-            # or the next effect that has it estimated anew would gain what this one did
+        if not fitted.fit.converged or keeps_amplitude_error(self.step.fit.camera, fitted.fit.camera):
+            # or the next effect, whose fit goes on or estimates it anew, would gain what this one did
             fitted = self._fitted(self.problem, fitted.fit.camera, fitted)
         final = self._explored(fitted.fit, [one.effect for one in self.found], self.step, self.problem)
         self.step.forget()
         self.explorations.append(final)
 
-    def _explains_poses(self, effects: Sequence[str], after: Exploration) -> bool:
-        if not self.found or OF_POSES.isdisjoint(effects):
-            return True
-        return poses_explained(self.step.fit, after.fit)
+    def _why_not(self, trial: _Trial, gain: float, need: float) -> str | None:
+        after = trial.fitted
+        size = effect_size(after.fit, trial.effects, self.camera)
+        if gain <= need or size < least_size(after, trial.effects, self.found):
+            return ONCE_FITTED
+        drifts = bool(self.found) and not OF_POSES.isdisjoint(trial.effects)
+        return NOT_THE_POSES if drifts and not poses_explained(self.step.fit, after.fit) else None
 
     def _best_trial(self, numbers: tuple[int, ...], leader: int) -> _Trial:
         """Fit candidates and their near rivals non-linearly; return the best by held-out likelihood.

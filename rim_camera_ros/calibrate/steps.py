@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from rim_camera_ros.calibrate.empirical_fit import LABEL, with_empirical_changes
 from rim_camera_ros.calibrate.light_curves import LightCurves, of_light
@@ -31,24 +33,58 @@ _DARKEST = 0.01
 
 @dataclass(frozen=True)
 class Solved:
-    """Where a step began: equations, the step, errors of amplitudes, powers, offsets; changes by label."""
+    """Where a step began: equations (``matrix`` and ``right`` with priors, by label), errors of amplitudes,
+    powers, offsets and the step.
+
+    ``most`` is how far each parameter may go in one step; the others follow those that may not go farther.
+    """
 
     reduced: Reduced
-    step: Array
+    labels: Sequence[str]
+    matrix: Array
+    right: Array
+    most: Array
     tau: float
     gains: Mapping[tuple[int, int], float]
     offsets: Mapping[str, float]
-    changes: Mapping[str, float]
+    damping: float = 0.0
 
-    def errors(
-        self, share: float, pattern: Array
-    ) -> tuple[dict[str, float], dict[tuple[int, int], float], Array]:
-        """Return errors of poses, powers and the pattern for a share of the step.
+    @cached_property
+    def step(self) -> Array:
+        """The step, of equations whose diagonal is larger by the share ``damping`` (Marquardt 1963).
+
+        What the equations tell least of is held back first; infinite damping is no step.
+        """
+        step = np.zeros_like(self.right)
+        if np.isinf(self.damping):
+            return step
+        # in units in which the diagonal is 1: parameters differ by many orders of magnitude
+        unit = np.sqrt(np.diag(self.matrix))
+        matrix = self.matrix / np.outer(unit, unit) + self.damping * np.eye(len(unit))
+        free = np.ones(len(step), bool)
+        while free.any():
+            right = (self.right / unit)[free] - matrix[np.ix_(free, ~free)] @ (step * unit)[~free]
+            factor = linalg.cho_factor(matrix[np.ix_(free, free)], check_finite=False)
+            step[free] = linalg.cho_solve(factor, right, check_finite=False) / unit[free]
+            far = free & (np.abs(step) > self.most)
+            if not far.any():
+                break
+            step[far] = np.copysign(self.most[far], step[far])
+            free &= ~far
+        return step
+
+    @property
+    def changes(self) -> dict[str, float]:
+        """The step by label."""
+        return dict(zip(self.labels, self.step.tolist(), strict=True))
+
+    def errors(self, pattern: Array) -> tuple[dict[str, float], dict[tuple[int, int], float], Array]:
+        """Return errors of poses, powers and the pattern for the step.
 
         The pattern has the shape of ``pattern``, which is returned where none is estimated.
         """
         values = np.zeros(self.reduced.gram.shape[0])
-        values[: len(self.step)] = share * self.step
+        values[: len(self.step)] = self.step
         found, flat = self.reduced.recover(values)
         gains = {
             key: g * power_factor(found.get(f"{key[0]}.{key[1]}.gain", 0.0)) for key, g in self.gains.items()
@@ -73,9 +109,6 @@ def stepped(
     while True:
         moved = dict(offsets)
         for path, change in changes.items():
-            if of_shape(path):
-                most = _SHAPE_STEP * max(abs(numbers[path] + moved.get(path, 0.0)), 1e-9)
-                change = float(np.clip(change, -most, most))
             moved[path] = moved.get(path, 0.0) + share * change
         try:
             return _moved(start, moved, lows, highs, numbers), moved
@@ -83,6 +116,16 @@ def stepped(
             share /= 2
             if share < 1e-3:
                 raise
+
+
+def longest_steps(labels: Sequence[str], offsets: Mapping[str, float], numbers: Mapping[str, float]) -> Array:
+    """Return how far parameters may go in one step: shapes by a quarter."""
+    return np.array(
+        [
+            _SHAPE_STEP * max(abs(numbers[path] + offsets.get(path, 0.0)), 1e-9) if of_shape(path) else np.inf
+            for path in labels
+        ]
+    )
 
 
 def power_factor(change: float) -> float:
