@@ -21,7 +21,7 @@ Array = NDArray[Any]
 #: Effects that show in the amplitudes beside edges also where they hardly move distances.
 _OF_EDGES = frozenset({"mixed_pixels"})
 #: Metres of distance that count as much as a relative change of the amplitude of 1.
-_SAME_SIZE = 0.1
+SAME_SIZE = 0.1
 
 
 def effect_size(fitted: Fit, names: Sequence[str], start: Camera) -> float:
@@ -36,7 +36,7 @@ def effect_size(fitted: Fit, names: Sequence[str], start: Camera) -> float:
             total = total + contribution(one, name, start)
             if name in _OF_EDGES and name in one.context.camera.effects:
                 # on one surface the edges of its texture show it in the amplitudes alone
-                total = np.maximum(np.abs(total), _SAME_SIZE * np.abs(_relative_light(one, name)[0]))
+                total = np.maximum(np.abs(total), SAME_SIZE * np.abs(_relative_light(one, name)[0]))
         parts.append(np.abs(np.broadcast_to(total, one.used.shape)[one.used]))
     values = np.concatenate(parts) if parts else np.zeros(1)
     if not values.size:
@@ -56,18 +56,18 @@ def contribution(prediction: Prediction, name: str, start: Camera) -> Array:
         curves = prediction.light_curves
         if curves is None:
             return np.zeros(prediction.used.shape)
-        return np.asarray(_SAME_SIZE * np.log(curves.surfaces(prediction.view.geometry)))
+        return np.asarray(SAME_SIZE * np.log(curves.surfaces(prediction.view.geometry)))
     if name in GEOMETRY:
         return _geometry_contribution(prediction, name, start)
     effect = camera.effects[name]
     if isinstance(effect, DistanceTerm):
         return change_by(prediction, name)[0]
     if name == "amplitude_nonlinearity":
-        return np.asarray(_SAME_SIZE * effect.compression * prediction.amplitude)
+        return np.asarray(SAME_SIZE * (1 - prediction.model_reading / prediction.model_amplitude))
     relative, by_distance = _relative_light(prediction, name)
     moved, _ = prediction.reading_change(by_distance, relative)
     if name == "emission_pattern":
-        return np.asarray(np.nan_to_num(np.maximum(np.abs(moved), _SAME_SIZE * np.abs(relative))))
+        return np.asarray(np.nan_to_num(np.maximum(np.abs(moved), SAME_SIZE * np.abs(relative))))
     return np.asarray(np.nan_to_num(moved))
 
 

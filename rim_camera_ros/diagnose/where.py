@@ -13,7 +13,7 @@ from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.residuals import after_nuisances
-from rim_camera_ros.calibrate.sizes import contribution
+from rim_camera_ros.calibrate.sizes import SAME_SIZE, contribution
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.smooth import values_of
 from rim_camera_ros.effects.covariates import COVARIATES
@@ -47,9 +47,8 @@ def of_terms(fitted: Fit, names: Sequence[str], origin: Camera) -> Where:
         for name in names:
             total = total + contribution(one, name, origin)
         if names and set(names) <= OF_AMPLITUDE:
-            scale = one.amplitude_sigma * np.sqrt(np.maximum(one.station.count, 1))
-            relative = total / 0.1
-            return np.asarray(relative * one.amplitude / scale * _sigma(one))
+            # noise is circular in the complex plane: so much of the amplitude is worth that many metres
+            return np.asarray(total / SAME_SIZE * one.context.ambiguity / (2 * np.pi))
         return np.asarray(total)
 
     return _locate(fitted, value, centred=list(names) == ["empirical"])
@@ -89,7 +88,8 @@ def nowhere(fitted: Fit) -> Where:
 
 
 def _sigma(one: Prediction) -> Array:
-    return one.sigma * np.sqrt(np.maximum(one.station.count, 1))
+    camera = one.context.camera
+    return camera.noise.sigma_distance(one.amplitude, background=camera.background)
 
 
 def _locate(fitted: Fit, value: Any, *, centred: bool = False) -> Where:

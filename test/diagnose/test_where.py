@@ -1,0 +1,72 @@
+"""Where the mismatch is: the map of what a named effect does, in units of the noise of one frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
+from rim_camera_ros.calibrate.light_curves import RESPONSE, LightCurves
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.where import of_terms
+from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
+from rim_camera_ros.effects.base import Effect
+from rim_camera_ros.effects.distance_scale import DistanceScale
+
+from ..calibrate.helpers import camera, record, scene
+
+AMBIGUITY = 299_792_458.0 / 40e6
+
+
+def sigma(told: Camera, amplitude: np.ndarray) -> np.ndarray:
+    """The test camera's noise [m]: 3 mm and 6 m counts / A."""
+    assert (told.noise.floor, told.noise.shot, told.noise.amplitude) == (0.003, 0.0, 6.0)
+    return np.hypot(0.003, 6.0 / amplitude)
+
+
+def forward_of(tmp_path: Path, effect: Effect) -> tuple[Forward, Any]:
+    truth, board = camera(tmp_path, effect), scene(tmp_path)
+    forward = Forward(record(truth, board, poses=5, frames=2, seed=2, wrong=0.0), board, truth)
+    # amplitudes that are badly predicted make no frame noisier
+    forward.amplitude_model = AmplitudeModel({}, 0.05)
+    return forward, SimpleNamespace(forward=forward, camera=truth, scene=board)
+
+
+def expected(forward: Forward, moved: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Mean square over the poses in which a pixel is valid, and whether it ever is."""
+    total, count = np.zeros(forward.camera.shape), np.zeros(forward.camera.shape)
+    for one in forward.predictions():
+        valid = (one.station.count > 0) & one.view.geometry.hit & np.isfinite(one.sigma)
+        total[valid] += (moved(one) / sigma(forward.camera, one.amplitude))[valid] ** 2
+        count[valid] += 1
+    return np.divide(total, count, out=total, where=count > 0), count > 0
+
+
+def test_a_distance_term_counts_by_the_distance(tmp_path: Path) -> None:
+    forward, fitted = forward_of(tmp_path, DistanceScale(0.004))
+    found = of_terms(fitted, ["distance_scale"], forward.camera)
+    wanted, seen = expected(forward, lambda one: 0.004 * one.delivered.distance)
+    assert seen.mean() > 0.9
+    assert found.pixels[seen] == pytest.approx(wanted[seen], rel=1e-5)
+    assert found.covariates[0][0] == "distance"
+    assert found.covariates[0][1] > 0.95
+
+
+def test_a_compressed_amplitude_counts_by_what_it_and_its_response_take(tmp_path: Path) -> None:
+    """Noise is circular in the complex plane: sigma_A = (2 pi / L) A sigma."""
+    forward, fitted = forward_of(tmp_path, AmplitudeNonlinearity(4e-5))
+    forward.light_curves = LightCurves(dict.fromkeys(RESPONSE, -0.03), 1000.0)
+
+    def moved(one: Any) -> np.ndarray:
+        light = one.model_amplitude
+        published = light / (1 + 4e-5 * light) * forward.light_curves.response(light)
+        return np.asarray((light - published) * AMBIGUITY / (2 * np.pi * light))
+
+    found = of_terms(fitted, ["amplitude_nonlinearity"], forward.camera)
+    wanted, seen = expected(forward, moved)
+    assert found.pixels[seen] == pytest.approx(wanted[seen], rel=1e-4)
+    assert np.sqrt(found.pixels.max()) > 5
