@@ -73,13 +73,13 @@ def of_change(fitted: Fit, camera: Camera) -> Where:
 
 
 def of_residuals(fitted: Fit) -> Where:
-    """Locate what a fit leaves: its residuals after the nuisances."""
+    """Locate what a fit leaves in the pixels in use: residuals after the nuisances, beyond their noise."""
 
     def value(one: Prediction) -> Array:
         rest, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
-        return rest
+        return np.where(one.used, rest, np.nan)
 
-    return _locate(fitted, value)
+    return _locate(fitted, value, noisy=True)
 
 
 def nowhere(fitted: Fit) -> Where:
@@ -92,7 +92,7 @@ def _sigma(one: Prediction) -> Array:
     return camera.noise.sigma_distance(one.amplitude, background=camera.background)
 
 
-def _locate(fitted: Fit, value: Any, *, centred: bool = False) -> Where:
+def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = False) -> Where:
     shape = fitted.camera.shape
     total, count = np.zeros(shape), np.zeros(shape)
     rng = np.random.default_rng(7)
@@ -115,6 +115,8 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False) -> Where:
         valid = one.view.geometry.hit & (one.station.count > 0) & np.isfinite(image) & (sigma > 0)
         valid &= np.isfinite(sigma)
         total[valid] += (image[valid] / sigma[valid]) ** 2
+        if noisy:
+            total[valid] -= (one.sigma[valid] / sigma[valid]) ** 2
         count[valid] += 1
         energy.append((one.station.time, float(np.mean((image[valid] / sigma[valid]) ** 2))))
         pixels = np.flatnonzero(valid.ravel())
@@ -127,6 +129,7 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False) -> Where:
                 missing.add(name)
                 continue
             covariates[name].append(np.broadcast_to(found, shape).ravel()[chosen].astype(float))
+    total = np.maximum(total, 0.0)
     pixels_map = np.divide(total, count, out=np.zeros(shape), where=count > 0).astype(np.float32)
     if not samples:
         return nowhere(fitted)

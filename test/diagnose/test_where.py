@@ -12,7 +12,7 @@ import pytest
 from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
 from rim_camera_ros.calibrate.light_curves import RESPONSE, LightCurves
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.where import of_terms
+from rim_camera_ros.diagnose.where import of_residuals, of_terms
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.effects.distance_scale import DistanceScale
@@ -70,3 +70,24 @@ def test_a_compressed_amplitude_counts_by_what_it_and_its_response_take(tmp_path
     wanted, seen = expected(forward, moved)
     assert found.pixels[seen] == pytest.approx(wanted[seen], rel=1e-4)
     assert np.sqrt(found.pixels.max()) > 5
+
+
+def test_residuals_count_beyond_their_noise_in_the_pixels_in_use(tmp_path: Path) -> None:
+    """What a scale of distance leaves where it is unknown; a pixel that nobody uses may be anything."""
+    truth, board = camera(tmp_path, DistanceScale(0.01)), scene(tmp_path)
+    data = record(truth, board, poses=30, frames=2, seed=2, wrong=0.0)
+    told = camera(tmp_path)
+    forward = Forward(data, board, told)
+    forward.masks = [(np.ones(told.shape, bool), np.ones(told.shape, bool)) for _ in data.stations]
+    for used, _ in forward.masks:
+        used[7, 11] = False
+    for one in data.stations:
+        one.distance[7, 11] += 3.0
+    nothing = np.zeros(told.shape)
+    fitted: Any = SimpleNamespace(forward=forward, camera=told, scene=board, pattern=nothing, nuisances={})
+    found = of_residuals(fitted).pixels
+    wanted, seen = expected(forward, lambda one: 0.01 * one.delivered.distance)
+    assert found[7, 11] == 0
+    others = seen & (found > 0)
+    assert others.sum() >= seen.sum() - 40
+    assert np.median(found[others] / wanted[others]) == pytest.approx(1.0, abs=0.05)
