@@ -1,4 +1,4 @@
-"""The joint adjustment: Gauss-Newton over the whole forward chain, all effects and nuisances at once."""
+"""The joint adjustment: damped Gauss-Newton steps over the forward chain, effects and nuisances at once."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _SETTLED_NEW = 7
 _SHAPES_HELD = 2
 _HOLD = 1e9
 #: Damping of a step that makes things worse, as shares of the diagonal, one after the other; in the end no
-#: step. A step after one that was damped is damped so many times less.
+#: step. The step after it is damped alike, and so many times less once one is good at its first try.
 _DAMPING = (1e-3, 0.03, 1.0, np.inf)
 _LESS_DAMPED = 30.0
 #: Step of a parameter in units of its sigma, and change of chi-square between two iterations (for that
@@ -181,7 +181,7 @@ def fit(
             offsets.update({k: v for k, v in warm.forward.light_curves.values.items() if k in allowed})
     new = set() if warm is None else camera.effects.keys() - warm.camera.effects.keys()
     trying = warm is not None
-    converged = stuck = False
+    converged = exhausted = stuck = False
     solved: Solved | None = None
     objective, tried, damping = np.inf, 0, 0.0
     for count in range(iterations + 2):
@@ -203,7 +203,7 @@ def fit(
         blocks = _blocks(problem, camera, scene)
         owned = sum(len(block.regressors) for block in blocks)
         weigh = huber(pattern, nuisances) if problem.robust and (count > 0 or warm is not None) else None
-        final = count >= iterations or converged
+        final = count >= iterations or converged or exhausted
         equations = accumulate(
             forward,
             [*blocks, *further] if final else blocks,
@@ -242,13 +242,18 @@ def fit(
             tried = len(_DAMPING) if final else tried + 1
             damping = max(_DAMPING[tried - 1], damping * _LESS_DAMPED)
             solved = replace(solved, damping=damping)
-            camera, offsets = stepped(start, solved.offsets, solved.changes, lows, highs, numbers)
+            try:
+                camera, offsets = stepped(start, solved.offsets, solved.changes, lows, highs, numbers)
+            except (InputError, ValueError):
+                # another direction may lead to no possible camera: where it began is one
+                damping, solved = np.inf, replace(solved, damping=np.inf)
+                camera, offsets = stepped(start, solved.offsets, solved.changes, lows, highs, numbers)
             within_bounds(offsets, camera, numbers)
             scene, moved = moved_scene(problem.scene, offsets)
             tau = solved.tau
             nuisances, gains, found = solved.errors(pattern)
             pattern = found if problem.pattern else pattern
-            converged |= bool(np.isinf(damping))
+            exhausted |= bool(np.isinf(damping))
             continue
         if tried == 0:
             damping = damping / _LESS_DAMPED if damping > _DAMPING[0] else 0.0
@@ -307,8 +312,11 @@ def fit(
     if stuck:
         best.notes.append("the adjustment stopped where no step leads to a possible camera")
     if not converged and last_step:
-        worst = max(last_step, key=lambda path: abs(last_step[path]) / max(best.sigma.get(path, 1.0), 1e-300))
-        best.notes.append(f"not converged after {iterations} iterations: {worst} still moves")
+        ratios = {path: abs(last_step[path]) / max(best.sigma.get(path, 1.0), 1e-300) for path in last_step}
+        worst = max(ratios, key=lambda path: ratios[path])
+        # where no step made it better rounding may be all that is left
+        if not exhausted or ratios[worst] > 1:
+            best.notes.append(f"not converged after {best.iterations} iterations: {worst} still moves")
     return best
 
 

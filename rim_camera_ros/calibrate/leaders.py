@@ -71,13 +71,15 @@ def leaders(
         return pair[1], leader
     if gain > need:
         return (leader,), leader
+    if pair is not None and pair[0] > 1.5 * both:
+        return pair[1], leader
     if found and poses_unexplained(step.fit, WIDER):
-        # beside terms that moved with a large effect linear gains of what moves whole poses are too small,
-        # and poses tell it from a rest
+        # beside terms that moved with a large effect the linear gain of what moves whole poses is too small;
+        # whether it is there the errors of poses tell once it is fitted
         for k, gain in named:
             if step.candidates[k].effect in MOVES_POSES and gain > float(step.thresholds[k]):
                 return (k,), k
-    return None if pair is None or pair[0] <= 1.5 * both else (pair[1], leader)
+    return None
 
 
 def refused(step: Exploration, found: Sequence[Found], failed: Mapping[str, str]) -> list[Refused]:

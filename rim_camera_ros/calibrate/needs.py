@@ -63,6 +63,7 @@ OF_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_
 _OF_SIZE = frozenset({"distance_scale"})
 
 
+#: Effects that move whole poses, or nearly so: errors of poses larger than stated tell of them.
 MOVES_POSES = OF_POSES | _OF_SIZE
 
 

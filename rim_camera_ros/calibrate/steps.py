@@ -66,11 +66,13 @@ class Solved:
             right = (self.right / unit)[free] - matrix[np.ix_(free, ~free)] @ (step * unit)[~free]
             factor = linalg.cho_factor(matrix[np.ix_(free, free)], check_finite=False)
             step[free] = linalg.cho_solve(factor, right, check_finite=False) / unit[free]
-            far = free & (np.abs(step) > self.most)
-            if not far.any():
+            # one after the other: what follows the farthest may not go too far any more
+            far = np.where(free, np.abs(step) / self.most, 0.0)
+            farthest = int(np.argmax(far))
+            if not far[farthest] > 1:
                 break
-            step[far] = np.copysign(self.most[far], step[far])
-            free &= ~far
+            step[farthest] = np.copysign(self.most[farthest], step[farthest])
+            free[farthest] = False
         return step
 
     @property

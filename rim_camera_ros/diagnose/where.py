@@ -43,13 +43,18 @@ def of_terms(fitted: Fit, names: Sequence[str], origin: Camera) -> Where:
     """Locate the contribution of effects of the fitted camera; ``origin`` has the geometry before."""
 
     def value(one: Prediction) -> Array:
-        total: Any = np.zeros(one.used.shape)
+        shape = one.used.shape
+        distance, light = np.zeros(shape), np.zeros(shape)
         for name in names:
-            total = total + contribution(one, name, origin)
-        if names and set(names) <= OF_AMPLITUDE:
-            # noise is circular in the complex plane: so much of the amplitude is worth that many metres
-            return np.asarray(total / SAME_SIZE * one.context.ambiguity / (2 * np.pi))
-        return np.asarray(total)
+            moved = contribution(one, name, origin)
+            if name in OF_AMPLITUDE:
+                # noise is circular in the complex plane: so much of the amplitude is worth that many metres
+                light = light + moved / SAME_SIZE * one.context.ambiguity / (2 * np.pi)
+            else:
+                distance = distance + moved
+        if not light.any():
+            return np.asarray(distance)
+        return np.copysign(np.hypot(distance, light), distance if distance.any() else light)
 
     return _locate(fitted, value, centred=list(names) == ["empirical"])
 
@@ -73,7 +78,10 @@ def of_change(fitted: Fit, camera: Camera) -> Where:
 
 
 def of_residuals(fitted: Fit) -> Where:
-    """Locate what a fit leaves in the pixels in use: residuals after the nuisances, beyond their noise."""
+    """Locate what a fit leaves in the pixels in use: residuals after the nuisances.
+
+    Pixels and times count beyond their noise; the covariates' shares are of the variance with it.
+    """
 
     def value(one: Prediction) -> Array:
         rest, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
@@ -89,7 +97,8 @@ def nowhere(fitted: Fit) -> Where:
 
 def _sigma(one: Prediction) -> Array:
     camera = one.context.camera
-    return camera.noise.sigma_distance(one.amplitude, background=camera.background)
+    noise = camera.noise.sigma_distance(one.amplitude, background=camera.background)
+    return np.asarray(np.hypot(noise, camera.sensor.lsb / np.sqrt(12)))
 
 
 def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = False) -> Where:
@@ -111,14 +120,16 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
         if not one.used.any():
             continue
         sigma = _sigma(one)
-        # also beside edges, which the fit leaves out
+        # what effects do also beside edges, which the fit leaves out
         valid = one.view.geometry.hit & (one.station.count > 0) & np.isfinite(image) & (sigma > 0)
         valid &= np.isfinite(sigma)
+        if not valid.any():
+            continue
         total[valid] += (image[valid] / sigma[valid]) ** 2
-        if noisy:
-            total[valid] -= (one.sigma[valid] / sigma[valid]) ** 2
+        noise = (one.sigma[valid] / sigma[valid]) ** 2 if noisy else np.zeros(1)
+        total[valid] -= noise
         count[valid] += 1
-        energy.append((one.station.time, float(np.mean((image[valid] / sigma[valid]) ** 2))))
+        energy.append((one.station.time, float(np.mean((image[valid] / sigma[valid]) ** 2) - noise.mean())))
         pixels = np.flatnonzero(valid.ravel())
         chosen = rng.choice(pixels, min(500, pixels.size), replace=False)
         samples.append(image.ravel()[chosen])
@@ -186,7 +197,7 @@ def _times(energy: list[tuple[float, float]]) -> list[tuple[float, float]]:
         return []
     energy = sorted(energy)
     times = np.array([t for t, _ in energy])
-    values = np.array([e for _, e in energy])
+    values = np.array([max(e, 0.0) for _, e in energy])
     if values.sum() <= 0:
         return []
     order = np.argsort(-values)

@@ -226,7 +226,8 @@ def test_a_footprint_of_a_pixel_is_found_beside_edges(tmp_path: Path, width: flo
     result = search(Problem(data, board), told, facts, effects=["mixed_pixels"])
     assert [one.effect for one in result.found] == found
     assert result.beside_edges == (1 if found else None)
-    assert result.gained == pytest.approx(sum(one.gain for one in result.found), rel=1e-3)
+    # the fit goes on once the effect has joined
+    assert result.gained == pytest.approx(sum(one.gain for one in result.found), rel=1e-2)
 
 
 @pytest.mark.parametrize(("scale", "kept"), [(0.0, False), (0.01, True)])

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from rim_camera_ros.calibrate.adjustment import Problem, fit
 from rim_camera_ros.calibrate.steps import Solved, longest_steps
+from rim_camera_ros.effects.distance_scale import DistanceScale
+
+from .helpers import camera, record, scene
 
 MATRIX = np.array([[4.0, 3.9e3, 0.1], [3.9e3, 4.0e6, 2.0], [0.1, 2.0, 9.0]])
 RIGHT = np.array([1.0, 2.0e3, -3.0])
@@ -45,7 +50,19 @@ def test_the_others_follow_a_parameter_that_may_not_go_as_far() -> None:
     cut = np.array([free[0], 0.001, free[2]])
     assert objective(step) < objective(cut) - 1.0
     assert solved([np.inf, 0.01, np.inf]).step == pytest.approx(free)
-    assert np.array_equal(solved([0.1, 0.001, 0.2]).step, [-0.1, 0.001, -0.2])
+    assert np.array_equal(solved([0.1, 0.0001, 0.2]).step, [0.1, 0.0001, -0.2])
+
+
+@pytest.mark.parametrize("correlation", [0.5, 0.9, 0.99])
+def test_of_two_that_go_too_far_the_farther_is_held_and_the_other_follows(correlation: float) -> None:
+    """Both at once would go uphill: +147 at 0.99, where sigmas of 8 and 1 px are told apart badly."""
+    matrix = 100 * np.array([[1.0, correlation], [correlation, 1.0]])
+    right = matrix @ np.array([3.0, -3.0])
+    nothing: Any = None
+    step = Solved(nothing, ["a", "b"], matrix, right, np.array([2.0, 0.25]), 0.0, {}, {}).step
+    assert step[1] == -0.25
+    assert step[0] == pytest.approx(min(3.0 - correlation * 2.75, 2.0))
+    assert 0.5 * step @ matrix @ step - right @ step < 0
 
 
 @pytest.mark.parametrize("damping", [1e-3, 0.03, 1.0])
@@ -59,3 +76,24 @@ def test_shapes_go_by_a_quarter_of_where_they_are() -> None:
     labels = ["effects.scattering.kernels.0.sigma.0", "effects.scattering.kernels.0.weight"]
     numbers = {labels[0]: 8.0, labels[1]: 0.02}
     assert list(longest_steps(labels, {labels[0]: 4.0}, numbers)) == [3.0, np.inf]
+
+
+def test_a_step_that_goes_too_far_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Undamped steps are made to go thirty times too far; with no iteration left there is no step at all."""
+    truth, board = camera(tmp_path, DistanceScale(0.02)), scene(tmp_path)
+    problem = Problem(record(truth, board, poses=8, seed=4), board)
+    warm = fit(problem, camera(tmp_path), iterations=3)
+    start = camera(tmp_path, DistanceScale(0.0))
+    honest = Solved.__dict__["step"].func
+
+    def overshooting(self: Solved) -> np.ndarray:
+        return np.asarray(honest(self) * (30.0 if self.damping == 0 else 1.0))
+
+    monkeypatch.setattr(Solved, "step", property(overshooting))
+    path = "effects.distance_scale.scale"
+    found = fit(problem, start, warm=warm, iterations=12)
+    assert found.parameters[path] == pytest.approx(0.02, abs=4 * found.sigma[path])
+    short = fit(problem, start, warm=warm, iterations=1)
+    assert short.parameters[path] == 0.0
+    assert not short.converged
+    assert short.notes == ["not converged after 2 iterations: effects.distance_scale.scale still moves"]

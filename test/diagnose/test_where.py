@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,10 +13,12 @@ import pytest
 from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
 from rim_camera_ros.calibrate.light_curves import RESPONSE, LightCurves
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.diagnose.where import of_residuals, of_terms
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.noise import Noise
 
 from ..calibrate.helpers import camera, record, scene
 
@@ -25,7 +28,8 @@ AMBIGUITY = 299_792_458.0 / 40e6
 def sigma(told: Camera, amplitude: np.ndarray) -> np.ndarray:
     """The test camera's noise [m]: 3 mm and 6 m counts / A."""
     assert (told.noise.floor, told.noise.shot, told.noise.amplitude) == (0.003, 0.0, 6.0)
-    return np.hypot(0.003, 6.0 / amplitude)
+    lsb = AMBIGUITY / 65536
+    return np.sqrt(0.003**2 + (6.0 / amplitude) ** 2 + lsb**2 / 12)
 
 
 def forward_of(tmp_path: Path, effect: Effect) -> tuple[Forward, Any]:
@@ -70,6 +74,23 @@ def test_a_compressed_amplitude_counts_by_what_it_and_its_response_take(tmp_path
     wanted, seen = expected(forward, moved)
     assert found.pixels[seen] == pytest.approx(wanted[seen], rel=1e-4)
     assert np.sqrt(found.pixels.max()) > 5
+    # beside a term of the distance it counts as before
+    both = with_effects(forward.camera, {**forward.camera.effects, "distance_scale": DistanceScale(1e-9)})
+    beside = Forward(forward.dataset, scene(tmp_path), both)
+    beside.amplitude_model, beside.light_curves = forward.amplitude_model, forward.light_curves
+    fitted = SimpleNamespace(forward=beside, camera=both, scene=scene(tmp_path))
+    again = of_terms(fitted, ["distance_scale", "amplitude_nonlinearity"], both)
+    assert again.pixels[seen] == pytest.approx(found.pixels[seen], rel=1e-4)
+
+
+def test_a_camera_without_noise_has_that_of_its_counts(tmp_path: Path) -> None:
+    forward, fitted = forward_of(tmp_path, DistanceScale(0.004))
+    silent = replace(forward.camera, noise=Noise(floor=0.0, shot=0.0, amplitude=0.0))
+    forward = Forward(forward.dataset, fitted.scene, silent)
+    found = of_terms(SimpleNamespace(forward=forward, camera=silent), ["distance_scale"], silent)  # type: ignore[arg-type]
+    lsb = AMBIGUITY / 65536
+    one = next(iter(forward.predictions()))
+    assert found.pixels.max() > (0.004 * np.nanmin(one.delivered.distance) / (lsb / np.sqrt(12))) ** 2
 
 
 def test_residuals_count_beyond_their_noise_in_the_pixels_in_use(tmp_path: Path) -> None:
@@ -88,6 +109,23 @@ def test_residuals_count_beyond_their_noise_in_the_pixels_in_use(tmp_path: Path)
     found = of_residuals(fitted).pixels
     wanted, seen = expected(forward, lambda one: 0.01 * one.delivered.distance)
     assert found[7, 11] == 0
-    others = seen & (found > 0)
-    assert others.sum() >= seen.sum() - 40
-    assert np.median(found[others] / wanted[others]) == pytest.approx(1.0, abs=0.05)
+    seen[7, 11] = False
+    # those at the rim are seen in a pose or two, where noise may be more than what is left
+    assert (found[seen] > 0).mean() > 0.97
+    assert np.median(found[seen] / wanted[seen]) == pytest.approx(1.0, abs=0.05)
+
+
+def test_noise_alone_is_left_at_no_time(tmp_path: Path) -> None:
+    """Stations of one frame are noisier than those of eight, which is no mismatch."""
+    told, board = camera(tmp_path), scene(tmp_path)
+    parts = [record(told, board, poses=n, frames=k, seed=s, wrong=0.0) for n, k, s in ((2, 1, 4), (12, 8, 5))]
+    late = [replace(one, time=one.time + 900.0) for one in parts[1].stations]
+    data = replace(parts[0], stations=[*parts[0].stations, *late])
+    forward = Forward(data, board, told)
+    fitted: Any = SimpleNamespace(
+        forward=forward, camera=told, scene=board, pattern=np.zeros(told.shape), nuisances={}
+    )
+    found = of_residuals(fitted)
+    assert np.median(found.pixels) < 0.01
+    energies = [np.mean((one.residual / one.sigma)[one.used] ** 2) for one in forward.predictions()]
+    assert energies == pytest.approx(np.ones(14), abs=0.15)

@@ -366,6 +366,28 @@ def _corner() -> Scene:
     )
 
 
+def _bounced_by_pixels(signal: Signal, here: Context) -> np.ndarray:
+    """rho_i sum_j A_j cos_i cos_j dA_j / (pi r^2 + dA_j), half the path by way of j; every pixel sends."""
+    geometry = here.geometry
+    assert geometry is not None
+    p = geometry.points.reshape(-1, 3)
+    n = geometry.normals.reshape(-1, 3)
+    rho, d, a = geometry.reflectivity.ravel(), signal.distance.ravel(), signal.amplitude.ravel()
+    # the area that a pixel sees: dx dy / (fx fy) on the plane z = 1, projected onto the surface
+    ray = here.camera.rays.reshape(-1, 3)
+    area = d**2 * ray[:, 2] ** 3 / (31.0 * 29.0) / np.abs(np.sum(ray * n, axis=1))
+    expected = np.zeros(len(p), complex)
+    for i in np.flatnonzero(geometry.hit.ravel()):
+        between = p[i] - p
+        r2 = np.maximum((between**2).sum(1), 1e-12)
+        cos_j = np.maximum((between * n).sum(1), 0) / np.sqrt(r2)
+        cos_i = np.maximum(-(between * n[i]).sum(1), 0) / np.sqrt(r2)
+        form = cos_i * cos_j * area / (np.pi * r2 + area)
+        half = (d + np.sqrt(r2) + d[i]) / 2
+        expected[i] = rho[i] * np.nansum(a * form * np.exp(2j * np.pi * half / L))
+    return expected
+
+
 def test_multipath_against_a_plain_sum_over_pixels() -> None:
     """One diffuse bounce: rho_i sum_j A_j cos_i cos_j dA_j / (pi r^2 + dA_j), half the path by way of j.
 
@@ -376,21 +398,8 @@ def test_multipath_against_a_plain_sum_over_pixels() -> None:
     signal, here = ideal(scene, camera)
     geometry = here.geometry
     assert geometry is not None
-    p = geometry.points.reshape(-1, 3)
-    n = geometry.normals.reshape(-1, 3)
-    rho, d, a = geometry.reflectivity.ravel(), signal.distance.ravel(), signal.amplitude.ravel()
-    # the area that a pixel sees: dx dy / (fx fy) on the plane z = 1, projected onto the surface
+    expected = _bounced_by_pixels(signal, here)
     ray = camera.rays.reshape(-1, 3)
-    area = d**2 * ray[:, 2] ** 3 / (31.0 * 29.0) / np.abs(np.sum(ray * n, axis=1))
-    expected = np.zeros(len(p), complex)
-    for i in range(len(p)):
-        between = p[i] - p
-        r2 = np.maximum((between**2).sum(1), 1e-12)
-        cos_j = np.maximum((between * n).sum(1), 0) / np.sqrt(r2)
-        cos_i = np.maximum(-(between * n[i]).sum(1), 0) / np.sqrt(r2)
-        form = cos_i * cos_j * area / (np.pi * r2 + area)
-        half = (d + np.sqrt(r2) + d[i]) / 2
-        expected[i] = rho[i] * np.sum(a * form * np.exp(2j * np.pi * half / L))
     found = Multipath(1.0).bounced(signal, here).ravel()
     far = np.abs(ray[:, 0] / ray[:, 2]) > 0.12
     error = np.abs(found - expected) / np.abs(expected)
@@ -402,6 +411,26 @@ def test_multipath_against_a_plain_sum_over_pixels() -> None:
     assert longer.min() > 0
     right = geometry.surface == 1
     assert longer[right].mean() > 1.5 * longer[~right].mean()
+
+
+def test_a_ball_and_a_wall_light_each_other() -> None:
+    """A curved surface, before which each pair is looked at by itself; what is not hit gets nothing."""
+    camera = replace(CAMERA, optics=replace(CAMERA.optics, d=(0.0,) * 5))
+    turned = tuple(float(x) for x in Rotation.from_euler("y", -50, degrees=True).as_quat())
+    ball = Surface("ball", "sphere", ScenePose((0.25, 0.1, 1.7)), radius=0.35, reflectivity=0.9)
+    wall = Surface("wall", "rectangle", ScenePose((-0.3, 0.0, 1.9), turned), size=(2.5, 1.0))  # type: ignore[arg-type]
+    signal, here = ideal(Scene((ball, wall)), camera)
+    geometry = here.geometry
+    assert geometry is not None
+    hit = geometry.hit.ravel()
+    assert 0.05 < (~hit).mean() < 0.9
+    found = Multipath(1.0).bounced(signal, here).ravel()
+    assert not found[~hit].any()
+    expected = _bounced_by_pixels(signal, here)
+    for number in (0, 1):
+        own = geometry.surface.ravel() == number
+        assert own.sum() > 50
+        assert abs(found[own].sum() / expected[own].sum() - 1) < 0.1
 
 
 def test_the_form_factors_are_those_of_two_rectangles() -> None:
