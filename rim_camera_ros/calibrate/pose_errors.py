@@ -18,6 +18,7 @@ _EXPLAINED = 2.5
 _SHARE_LEFT = 0.5
 #: ... and up to which they are just those stated.
 _AS_STATED = 1.25
+_SEVERAL = 2
 _TILTS = ("tilt_x", "tilt_y")
 
 
@@ -60,9 +61,17 @@ def poses_unexplained(fitted: Fit, limit: float = _EXPLAINED) -> bool:
     return _worst_offset(fitted) > limit
 
 
+def poses_tell(fitted: Fit) -> bool:
+    """Return whether poses of several surfaces err more than stated: something may be left that moves them.
+
+    Those of one surface follow whatever changes with its distance and tilt.
+    """
+    return len(pose_error_ratios(fitted)) >= _SEVERAL and poses_unexplained(fitted, WIDER)
+
+
 def settles_poses(before: Fit, after: Fit) -> bool:
-    """Return whether an effect that joined makes errors of poses that were larger just those stated."""
-    return poses_unexplained(before, WIDER) and not poses_unexplained(after, _AS_STATED)
+    """Return whether an effect that joined makes such errors just those stated."""
+    return poses_tell(before) and not poses_unexplained(after, _AS_STATED)
 
 
 def _worst_offset(fitted: Fit) -> float:

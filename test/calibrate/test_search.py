@@ -341,7 +341,8 @@ def test_a_drift_explains_the_errors_of_poses(
 def test_poses_tell_what_moves_them_from_the_rest_of_a_large_effect(
     monkeypatch: pytest.MonkeyPatch, effect: str, before: float, after: float, needed: float
 ) -> None:
-    monkeypatch.setattr(pose_errors, "pose_error_ratios", lambda ratio: {"wall": (ratio, 1.0)})
+    ratios = {"wall": (0.8, 1.0), "board": (0.0, 1.0)}
+    monkeypatch.setattr(pose_errors, "pose_error_ratios", lambda ratio: {**ratios, "board": (ratio, 1.0)})
     step: Any = SimpleNamespace(
         thresholds=np.array([9.0, 12.0]),
         unexplained=0.0,
@@ -352,6 +353,9 @@ def test_poses_tell_what_moves_them_from_the_rest_of_a_large_effect(
     fits: Any = {"without": before, "fitted": after}
     assert needed_once_fitted(step, [1], found, **fits) == pytest.approx(needed)
     assert needed_once_fitted(step, [1], [], **fits) == pytest.approx(12.0)
+    # poses of one surface follow whatever changes with its distance
+    monkeypatch.setattr(pose_errors, "pose_error_ratios", lambda ratio: {"board": (ratio, 1.0)})
+    assert needed_once_fitted(step, [1], found, **fits) == pytest.approx(600.0)
 
 
 @pytest.mark.parametrize(
@@ -362,7 +366,7 @@ def test_what_moves_poses_is_tried_where_they_err_more_than_stated(
     monkeypatch: pytest.MonkeyPatch, ratio: float, gain: float, found: bool, leads: tuple[int, ...] | None
 ) -> None:
     """Beside 400,000 nats it must gain 600 once it is fitted, but not before."""
-    monkeypatch.setattr(pose_errors, "pose_error_ratios", lambda _: {"wall": (ratio, 1.0)})
+    monkeypatch.setattr(pose_errors, "pose_error_ratios", lambda _: dict.fromkeys("ab", (ratio, 1.0)))
     step: Any = SimpleNamespace(
         fit=None,
         named=2,
