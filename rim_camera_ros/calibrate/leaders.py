@@ -10,8 +10,7 @@ import numpy as np
 
 from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.needs import MOVES_POSES, Found, least_size, needed
-from rim_camera_ros.calibrate.pose_errors import poses_tell
+from rim_camera_ros.calibrate.needs import Found, least_size, needed
 from rim_camera_ros.calibrate.sizes import effect_size
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.scattering import Scattering
@@ -71,15 +70,7 @@ def leaders(
         return pair[1], leader
     if gain > need:
         return (leader,), leader
-    if pair is not None and pair[0] > 1.5 * both:
-        return pair[1], leader
-    if found and poses_tell(step.fit):
-        # beside terms that moved with a large effect the linear gain of what moves whole poses is too small;
-        # whether it is there the errors of poses tell once it is fitted
-        for k, gain in named:
-            if step.candidates[k].effect in MOVES_POSES and gain > float(step.thresholds[k]):
-                return (k,), k
-    return None
+    return None if pair is None or pair[0] <= 1.5 * both else (pair[1], leader)
 
 
 def refused(step: Exploration, found: Sequence[Found], failed: Mapping[str, str]) -> list[Refused]:

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.pose_errors import settles_poses
 from rim_camera_ros.calibrate.sizes import effect_size
 from rim_camera_ros.effects.base import DistanceTerm, Effect
 
@@ -61,10 +59,6 @@ OF_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_
 
 #: It nearly changes whole poses; how far it moves distances tells it from the rest of another of its kind.
 _OF_SIZE = frozenset({"distance_scale"})
-
-
-#: Effects that move whole poses, or nearly so: errors of poses larger than stated tell of them.
-MOVES_POSES = OF_POSES | _OF_SIZE
 
 
 #: A further effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
@@ -145,16 +139,3 @@ def needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
     if len(found) > 1 and effect not in OF_POSES:
         need = max(need, left_by_forms(step, found))
     return max(float(step.thresholds[number]), need)
-
-
-def needed_once_fitted(
-    step: Exploration, numbers: Sequence[int], found: Sequence[Found], *, without: Fit, fitted: Fit
-) -> float:
-    """Return what candidates must gain [nats] once they were fitted beside others.
-
-    No share of what others gained where errors of poses tell them from what those leave.
-    """
-    of_poses = MOVES_POSES.issuperset(step.candidates[k].effect for k in numbers)
-    if found and of_poses and settles_poses(without, fitted):
-        return max(float(step.thresholds[k]) for k in numbers)
-    return max(needed(step, k, found) for k in numbers)

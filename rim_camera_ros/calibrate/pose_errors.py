@@ -16,9 +16,6 @@ _ROUNDS = 5
 #: Errors found over those stated up to which poses are explained, or as a share of what it was before.
 _EXPLAINED = 2.5
 _SHARE_LEFT = 0.5
-#: ... and up to which they are just those stated.
-_AS_STATED = 1.25
-_SEVERAL = 2
 _TILTS = ("tilt_x", "tilt_y")
 
 
@@ -53,25 +50,8 @@ def poses_explained(before: Fit, after: Fit) -> bool:
     A drift moves whole poses, and so does what the form of a large effect leaves; but once a true drift is
     known, errors along the normals are about as large as stated.
     """
-    return not poses_unexplained(after) or _worst_offset(after) <= _SHARE_LEFT * _worst_offset(before)
-
-
-def poses_unexplained(fitted: Fit, limit: float = _EXPLAINED) -> bool:
-    """Return whether errors along the normals are larger than stated, by a factor ``limit``."""
-    return _worst_offset(fitted) > limit
-
-
-def poses_tell(fitted: Fit) -> bool:
-    """Return whether poses of several surfaces err more than stated: something may be left that moves them.
-
-    Those of one surface follow whatever changes with its distance and tilt.
-    """
-    return len(pose_error_ratios(fitted)) >= _SEVERAL and poses_unexplained(fitted, WIDER)
-
-
-def settles_poses(before: Fit, after: Fit) -> bool:
-    """Return whether an effect that joined makes such errors just those stated."""
-    return poses_tell(before) and not poses_unexplained(after, _AS_STATED)
+    was, left = _worst_offset(before), _worst_offset(after)
+    return left <= _EXPLAINED or left <= _SHARE_LEFT * was
 
 
 def _worst_offset(fitted: Fit) -> float:

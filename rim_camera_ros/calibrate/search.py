@@ -28,7 +28,7 @@ from rim_camera_ros.calibrate.leaders import (
     what_it_became,
 )
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, candidates
-from rim_camera_ros.calibrate.needs import OF_POSES, Found, least_size, needed, needed_once_fitted
+from rim_camera_ros.calibrate.needs import OF_POSES, Found, least_size, needed
 from rim_camera_ros.calibrate.pixels import more_pixels
 from rim_camera_ros.calibrate.pose_errors import poses_explained
 from rim_camera_ros.calibrate.selection import folds_of
@@ -210,9 +210,7 @@ class Search:
             without = self._fitted(self.problem, with_effects(self.step.fit.camera, left), self.step)
             before = self.explorations[one.step]
             gain = self.step.scores.log_likelihood() - without.scores.log_likelihood()
-            number = before.best()[one.effect]
-            need = needed_once_fitted(before, [number], others, without=without.fit, fitted=self.step.fit)
-            if gain > need:
+            if gain > needed(before, before.best()[one.effect], others):
                 continue
             self.found.remove(one)
             self._replace_step(without.fit, before)
@@ -263,8 +261,7 @@ class Search:
         """Fit candidates and what rivals them; the best joins, where it gains and moves enough."""
         trial = self._best_trial(numbers, leader)
         fitted = trial.fitted
-        own = self.step.best_of(trial.effects)
-        need = needed_once_fitted(self.step, own, self.found, without=self.step.fit, fitted=fitted.fit)
+        need = self._needed(self.step.best_of(trial.effects))
         gain = fitted.scores.log_likelihood() - self.step.scores.log_likelihood()
         again = self._without(trial.effects, fitted, gain)
         if again is not None:

@@ -20,13 +20,12 @@ from rim_camera_ros.calibrate.leaders import (
     NOT_THE_POSES,
     ONCE_FITTED,
     Refused,
-    leaders,
     refused,
     smooth_says_more,
     what_it_became,
 )
 from rim_camera_ros.calibrate.library import candidates
-from rim_camera_ros.calibrate.needs import Found, needed_once_fitted
+from rim_camera_ros.calibrate.needs import Found
 from rim_camera_ros.calibrate.search import Search, search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import contribution, effect_size
@@ -326,55 +325,3 @@ def test_a_drift_explains_the_errors_of_poses(
     assert why_not("scattering") is None
     state.found.clear()
     assert why_not("warm_up_drift") is None
-
-
-@pytest.mark.parametrize(
-    ("effect", "before", "after", "needed"),
-    [
-        ("distance_scale", 2.3, 0.9, 12.0),  # poses are as stated once it is known
-        ("warm_up_drift", 2.3, 0.9, 12.0),
-        ("distance_scale", 2.3, 1.6, 600.0),  # they still err more
-        ("distance_scale", 1.4, 0.9, 600.0),  # they erred no more before
-        ("scattering", 2.3, 0.9, 600.0),  # it does not move poses
-    ],
-)
-def test_poses_tell_what_moves_them_from_the_rest_of_a_large_effect(
-    monkeypatch: pytest.MonkeyPatch, effect: str, before: float, after: float, needed: float
-) -> None:
-    ratios = {"wall": (0.8, 1.0), "board": (0.0, 1.0)}
-    monkeypatch.setattr(pose_errors, "pose_error_ratios", lambda ratio: {**ratios, "board": (ratio, 1.0)})
-    step: Any = SimpleNamespace(
-        thresholds=np.array([9.0, 12.0]),
-        unexplained=0.0,
-        candidates=[SimpleNamespace(effect="incidence_angle"), SimpleNamespace(effect=effect)],
-    )
-    share = 0.0005 if effect == "warm_up_drift" else 0.0015
-    found = [Found("amplitude_offset", 600.0 / share)]
-    fits: Any = {"without": before, "fitted": after}
-    assert needed_once_fitted(step, [1], found, **fits) == pytest.approx(needed)
-    assert needed_once_fitted(step, [1], [], **fits) == pytest.approx(12.0)
-    # poses of one surface follow whatever changes with its distance
-    monkeypatch.setattr(pose_errors, "pose_error_ratios", lambda ratio: {"board": (ratio, 1.0)})
-    assert needed_once_fitted(step, [1], found, **fits) == pytest.approx(600.0)
-
-
-@pytest.mark.parametrize(
-    ("ratio", "gain", "found", "leads"),
-    [(2.3, 40.0, True, (1,)), (1.2, 40.0, True, None), (2.3, 7.0, True, None), (2.3, 40.0, False, (1,))],
-)
-def test_what_moves_poses_is_tried_where_they_err_more_than_stated(
-    monkeypatch: pytest.MonkeyPatch, ratio: float, gain: float, found: bool, leads: tuple[int, ...] | None
-) -> None:
-    """Beside 400,000 nats it must gain 600 once it is fitted, but not before."""
-    monkeypatch.setattr(pose_errors, "pose_error_ratios", lambda _: dict.fromkeys("ab", (ratio, 1.0)))
-    step: Any = SimpleNamespace(
-        fit=None,
-        named=2,
-        gains=np.array([60.0, gain]) if found else np.array([5.0, gain]),
-        thresholds=np.array([8.0, 8.0]),
-        threshold=1000.0,
-        unexplained=0.0,
-        candidates=[SimpleNamespace(effect="emitter_offset"), SimpleNamespace(effect="distance_scale")],
-    )
-    chosen = leaders(step, [Found("scattering", 400_000.0)] if found else [], set())
-    assert chosen == (None if leads is None else (leads, leads[0]))
