@@ -12,13 +12,13 @@ MINIMUM = ["numpy>=1.26", "scipy>=1.11", "PyYAML>=6.0.1", "matplotlib>=3.6", "ro
 # An extra, not a hard requirement: apt's python3-opencv provides cv2 under no name that pip knows,
 # and pip would install a second one.
 OPENCV = ["opencv-python-headless>=4.6"]
-# tests_require is gone since setuptools 72; colcon finds pytest in this extra.
 # closed forms of unknown curves
 DIAGNOSIS = ["scikit-learn>=1.3"]
 # more recordings than one machine
 CLUSTER = ["distributed>=2024.1"]
 # finding and resetting SwissRanger cameras
 USB = ["pyusb>=1.2"]
+# tests_require is gone since setuptools 72; colcon finds pytest in this extra.
 TEST = ["pytest>=7.4", "pytest-timeout", "hypothesis>=6.98", "psutil"]
 
 
