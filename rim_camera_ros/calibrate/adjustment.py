@@ -57,8 +57,8 @@ _SHAPES_HELD = 2
 _HOLD = 1e9
 #: Damping of a step that makes things worse, as shares of the diagonal, one after the other; in the end no
 #: step. The step after it is damped alike, and so many times less once one is good at its first try.
-_DAMPING = (1e-3, 0.03, 1.0, np.inf)
-_LESS_DAMPED = 30.0
+_DAMPING = (0.01, 0.1, 1.0, np.inf)
+_LESS_DAMPED = 10.0
 #: Step of a parameter in units of its sigma, and change of chi-square between two iterations (for that
 #: tolerance), below which the adjustment has converged.
 TOLERANCE = 0.05

@@ -47,6 +47,8 @@ _ITERATIONS = 12
 _TOLERANCE = 0.15
 #: Gain of a fit over its linear forecast above which it is looked at what gained it.
 _BY_ITSELF = 2.0
+#: Share of what mixed pixels beside edges must gain that they gain before the other parameters are fitted.
+_AT_FIRST_SIGHT = 0.5
 
 
 @dataclass
@@ -230,10 +232,11 @@ class Search:
             return None
         self.say("pixels beside edges")
         problem = replace(self.problem, masks=masks)
-        beside = self._fitted(problem, fitted.camera, self.step, own, replicates=200)
-        number = beside.best()["mixed_pixels"]
-        if beside.gains[number] <= needed(beside, number, self.found):
-            return None
+        for iterations, replicates, share in ((0, 0, _AT_FIRST_SIGHT), (_ITERATIONS, 200, 1.0)):
+            beside = self._fitted(problem, fitted.camera, self.step, own, replicates, iterations)
+            number = beside.best()["mixed_pixels"]
+            if beside.gains[number] <= share * needed(beside, number, self.found):
+                return None
         names = [one.effect for one in self.found]
         step = self._explored(beside.fit, names, self.step, problem)
         kept, self.explorations = self.explorations, [*self.explorations, step]
@@ -356,6 +359,7 @@ class Search:
         step: Exploration,
         wanted: Sequence[Candidate] = (),
         replicates: int = 0,
+        iterations: int = _ITERATIONS,
     ) -> Exploration:
         """Return the fit of a camera that begins at the nuisances of a step, and scores candidates."""
         return explore(
@@ -367,7 +371,7 @@ class Search:
             warm=step.fit,
             seed=self.seed,
             replicates=replicates,
-            iterations=_ITERATIONS,
+            iterations=iterations,
             tolerance=_TOLERANCE,
         )
 
