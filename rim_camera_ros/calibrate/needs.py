@@ -57,6 +57,14 @@ LEAST_SHARE_OF_UNEXPLAINED = 0.01
 OF_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_offset"})
 
 
+#: Mixed pixels act within a pixel of edges. Smooth functions of distance, amplitude, angle or time leave no
+#: rest there, whatever their form; these may.
+_AT_EDGES = frozenset(
+    {"scattering", "multipath", "saturation_bleed", "motion", "camera_constant", "lens_distortion"}
+    | {"amplitude_nonlinearity"}
+)
+
+
 #: It nearly changes whole poses; how far it moves distances tells it from the rest of another of its kind.
 _OF_SIZE = frozenset({"distance_scale"})
 
@@ -92,6 +100,7 @@ class Found:
 
 def least_size(step: Exploration, chosen: Sequence[str], found: Sequence[Found]) -> float:
     """Return how far further effects must move distances [m]: more beside others of their kind."""
+    found = _like(chosen, found)
     rivals = [
         one.effect
         for one in found
@@ -102,6 +111,13 @@ def least_size(step: Exploration, chosen: Sequence[str], found: Sequence[Found])
     shares |= dict.fromkeys(rivals, LEAST_SIZE_OF_KIND)
     sizes = {name: effect_size(step.fit, [name], step.fit.start) for name in shares}
     return max([LEAST_SIZE, *(share * sizes[name] for name, share in shares.items())])
+
+
+def _like(chosen: Sequence[str], found: Sequence[Found]) -> list[Found]:
+    """Return those found whose form may leave a rest like what is chosen."""
+    if set(chosen) != {"mixed_pixels"}:
+        return list(found)
+    return [one for one in found if one.effect in _AT_EDGES]
 
 
 def own_covariates(effect: Effect) -> frozenset[str]:
@@ -125,6 +141,7 @@ def needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
     After two, more than a smooth function of what those depend on, which would say the same.
     """
     effect = step.candidates[number].effect
+    found = _like([effect], found)
     share = LEAST_SHARE_OF_POSES if effect in OF_POSES else LEAST_SHARE
     need = share * sum(one.gain for one in found)
     for one in found:

@@ -229,6 +229,24 @@ def test_a_footprint_of_a_pixel_is_found_beside_edges(tmp_path: Path, width: flo
     assert result.gained == pytest.approx(sum(one.gain for one in result.found), rel=1e-2)
 
 
+@pytest.mark.parametrize(("width", "found"), [(0.0, []), (0.5, ["mixed_pixels"])])
+def test_a_large_drift_does_not_hide_mixed_pixels(tmp_path: Path, width: float, found: list[str]) -> None:
+    """Mixed pixels move distances by 1.2 mm, the drift by 27 mm: its form leaves nothing at edges."""
+    told, board = camera(tmp_path), scene(tmp_path)
+    board = Scene((replace(board.surfaces[0], type="rectangle", size=(1.55, 1.35)),))
+    data = with_footprints(told, board, record(told, board, poses=14, frames=1, seed=9), width, 4)
+    for number, one in enumerate(data.stations):
+        uptime = 30.0 + 20.0 * one.pose
+        data.stations[number] = replace(
+            one,
+            settings=replace(one.settings, uptime=uptime),
+            distance=one.distance + 0.04 * np.exp(-uptime / 120.0),
+        )
+    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
+    result = search(Problem(data, board), told, facts)
+    assert [one.effect for one in result.found] == ["warm_up_drift", *found]
+
+
 @pytest.mark.parametrize(("scale", "kept"), [(0.0, False), (0.01, True)])
 def test_an_effect_that_later_ones_make_needless_is_dropped(tmp_path: Path, scale: float, kept: bool) -> None:
     """Found first in place of the cyclic error; it stays only where distances are scaled indeed."""
