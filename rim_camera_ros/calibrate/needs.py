@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, field
 
 from rim_camera_ros.calibrate.exploration import Exploration
@@ -69,6 +69,10 @@ _AT_EDGES = frozenset(
 _OF_SIZE = frozenset({"distance_scale"})
 
 
+#: What changes with distance in most recordings: a form in it leaves what looks like a scale of distance.
+_FALLING = frozenset({"amplitude", "incidence"})
+
+
 #: A further effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
 LEAST_SIZE = 0.0005
 
@@ -127,10 +131,14 @@ def own_covariates(effect: Effect) -> frozenset[str]:
     return frozenset({*effect.depends_on(), *_OF_DRIFTS.get(effect.name, ())})
 
 
-def left_by_forms(step: Exploration, found: Sequence[Found]) -> float:
-    """Return the gain of the best smooth function of a covariate that an effect found depends on."""
+def left_by_forms(step: Exploration, found: Sequence[Found], covariates: Set[str] | None = None) -> float:
+    """Return the gain of the best smooth function of a covariate that an effect found depends on.
+
+    Of some ``covariates`` alone where they are given.
+    """
     effects = [step.fit.camera.effects.get(one.effect) for one in found]
     own = {name for one in effects if one is not None for name in own_covariates(one)}
+    own = own if covariates is None else own & covariates
     smooth = range(step.named, len(step.candidates))
     return max([0.0, *(float(step.gains[k]) for k in smooth if step.candidates[k].variant in own)])
 
@@ -138,7 +146,8 @@ def left_by_forms(step: Exploration, found: Sequence[Found]) -> float:
 def needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
     """Return what a candidate must gain [nats] after others were found.
 
-    After two, more than a smooth function of what those depend on, which would say the same.
+    After two, more than a smooth function of what those depend on, which would say the same; a scale of
+    distance more than one of amplitude or incidence after one.
     """
     effect = step.candidates[number].effect
     found = _like([effect], found)
@@ -153,6 +162,8 @@ def needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
             need = max(need, LEAST_SHARE_BESIDE_ROUGH * one.gain)
     if found and effect not in OF_POSES:
         need = max(need, LEAST_SHARE_OF_UNEXPLAINED * step.unexplained)
+    if effect in _OF_SIZE:
+        need = max(need, left_by_forms(step, found, _FALLING))
     if len(found) > 1 and effect not in OF_POSES:
         need = max(need, left_by_forms(step, found))
     return max(float(step.thresholds[number]), need)

@@ -18,7 +18,6 @@ from rim_camera_ros.calibrate.leaders import (
     NOT_ELSEWHERE,
     NOT_THE_POSES,
     ONCE_FITTED,
-    Refused,
     leaders,
     leading_variants,
     near_rivals,
@@ -29,6 +28,7 @@ from rim_camera_ros.calibrate.leaders import (
 )
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, candidates
 from rim_camera_ros.calibrate.needs import OF_POSES, Found, least_size, needed
+from rim_camera_ros.calibrate.outcome import Result, Trial, as_good
 from rim_camera_ros.calibrate.pixels import more_pixels
 from rim_camera_ros.calibrate.pose_errors import poses_explained
 from rim_camera_ros.calibrate.selection import folds_of
@@ -49,39 +49,6 @@ _TOLERANCE = 0.15
 _BY_ITSELF = 2.0
 #: Share of what mixed pixels beside edges must gain that they gain before the other parameters are fitted.
 _AT_FIRST_SIGHT = 0.5
-
-
-@dataclass
-class Result:
-    """The search's end: the camera with all that was found, its last fit, and every exploration.
-
-    ``refused`` are effects that would have gained beside those found; explorations from number
-    ``beside_edges`` on take in pixels beside edges.
-    """
-
-    camera: Camera
-    found: list[Found]
-    explorations: list[Exploration]
-    log_likelihood: float
-    start_log_likelihood: float
-    problem: Problem
-    folds: Mapping[tuple[int, int], int]
-    refused: list[Refused] = field(default_factory=list)
-    beside_edges: int | None = None
-
-    @property
-    def fit(self) -> Fit:
-        """The fit of the final camera."""
-        return self.explorations[-1].fit
-
-    @property
-    def gained(self) -> float:
-        """What the search gained in held-out log likelihood [nats], each step at its own pixels."""
-        total = self.log_likelihood - self.start_log_likelihood
-        if self.beside_edges is None:
-            return total
-        before, at = self.explorations[self.beside_edges - 1 : self.beside_edges + 1]
-        return total - (at.scores.log_likelihood() - before.scores.log_likelihood())
 
 
 def search(
@@ -144,19 +111,6 @@ def search(
 
 def _silent(text: str) -> None:
     return None
-
-
-@dataclass(frozen=True)
-class _Trial:
-    """Effects that were fitted, the problem with what they free, the fit, and its log likelihood.
-
-    A pair's is less by what a further effect must gain.
-    """
-
-    effects: list[str]
-    problem: Problem
-    fitted: Exploration
-    likelihood: float
 
 
 @dataclass
@@ -262,7 +216,7 @@ class Search:
 
     def _try(self, numbers: tuple[int, ...], leader: int) -> None:
         """Fit candidates and what rivals them; the best joins, where it gains and moves enough."""
-        trial = self._best_trial(numbers, leader)
+        trial, close = self._best_trial(numbers, leader)
         fitted = trial.fitted
         need = self._needed(self.step.best_of(trial.effects))
         gain = fitted.scores.log_likelihood() - self.step.scores.log_likelihood()
@@ -283,6 +237,7 @@ class Search:
         self.failed.clear()
         for name in trial.effects:
             gains, ties = rivals(self.step, name, need)
+            ties += [other for other in close if other not in ties]
             self.found.append(Found(name, gain, gains, ties, step=len(self.explorations) - 1))
         self.problem = trial.problem
         if not fitted.fit.converged or keeps_amplitude_error(self.step.fit.camera, fitted.fit.camera):
@@ -292,7 +247,7 @@ class Search:
         self.step.forget()
         self.explorations.append(final)
 
-    def _why_not(self, trial: _Trial, gain: float, need: float) -> str | None:
+    def _why_not(self, trial: Trial, gain: float, need: float) -> str | None:
         after = trial.fitted
         size = effect_size(after.fit, trial.effects, self.camera)
         if gain <= need or size < least_size(after, trial.effects, self.found):
@@ -300,17 +255,20 @@ class Search:
         drifts = bool(self.found) and not OF_POSES.isdisjoint(trial.effects)
         return NOT_THE_POSES if drifts and not poses_explained(self.step.fit, after.fit) else None
 
-    def _best_trial(self, numbers: tuple[int, ...], leader: int) -> _Trial:
-        """Fit candidates and their near rivals non-linearly; return the best by held-out likelihood.
+    def _best_trial(self, numbers: tuple[int, ...], leader: int) -> tuple[Trial, list[str]]:
+        """Fit candidates and their near rivals non-linearly; return the best, and effects that are as good.
 
         A pair must beat the leader alone by what a further effect must gain: linearly, one that bends the
         light much looks worse than it is.
         """
         beside = near_rivals(self.step, numbers, leader, self.found, self.failed.keys())
         choices = [numbers, *beside][:_MOST_TRIALS]
-        best: _Trial | None = None
+        best: Trial | None = None
+        alone: dict[str, float] = {}
         for choice in choices:
             trial = self._trial(choice)
+            if len(choice) == 1:
+                alone[trial.effects[0]] = trial.likelihood
             other = what_it_became(trial.fitted, choice, self.step, self.found, self.camera)
             if other is not None:
                 if other not in choices:
@@ -318,9 +276,9 @@ class Search:
             elif best is None or trial.likelihood > best.likelihood:
                 best = trial
         assert best is not None
-        return best
+        return best, as_good(alone, best, self.step.scores.log_likelihood())
 
-    def _trial(self, choice: tuple[int, ...]) -> _Trial:
+    def _trial(self, choice: tuple[int, ...]) -> Trial:
         step = self.step
         names = [self._effect(k) for k in choice]
         self.say("fitting " + " and ".join(names))
@@ -339,7 +297,7 @@ class Search:
         likelihood = fitted.scores.log_likelihood()
         if len(choice) == 2:
             likelihood -= self._needed(choice)
-        return _Trial(names, problem, fitted, likelihood)
+        return Trial(names, problem, fitted, likelihood)
 
     def _without(self, effects: Sequence[str], after: Exploration, gain: float) -> Exploration | None:
         """Return the fit without further effects from where that with them ended, where it gained much.

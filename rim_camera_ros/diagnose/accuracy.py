@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
 from rim_camera_ros.calibrate.blocks import effect_block, present_priors
+from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.calibrate.residuals import after_nuisances
-from rim_camera_ros.calibrate.search import Result
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.calibrate.adjustment import Fit, Problem
 from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.calibrate.exploration import Exploration, explore
-from rim_camera_ros.calibrate.search import Result
+from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN, pair_terms

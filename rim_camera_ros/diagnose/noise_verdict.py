@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.search import Result
+from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.adjusted import Adjusted
 from rim_camera_ros.diagnose.described import Rest

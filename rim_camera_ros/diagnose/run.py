@@ -23,8 +23,9 @@ from rim_camera_ros.calibrate.exploration import Exploration, explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import OF_SURFACES
 from rim_camera_ros.calibrate.needs import left_by_forms
+from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.calibrate.plan import shipped_experiments
-from rim_camera_ros.calibrate.search import MOST_EFFECTS, Result, search
+from rim_camera_ros.calibrate.search import MOST_EFFECTS, search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera

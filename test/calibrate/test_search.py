@@ -26,6 +26,7 @@ from rim_camera_ros.calibrate.leaders import (
 )
 from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.needs import Found
+from rim_camera_ros.calibrate.outcome import as_good
 from rim_camera_ros.calibrate.search import Search, search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import contribution, effect_size
@@ -108,6 +109,8 @@ def test_effects_that_would_gain_and_were_not_added_are_told_with_the_reason() -
         gains=np.array([400.0, 30.0, 5.0, 60.0]),
         thresholds=np.full(4, 8.0),
         candidates=[SimpleNamespace(effect=name) for name in names],
+        named=4,
+        fit=SimpleNamespace(camera=SimpleNamespace(effects={})),
         unexplained=0.0,
     )
     found = [Found("cyclic_error", 10_000.0)]
@@ -247,6 +250,15 @@ def test_a_large_drift_does_not_hide_mixed_pixels(tmp_path: Path, width: float, 
     assert [one.effect for one in result.found] == ["warm_up_drift", *found]
 
 
+def test_effects_as_good_as_the_best() -> None:
+    """Each alone explains nine tenths of what the best does, or does not."""
+    best: Any = SimpleNamespace(effects=["incidence_angle"], likelihood=1100.0)
+    alone = {"incidence_angle": 1100.0, "distance_scale": 1091.0, "lens_distortion": 1089.0}
+    assert as_good(alone, best, 1000.0) == ["distance_scale"]
+    pair: Any = SimpleNamespace(effects=["incidence_angle", "cyclic_error"], likelihood=1100.0)
+    assert as_good(alone, pair, 1000.0) == []
+
+
 @pytest.mark.parametrize(("scale", "kept"), [(0.0, False), (0.01, True)])
 def test_an_effect_that_later_ones_make_needless_is_dropped(tmp_path: Path, scale: float, kept: bool) -> None:
     """Found first in place of the cyclic error; it stays only where distances are scaled indeed."""
@@ -277,7 +289,7 @@ def test_a_member_of_a_pair_that_moves_nothing_does_not_join(tmp_path: Path) -> 
     first = explore(problem, camera(tmp_path), pool, folds, replicates=0)
     state = Search(problem, camera(tmp_path), [first], folds)
     best = first.best()
-    trial = state._best_trial((best["cyclic_error"], best["mixed_pixels"]), best["mixed_pixels"])
+    trial, _ = state._best_trial((best["cyclic_error"], best["mixed_pixels"]), best["mixed_pixels"])
     assert trial.effects == ["cyclic_error"]
 
 

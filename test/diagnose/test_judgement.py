@@ -210,22 +210,24 @@ def test_what_is_nothing_beside_the_noise_is_no_unknown_physics(
 
 
 def test_a_third_effect_says_more_than_a_function_of_what_the_first_two_depend_on(tmp_path: Path) -> None:
-    names = ["distance_scale", "warm_up_drift"]
+    names = ["distance_scale", "warm_up_drift", "lens_distortion"]
     step: Any = SimpleNamespace(
         fit=SimpleNamespace(camera=camera(tmp_path, HYPERBOLA)),
         candidates=[
             *(SimpleNamespace(effect=name, variant="") for name in names),
             *(SimpleNamespace(effect="unknown", variant=name) for name in ("amplitude", "distance")),
         ],
-        gains=np.array([36.0, 36.0, 42.0, 90.0]),
-        thresholds=np.full(4, 8.0),
-        named=2,
+        gains=np.array([36.0, 36.0, 36.0, 42.0, 90.0]),
+        thresholds=np.full(5, 8.0),
+        named=3,
         unexplained=0.0,
     )
     both = [Found("amplitude_offset", 7400.0), Found("incidence_angle", 130.0)]
     assert needed(step, 0, both) == 42.0
     assert needed(step, 1, both) == 8.0  # errors of poses limit what it gains, no form of the others
-    assert needed(step, 0, both[:1]) == pytest.approx(0.0015 * 7400.0)
+    assert needed(step, 2, both[:1]) == pytest.approx(0.0015 * 7400.0)
+    # amplitude falls with distance: what a form in it leaves looks like a scale of distance already after one
+    assert needed(step, 0, both[:1]) == 42.0
 
 
 def test_a_note_for_each_reason_tells_what_was_not_added() -> None:
