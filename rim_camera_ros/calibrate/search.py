@@ -237,7 +237,8 @@ class Search:
         self.failed.clear()
         for name in trial.effects:
             gains, ties = rivals(self.step, name, need)
-            ties += [other for other in close if other not in ties]
+            # of a first one, what joins it decides
+            ties += [other for other in close if self.found and other not in ties]
             self.found.append(Found(name, gain, gains, ties, step=len(self.explorations) - 1))
         self.problem = trial.problem
         if not fitted.fit.converged or keeps_amplitude_error(self.step.fit.camera, fitted.fit.camera):
