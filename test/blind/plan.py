@@ -10,7 +10,7 @@ import numpy as np
 from .generator.base import FORMS
 from .generator.catalogue import CONFOUNDED, MASKABLE, OUTSIDE, TIERS, VOCABULARY
 
-MASTER_SEED = 20261224
+MASTER_SEED = 20261225
 SMALL, LARGE = (88, 72), (176, 144)
 
 FAINT, TWICE = "faint", "large"
