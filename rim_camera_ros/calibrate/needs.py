@@ -60,8 +60,15 @@ OF_POSES = frozenset({"warm_up_drift", "ambient_temperature", "integration_time_
 #: Mixed pixels act within a pixel of edges. Smooth functions of distance, amplitude, angle or time leave no
 #: rest there, whatever their form; these may.
 _AT_EDGES = frozenset(
-    {"scattering", "multipath", "saturation_bleed", "motion", "camera_constant", "lens_distortion"}
-    | {"amplitude_nonlinearity"}
+    {
+        "amplitude_nonlinearity",
+        "camera_constant",
+        "lens_distortion",
+        "motion",
+        "multipath",
+        "saturation_bleed",
+        "scattering",
+    }
 )
 
 

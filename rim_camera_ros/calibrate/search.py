@@ -268,13 +268,14 @@ class Search:
         alone: dict[str, float] = {}
         for choice in choices:
             trial = self._trial(choice)
-            if len(choice) == 1:
-                alone[trial.effects[0]] = trial.likelihood
             other = what_it_became(trial.fitted, choice, self.step, self.found, self.camera)
             if other is not None:
                 if other not in choices:
                     choices.append(other)
-            elif best is None or trial.likelihood > best.likelihood:
+                continue
+            if len(choice) == 1:
+                alone[trial.effects[0]] = trial.likelihood
+            if best is None or trial.likelihood > best.likelihood:
                 best = trial
         assert best is not None
         return best, as_good(alone, best, self.step.scores.log_likelihood())

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate import pose_errors
+from rim_camera_ros.calibrate import search as search_module
 from rim_camera_ros.calibrate.adjustment import Problem, _settled
 from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.exploration import explore
@@ -25,8 +26,8 @@ from rim_camera_ros.calibrate.leaders import (
     what_it_became,
 )
 from rim_camera_ros.calibrate.library import candidates
-from rim_camera_ros.calibrate.needs import Found
-from rim_camera_ros.calibrate.outcome import as_good
+from rim_camera_ros.calibrate.needs import Found, needed
+from rim_camera_ros.calibrate.outcome import Trial, as_good
 from rim_camera_ros.calibrate.search import Search, search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import contribution, effect_size
@@ -257,6 +258,45 @@ def test_effects_as_good_as_the_best() -> None:
     assert as_good(alone, best, 1000.0) == ["distance_scale"]
     pair: Any = SimpleNamespace(effects=["incidence_angle", "cyclic_error"], likelihood=1100.0)
     assert as_good(alone, pair, 1000.0) == []
+
+
+@pytest.mark.parametrize(("became", "close"), [(None, ["scattering"]), ((1,), [])])
+def test_what_became_another_effect_is_no_rival_of_it(
+    monkeypatch: pytest.MonkeyPatch, became: tuple[int, ...] | None, close: list[str]
+) -> None:
+    """Stray light that was fitted within its own pixel is two surfaces in a pixel, not as good as they."""
+    names, likelihoods = ["scattering", "mixed_pixels"], [95.0, 100.0]
+    step: Any = SimpleNamespace(scores=SimpleNamespace(log_likelihood=lambda: 0.0))
+    nothing: Any = None
+    monkeypatch.setattr(search_module, "near_rivals", lambda *_: [(1,)])
+    monkeypatch.setattr(
+        search_module, "what_it_became", lambda _, choice, *__: became if choice == (0,) else None
+    )
+    monkeypatch.setattr(
+        Search, "_trial", lambda _, one: Trial([names[one[0]]], nothing, nothing, likelihoods[one[0]])
+    )
+    best, others = Search(nothing, nothing, [step], {})._best_trial((0,), 0)
+    assert (best.effects, others) == (["mixed_pixels"], close)
+
+
+@pytest.mark.parametrize(
+    ("before", "effect", "asked"),
+    [
+        ("warm_up_drift", "mixed_pixels", 8.0),
+        ("incidence_angle", "mixed_pixels", 8.0),
+        ("motion", "mixed_pixels", 15.0),
+        ("scattering", "mixed_pixels", 500.0),
+        ("incidence_angle", "scattering", 15.0),
+    ],
+)
+def test_only_what_acts_at_edges_raises_what_mixed_pixels_must_gain(
+    before: str, effect: str, asked: float
+) -> None:
+    """0.15 % of what was found gained, 5 % of one of its kind."""
+    step: Any = SimpleNamespace(
+        candidates=[SimpleNamespace(effect=effect)], thresholds=np.full(1, 8.0), unexplained=0.0
+    )
+    assert needed(step, 0, [Found(before, 10_000.0)]) == pytest.approx(asked)
 
 
 @pytest.mark.parametrize(("scale", "kept"), [(0.0, False), (0.01, True)])
