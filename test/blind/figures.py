@@ -146,7 +146,9 @@ def _identifiability(results: Sequence[Result], path: Path) -> bool:
     axis.axvline(0.02, color=_GREY, linewidth=0.8, linestyle=":")
     axis.set_xlabel("identifiability: share of its energy that nothing else takes on", fontsize=8)
     axis.set_ylabel("RMS of the effect over sigma", fontsize=8)
-    axis.tick_params(labelsize=7)
+    axis.tick_params(which="both", labelsize=7)
+    axis.yaxis.set_major_formatter("{x:g}")
+    axis.yaxis.set_minor_formatter("{x:g}")
     axis.legend(fontsize=7, frameon=False)
     _save(figure, path)
     return True
