@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rim_camera_ros.calibrate.adjustment import Problem, fit, freed
+from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.empirical_fit import empirical_block, empirical_start
 from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD
+from rim_camera_ros.calibrate.problem import Problem, freed
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.calibrate.solution import Solution
 from rim_camera_ros.errors import InputError

@@ -66,10 +66,11 @@ ColumnsOf = Callable[[Prediction], Sequence[tuple[Array, Array | None]]]
 
 @dataclass(frozen=True)
 class Block:
-    """Regressors whose columns are computed together."""
+    """Regressors whose columns are computed together; ``in_order`` where they need the stations in order."""
 
     regressors: tuple[Regressor, ...]
     columns: ColumnsOf
+    in_order: bool = False
 
 
 def effect_block(
@@ -88,13 +89,17 @@ def effect_block(
 
     name = effect.name if owner is None else owner
     regressors = tuple(Regressor(f"effects.{effect.name}.{p}{label}", name, priors[p]) for p in paths)
-    return Block(regressors, columns)
+    return Block(regressors, columns, in_order=effect.remembers)
 
 
 def together(*blocks: Block) -> Block:
     """Return one block of the regressors of several, in their order."""
     regressors = tuple(regressor for one in blocks for regressor in one.regressors)
-    return Block(regressors, lambda prediction: [c for one in blocks for c in one.columns(prediction)])
+    return Block(
+        regressors,
+        lambda prediction: [c for one in blocks for c in one.columns(prediction)],
+        in_order=any(one.in_order for one in blocks),
+    )
 
 
 def light_block(labels: Sequence[str]) -> Block:

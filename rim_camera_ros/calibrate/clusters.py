@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.blocks import Block
 from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.calibrate.selection import Scores
 

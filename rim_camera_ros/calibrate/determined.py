@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.blocks import UNFITTED
 from rim_camera_ros.calibrate.candidate import Candidate, Facts
 from rim_camera_ros.calibrate.library import GEOMETRY
+from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import registry

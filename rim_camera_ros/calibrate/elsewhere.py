@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import Problem, fit
+from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, Exploration
+from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.calibrate.sizes import change_by
 

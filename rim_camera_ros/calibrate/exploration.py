@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import TOLERANCE, Fit, Problem, fit
+from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.blocks import Block
 from rim_camera_ros.calibrate.candidate import Candidate
+from rim_camera_ros.calibrate.gauss_newton import TOLERANCE
 from rim_camera_ros.calibrate.nulls import null_scores
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera
 

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.blocks import Block, Regressor
 from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES
 from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.sizes import change_by
 from rim_camera_ros.effects.base import DistanceTerm
 
@@ -93,7 +93,7 @@ def _sized(fitted: Fit, name: str, variants: Sequence[Block]) -> Block:
     regressors = tuple(
         Regressor(f"form.{name}.{i}", FORM, max(float(prior), 1e-9)) for i, prior in enumerate(priors)
     )
-    return Block(regressors, columns)
+    return Block(regressors, columns, in_order=any(one.in_order for one in variants))
 
 
 def _squares(prediction: Prediction, change: Change) -> Array:

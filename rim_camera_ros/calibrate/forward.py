@@ -60,7 +60,8 @@ class Forward:
     says beyond this one's prediction at the start. ``variance_factors`` by recording and placement multiply
     the variances of a pose's distances. ``light_curves`` change the light beside the camera file's effects.
     ``near_edges`` takes in pixels beside edges, where no masks are given.
-    ``tick`` is called for each station and may raise to end the work.
+    ``tick`` is called for each station and may raise to end the work; what is computed of every prediction
+    may take so many ``threads``.
     """
 
     def __init__(self, dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None) -> None:
@@ -74,6 +75,7 @@ class Forward:
         self.variance_factors: Mapping[tuple[int, int], float] = {}
         self.light_curves: LightCurves | None = None
         self.tick: Callable[[], None] | None = None
+        self.threads = 1
         self._order = {name: i for i, name in enumerate(registry())}
 
     def estimate_amplitudes(self, gains: Mapping[tuple[int, int], float] | None = None) -> AmplitudeModel:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
+from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.blocks import UNFITTED, gain_block, light_block, optics_block, present_blocks
 from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.clusters import widening
@@ -21,6 +21,7 @@ from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, candidates
 from rim_camera_ros.calibrate.light_curves import SURFACES
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT
 from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.calibrate.selection import Scores, folds_of

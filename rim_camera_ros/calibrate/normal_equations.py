@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from rim_camera_ros.calibrate.blocks import Block, Regressor
+from rim_camera_ros.calibrate.fold_sums import Column, Fold, FoldSums, Share, share_of
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.threads import in_order
 
 Array = NDArray[Any]
 
@@ -30,32 +32,14 @@ _BLOCK = 4096
 
 
 @dataclass
-class Fold:
-    """Sums over the stations of one fold of poses.
-
-    ``nuisances``: name, 1-sigma of the prior, and where the equations are linearised (their prior's mean is
-    0).
-    ``gram`` (M, M) over regressors, this fold's nuisances and the observations (last); ``pixel`` (P, M) and
-    ``weight`` (P,) the sums per pixel of the distance channel; ``rows`` the number of observations,
-    ``log_sigma`` the sum of their log standard deviations.
-    """
-
-    nuisances: list[tuple[str, float, float]]
-    gram: Array
-    pixel: Array
-    weight: Array
-    rows: int = 0
-    log_sigma: float = 0.0
-
-
-@dataclass
 class NormalEquations:
-    """All folds; ``regressors`` in the order of the columns."""
+    """All folds; ``regressors`` in the order of the columns; ``threads`` that work on them may take."""
 
     regressors: list[Regressor]
     folds: list[Fold] = field(default_factory=list)
     shape: tuple[int, int] = (0, 0)
     pattern_prior: float = PATTERN_PRIOR
+    threads: int = 1
 
     def reduced(self, leave_out: int | None = None) -> Reduced:
         """Return the equations of the regressors alone, of all folds but one; nuisances are eliminated."""
@@ -222,158 +206,38 @@ def accumulate(
     the offsets of pixels.
     """
     regressors = [one for block in blocks for one in block.regressors]
-    count = len(regressors)
     camera = forward.camera
-    gain_sigma = camera.radiometry.gain_sigma
-    sums: dict[int, _FoldSums] = {}
-    for prediction in forward.predictions():
-        station = prediction.station
-        key = (station.recording, station.pose)
-        number = 0 if fold_of is None else fold_of[key]
+    ordered = [block for block in blocks if block.in_order]
+
+    def taken() -> Iterator[tuple[Prediction, list[Sequence[Column]]]]:
+        for prediction in forward.predictions():
+            remembered = [block.columns(prediction) for block in ordered]
+            # what the next station remembers is another's
+            prediction.context.memory = dict(prediction.context.memory)
+            yield prediction, remembered
+
+    def share(one: tuple[Prediction, list[Sequence[Column]]]) -> tuple[int, Share]:
+        prediction, remembered = one[0], iter(one[1])
+        columns = [
+            pair
+            for block in blocks
+            for pair in (next(remembered) if block.in_order else block.columns(prediction))
+        ]
+        found = share_of(
+            prediction,
+            columns,
+            gain_sigma=camera.radiometry.gain_sigma,
+            stray_light=stray_light,
+            factors=None if weigh is None else weigh(prediction),
+        )
+        key = (prediction.station.recording, prediction.station.pose)
+        return 0 if fold_of is None else fold_of[key], found
+
+    sums: dict[int, FoldSums] = {}
+    for number, found in in_order(share, taken(), threads=forward.threads):
         if number not in sums:
-            sums[number] = _FoldSums(count, camera.sensor.width * camera.sensor.height, single=single)
-        factors = None if weigh is None else weigh(prediction)
-        sums[number].add(prediction, blocks, (gain_sigma, stray_light), pattern, factors)
-    folds = [sums[number].fold(pattern) for number in sorted(sums)]
-    return NormalEquations(regressors, folds, camera.shape, pattern_prior)
-
-
-def _rows(images: Sequence[Array], pixels: Array) -> Array:
-    """Return the chosen pixels of images (H, W) as rows (len(images), N), 0 where not finite."""
-    rows = np.empty((len(images), pixels.size))
-    for row, image in zip(rows, images, strict=True):
-        np.take(image, pixels, out=row, mode="clip")
-    if not np.isfinite(rows.sum()):
-        np.nan_to_num(rows, copy=False, posinf=0.0, neginf=0.0)
-    return rows
-
-
-class _FoldSums:
-    def __init__(self, count: int, pixels: int, *, single: bool) -> None:
-        self._count = count
-        self._type = np.float32 if single else np.float64
-        self._nuisances: dict[str, tuple[float, float]] = {}
-        self._gram = np.zeros((count, count))
-        self._right = np.zeros(count)
-        self._square = 0.0
-        self._rows = 0
-        self._log_sigma = 0.0
-        self._pixel: Array = np.zeros((count, pixels), self._type)
-        self._pixel_y: Array = np.zeros(pixels, self._type)
-        self._weight: Array = np.zeros(pixels)
-        # of each nuisance: products with the regressors, with y, and its sums per pixel
-        self._cross: dict[str, Array] = {}
-        self._cross_y: dict[str, float] = {}
-        self._inner: dict[tuple[str, str], float] = {}
-        self._nuisance_pixel: dict[str, Array] = {}
-
-    def add(
-        self,
-        prediction: Prediction,
-        blocks: Sequence[Block],
-        random: tuple[float, float],
-        pattern: bool,
-        factors: tuple[Array, Array] | None,
-    ) -> None:
-        pixels, lit = (np.flatnonzero(one) for one in (prediction.used, prediction.amplitude_used))
-        columns = [pair for block in blocks for pair in block.columns(prediction)]
-        nuisances = _nuisances(prediction, *random)
-        weight = 1.0 / np.take(prediction.sigma, pixels) ** 2
-        weight_a = 1.0 / np.take(prediction.amplitude_sigma, lit) ** 2
-        if factors is not None:
-            weight = weight * np.take(factors[0], pixels)
-            weight_a = weight_a * np.take(factors[1], lit)
-        of_distance = [distance for distance, _ in columns]
-        of_distance += [distance for *_, distance, _ in nuisances]
-        design = _rows([*of_distance, prediction.residual], pixels)
-        # a product with its own transpose takes half the time
-        root = np.sqrt(weight)
-        design *= root
-        gram = design @ design.T
-        if lit.size:
-            of_light = [(i, amplitude) for i, (_, amplitude) in enumerate(columns) if amplitude is not None]
-            of_light += [(len(columns) + i, one[-1]) for i, one in enumerate(nuisances)]
-            of_light.append((len(design) - 1, prediction.amplitude_residual))
-            index = np.array([i for i, _ in of_light])
-            light = _rows([amplitude for _, amplitude in of_light], lit)
-            light *= np.sqrt(weight_a)
-            gram[np.ix_(index, index)] += light @ light.T
-        self._rows += len(weight) + len(weight_a)
-        self._log_sigma -= 0.5 * float(np.log(weight).sum() + np.log(weight_a).sum())
-        self._sum(gram, nuisances)
-        if pattern:
-            weighted = np.multiply(design, root, out=design)
-            for sums, row in zip(self._pixel, weighted[: self._count], strict=True):
-                sums[pixels] += row.astype(self._type, copy=False)
-            self._pixel_y[pixels] += weighted[-1].astype(self._type, copy=False)
-            self._weight[pixels] += weight
-            for i, (name, *_) in enumerate(nuisances):
-                sums = self._nuisance_pixel.setdefault(name, np.zeros(self._weight.size, self._type))
-                sums[pixels] += weighted[self._count + i].astype(self._type, copy=False)
-
-    def _sum(self, gram: Array, nuisances: Sequence[_Nuisance]) -> None:
-        count = self._count
-        self._gram += gram[:count, :count]
-        self._right += gram[:count, -1]
-        self._square += gram[-1, -1]
-        for i, (name, prior, at, _, _) in enumerate(nuisances):
-            self._nuisances.setdefault(name, (prior, at))
-            self._cross[name] = self._cross.get(name, 0.0) + gram[:count, count + i]
-            self._cross_y[name] = self._cross_y.get(name, 0.0) + float(gram[-1, count + i])
-            for j, (other, *_) in enumerate(nuisances):
-                both = (name, other)
-                self._inner[both] = self._inner.get(both, 0.0) + float(gram[count + i, count + j])
-
-    def fold(self, pattern: bool) -> Fold:
-        count, names = self._count, list(self._nuisances)
-        size = count + len(names) + 1
-        gram = np.zeros((size, size))
-        gram[:count, :count] = self._gram
-        gram[:count, -1] = gram[-1, :count] = self._right
-        gram[-1, -1] = self._square
-        place = {name: count + i for i, name in enumerate(names)}
-        for name in names:
-            k = place[name]
-            gram[:count, k] = gram[k, :count] = self._cross[name]
-            gram[k, -1] = gram[-1, k] = self._cross_y[name]
-        for (one, other), value in self._inner.items():
-            gram[place[one], place[other]] = value
-        pixels = len(self._weight)
-        pixel = np.zeros((pixels if pattern else 1, size), self._type)
-        if pattern:
-            pixel[:, :count] = self._pixel.T
-            pixel[:, -1] = self._pixel_y
-            for name, sums in self._nuisance_pixel.items():
-                pixel[:, place[name]] = sums
-        weight = self._weight if pattern else np.zeros(1)
-        nuisances = [(name, *self._nuisances[name]) for name in names]
-        return Fold(nuisances, gram, pixel, weight, self._rows, self._log_sigma)
-
-
-#: Name, 1-sigma of the prior, value at the linearisation, derivatives of both channels.
-_Nuisance = tuple[str, float, float, Array, Array]
-
-
-def _nuisances(prediction: Prediction, gain_sigma: float, stray_light: float) -> list[_Nuisance]:
-    """Return name, prior, value and both columns of a station's random effects: errors of poses, emitted
-    power.
-    """
-    station = prediction.station
-    key = f"{station.recording}.{station.pose}"
-    result = []
-    for column in prediction.pose_columns:
-        if column.path.startswith("scene."):
-            continue
-        distance, amplitude = prediction.pose_change(column)
-        name = f"{station.recording}.{station.placed}.{column.path}"
-        result.append((name, column.prior, 0.0, distance, amplitude))
-    if gain_sigma > 0:
-        distance, amplitude = prediction.gain_column()
-        at = float(np.log(prediction.gain))
-        result.append((f"{key}.gain", gain_sigma, at, distance, amplitude))
-    if stray_light > 0:
-        for part, (distance, amplitude) in zip(
-            ("real", "imaginary"), prediction.light_columns(), strict=True
-        ):
-            result.append((f"{key}.light.{part}.{station.stamp}", stray_light, 0.0, distance, amplitude))
-    return result
+            pixels = camera.sensor.width * camera.sensor.height
+            sums[number] = FoldSums(len(regressors), pixels, single=single, pattern=pattern)
+        sums[number].add(found)
+    folds = [sums[number].fold() for number in sorted(sums)]
+    return NormalEquations(regressors, folds, camera.shape, pattern_prior, forward.threads)

@@ -14,13 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.calibrate.normal_equations import (
-    Fold,
-    NormalEquations,
-    pixel_blocks,
-    reduce_folds,
-)
+from rim_camera_ros.calibrate.fold_sums import Fold
+from rim_camera_ros.calibrate.normal_equations import NormalEquations, pixel_blocks, reduce_folds
 from rim_camera_ros.calibrate.selection import Scores
+from rim_camera_ros.threads import in_order
 
 Array = NDArray[Any]
 
@@ -68,8 +65,8 @@ def null_scores(
             replicates=[(draws[i].right, draws[i].pixel) for i in kept],
         )
 
-    scores.full = reduced(None)
-    scores.trained = [reduced(k) for k in range(len(equations.folds))] if len(equations.folds) > 1 else []
+    folds = range(len(equations.folds)) if len(equations.folds) > 1 else ()
+    scores.full, *scores.trained = in_order(reduced, (None, *folds), threads=equations.threads)
     return scores
 
 

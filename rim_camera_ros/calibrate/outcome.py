@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from rim_camera_ros.calibrate.adjustment import Fit, Problem
 from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.leaders import Refused
 from rim_camera_ros.calibrate.needs import Found
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.camera import Camera
 
 #: Share of what the best of several fits gains from which another is as good: no form is quite the true one.

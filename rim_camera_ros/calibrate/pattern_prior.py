@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.normal_equations import PATTERN_PRIOR, reduce_folds
+from rim_camera_ros.calibrate.problem import Fit
 
 Array = NDArray[Any]
 

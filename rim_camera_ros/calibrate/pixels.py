@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT, after_nuisances
 from rim_camera_ros.effects.reference_path import ReferencePath
 from rim_camera_ros.scene import Geometry

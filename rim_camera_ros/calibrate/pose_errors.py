@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
+from rim_camera_ros.calibrate.adjustment import fit
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.scene import Scene
 
 #: Errors found in this ratio to those stated count as larger, and poses that it takes to say so.

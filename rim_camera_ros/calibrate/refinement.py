@@ -8,7 +8,6 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import Fit, Problem
 from rim_camera_ros.calibrate.normal_equations import PATTERN_PRIOR
 from rim_camera_ros.calibrate.pattern_prior import (
     first_pattern_prior,
@@ -17,6 +16,7 @@ from rim_camera_ros.calibrate.pattern_prior import (
 )
 from rim_camera_ros.calibrate.pixels import Beside, beside_in_view, without_edges
 from rim_camera_ros.calibrate.pose_errors import settled_poses, wider_poses_note
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.uneven_poses import uneven_note, uneven_poses
 
 Array = NDArray[Any]

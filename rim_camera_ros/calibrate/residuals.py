@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.forward import Forward, excess
 from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.threads import in_order
 
 Array = NDArray[Any]
 
@@ -37,20 +38,22 @@ def amplitude_error(forward: Forward, nuisances: Mapping[str, float]) -> float:
     """Return the relative 1-sigma of predicted amplitudes beyond noise and errors of poses (robustly)."""
     tau = forward.amplitude_model.tau
     pattern = np.zeros(forward.camera.shape)
-    deviations, variances = [], []
-    for one in forward.predictions(slopes=False):
+
+    def sharpest(one: Prediction) -> tuple[Array, Array]:
         pixels = one.amplitude_used
         if not pixels.any():
-            continue
+            return np.zeros(0), np.zeros(0)
         _, amplitude = after_nuisances(one, pattern, nuisances)
         reading = one.station.amplitude[pixels] - one.amplitude_residual[pixels]
         relative = (one.amplitude_sigma[pixels] / reading) ** 2 - tau**2
         sharp = relative <= np.quantile(relative, 0.5)
-        deviations.append((amplitude[pixels] / reading)[sharp])
-        variances.append(relative[sharp])
-    if not deviations:
+        return (amplitude[pixels] / reading)[sharp], relative[sharp]
+
+    found = list(in_order(sharpest, forward.predictions(slopes=False), threads=forward.threads))
+    if not found:
         return 0.0
-    return excess(np.concatenate(deviations), np.concatenate(variances))
+    deviations, variances = (np.concatenate(part) for part in zip(*found, strict=True))
+    return excess(deviations, variances) if deviations.size else 0.0
 
 
 def after_nuisances(

@@ -14,7 +14,6 @@ from scipy.linalg import block_diag
 
 from rim_camera_ros.bags import Topics
 from rim_camera_ros.calibrate import checks
-from rim_camera_ros.calibrate.adjustment import Problem
 from rim_camera_ros.calibrate.beyond_hyperbola import beyond_hyperbola
 from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.coarser import coarseness_of, coarser_camera
@@ -26,6 +25,7 @@ from rim_camera_ros.calibrate.joint import Outcome, by_search, exactly
 from rim_camera_ros.calibrate.large_sensor import LargeSensor
 from rim_camera_ros.calibrate.noise_fit import POOR, NoiseFit, fit_noise
 from rim_camera_ros.calibrate.pixels import beside_in_view, usable_pixels
+from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.provenance import Source, checksum, provenance
 from rim_camera_ros.calibrate.reference_scale import NAME as REFERENCE
 from rim_camera_ros.calibrate.reference_scale import PATHS, FittedReference, fit_reference, with_reference
@@ -58,7 +58,8 @@ class Request:
     of the camera file and those that the recordings ask for; else exactly those (``empirical:COVARIATE``
     for a
     smooth function of it; ``integral_table`` alone for a table by position). ``geometry`` estimates the
-    optics with them. ``camera_name``, ``scene_name`` and ``command`` go into the provenance.
+    optics with them. ``camera_name``, ``scene_name`` and ``command`` go into the provenance. The result is
+    the same with any number of ``threads``.
     """
 
     recordings: tuple[Path, ...]
@@ -68,6 +69,7 @@ class Request:
     geometry: bool = False
     topics: Topics | None = None
     seed: int = 0
+    threads: int = 1
     camera_name: str = ""
     scene_name: str | None = None
     command: str = ""
@@ -171,6 +173,7 @@ def calibrate(
         geometry=GEOMETRY if request.geometry else (),
         single=camera.shape[0] * camera.shape[1] > _MANY_PIXELS,
         tick=watch.tick,
+        threads=request.threads,
     )
     only_integral = request.effects is not None and tuple(request.effects) == (_INTEGRAL,)
     words = () if only_integral else request.effects

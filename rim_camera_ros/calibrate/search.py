@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from rim_camera_ros.calibrate.adjustment import Fit, Problem, keeps_amplitude_error
 from rim_camera_ros.calibrate.candidate import Candidate, Facts
 from rim_camera_ros.calibrate.elsewhere import shows_elsewhere
 from rim_camera_ros.calibrate.exploration import Exploration, explore, explored, further_equations
 from rim_camera_ros.calibrate.forms import form_blocks
+from rim_camera_ros.calibrate.gauss_newton import keeps_amplitude_error
 from rim_camera_ros.calibrate.leaders import (
     NOT_ELSEWHERE,
     NOT_THE_POSES,
@@ -31,6 +31,7 @@ from rim_camera_ros.calibrate.needs import OF_POSES, Found, least_size, needed
 from rim_camera_ros.calibrate.outcome import Result, Trial, as_good
 from rim_camera_ros.calibrate.pixels import more_pixels
 from rim_camera_ros.calibrate.pose_errors import poses_explained
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import effect_size
 from rim_camera_ros.calibrate.stations import level_of

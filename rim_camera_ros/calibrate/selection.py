@@ -16,6 +16,7 @@ from scipy import linalg
 
 from rim_camera_ros.calibrate.normal_equations import NormalEquations, Reduced
 from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.threads import in_order
 
 Array = NDArray[Any]
 Key = tuple[int, int]
@@ -47,9 +48,8 @@ class Scores:
         self.regressors = equations.regressors
         self.base = np.array(sorted(base), int)
         self.prior = np.array([one.prior for one in equations.regressors])
-        self.full = equations.reduced()
-        folds = range(len(equations.folds))
-        self.trained = [equations.reduced(k) for k in folds] if len(equations.folds) > 1 else []
+        folds = range(len(equations.folds)) if len(equations.folds) > 1 else ()
+        self.full, *self.trained = in_order(equations.reduced, (None, *folds), threads=equations.threads)
         self.temper = temper
         count = len(equations.regressors)
         self._energy = sum((one.gram[:count, :count] for one in equations.folds), np.zeros((count, count)))

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.blocks import optics_block
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES
 from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.parameters import flatten

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.empirical_fit import with_empirical_changes
 from rim_camera_ros.calibrate.light_curves import of_light
+from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera, Covariance

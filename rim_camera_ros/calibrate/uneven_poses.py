@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit, freed
+from rim_camera_ros.calibrate.adjustment import fit
+from rim_camera_ros.calibrate.problem import Fit, Problem, freed
 from rim_camera_ros.calibrate.residuals import after_nuisances
 
 Array = NDArray[Any]

@@ -17,6 +17,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.commands.common import (
     add_command,
     add_output,
+    add_threads,
     add_topics,
     camera_of,
     check_file,
@@ -77,6 +78,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--no-report", action="store_true", help="write no HTML report")
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated nulls (0)")
+    add_threads(parser)
     add_topics(parser)
     add_output(parser)
     parser.set_defaults(run=run)
@@ -145,6 +147,7 @@ def _checked(given: argparse.Namespace) -> tuple[Request, Path | None]:
         geometry=given.geometry,
         topics=topics_of(given),
         seed=given.seed,
+        threads=given.threads,
         camera_name=given.camera,
         scene_name=", ".join(given.scene) if given.scene else None,
         command=shlex.join(["rim", *_command_line(given)]),

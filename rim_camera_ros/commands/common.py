@@ -17,6 +17,7 @@ from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.scene import Scene, load_scene
+from rim_camera_ros.threads import available
 
 T = TypeVar("T")
 
@@ -64,6 +65,17 @@ def add_output(parser: argparse.ArgumentParser) -> None:
     """Add the options common to commands that write."""
     parser.add_argument("--force", action="store_true", help="replace an existing output")
     parser.add_argument("--quiet", action="store_true", help="no progress, notes and summary")
+
+
+def add_threads(parser: argparse.ArgumentParser) -> None:
+    """Add the option that says on how many threads to work."""
+    parser.add_argument(
+        "--threads",
+        type=positive(int),
+        default=available(),
+        metavar="N",
+        help="threads to work on; the result is the same with any number (the cores at hand, four at most)",
+    )
 
 
 def topics_of(given: argparse.Namespace) -> Topics:

@@ -14,6 +14,7 @@ from rim_camera_ros.commands.common import (
     Stages,
     add_command,
     add_output,
+    add_threads,
     add_topics,
     camera_of,
     check_outputs,
@@ -61,6 +62,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="poses to leave out, by the numbers that a report of an inconsistent setup names",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the simulated nulls (0)")
+    add_threads(parser)
     add_topics(parser)
     add_output(parser)
     parser.set_defaults(run=run)
@@ -78,7 +80,15 @@ def run(given: argparse.Namespace) -> int:
 
     with Stages(quiet=given.quiet) as stages:
         try:
-            result = diagnose(dataset, scene, camera, against=against, seed=given.seed, progress=stages.show)
+            result = diagnose(
+                dataset,
+                scene,
+                camera,
+                against=against,
+                seed=given.seed,
+                threads=given.threads,
+                progress=stages.show,
+            )
         except InputError as error:
             raise error.located(given.bag) from None
     from rim_camera_ros.diagnose.page import write_page

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
+from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.blocks import effect_block, present_priors
 from rim_camera_ros.calibrate.outcome import Result
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera
@@ -49,6 +50,7 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Any = None)
         robust=False,
         masks=problem.masks,
         shifts=problem.shifts,
+        threads=problem.threads,
     )
     before = fit(frozen, camera, fold_of=result.folds, iterations=1, views=views)
     same_distances = model.effects == camera.effects and model.optics == camera.optics
@@ -68,6 +70,7 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Any = None)
             robust=False,
             masks=problem.masks,
             shifts=problem.shifts,
+            threads=problem.threads,
         )
         warm = result.fit if result.fit.camera == model else None
         after = fit(own, model, fold_of=result.folds, iterations=2, views=views, warm=warm)

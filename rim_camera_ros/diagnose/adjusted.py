@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.blocks import UNFITTED
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import contribution
 from rim_camera_ros.camera import Camera

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import Fit, Problem
 from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.calibrate.exploration import Exploration, explore
 from rim_camera_ros.calibrate.outcome import Result
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN, pair_terms

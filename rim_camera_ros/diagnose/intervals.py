@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
+from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.nulls import null_scores
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.selection import Scores
 
 Array = NDArray[Any]

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.library import OF_SURFACES
 from rim_camera_ros.calibrate.light_curves import PREFIX, SURFACES, LightCurves
 from rim_camera_ros.calibrate.outcome import Result
+from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.diagnose.codes import MissingCodes

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import Fit, Problem, fit
+from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import GEOMETRY
 from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.calibrate.sizes import contribution
 from rim_camera_ros.calibrate.stations import Station
@@ -167,6 +168,7 @@ def better_fit(result: Diagnosis) -> Fit:
         robust=False,
         masks=final.forward.masks,
         shifts=final.forward.shifts,
+        threads=final.forward.threads,
     )
     return fit(frozen, result.model, iterations=1, views=final.forward.views)
 

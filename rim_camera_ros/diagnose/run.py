@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from rim_camera_ros.calibrate.adjustment import Fit, Problem
 from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.checks import WITHOUT_POSES
 from rim_camera_ros.calibrate.coarser import (
@@ -25,6 +24,7 @@ from rim_camera_ros.calibrate.library import OF_SURFACES
 from rim_camera_ros.calibrate.needs import left_by_forms
 from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.calibrate.plan import shipped_experiments
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.search import MOST_EFFECTS, search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import Dataset
@@ -92,19 +92,20 @@ def diagnose(
     *,
     against: Dataset | None = None,
     seed: int = 0,
+    threads: int = 1,
     progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
     """Compare a recording with what the camera and scene files say of it.
 
     ``against`` is a recording of the simulation, with the same stations, which is then compared with. Of a
-    large sensor every k-th pixel is looked at.
+    large sensor every k-th pixel is looked at. The result is the same with any number of ``threads``.
 
     Raises `InputError` where no pixel can be compared.
     """
     say = progress if progress is not None else _silent
     step = coarseness(camera)
     if step == 1:
-        return _diagnose(dataset, scene, camera, against, seed, say)
+        return _diagnose(dataset, scene, camera, against, seed, threads, say)
     small = coarser_camera(camera, step)
     result = _diagnose(
         coarser_dataset(dataset, step),
@@ -112,6 +113,7 @@ def diagnose(
         small,
         None if against is None else coarser_dataset(against, step),
         seed,
+        threads,
         say,
     )
     result.looked_at, result.camera = result.camera, finer_camera(result.camera, camera, step)
@@ -127,6 +129,7 @@ def _diagnose(
     camera: Camera,
     against: Dataset | None,
     seed: int,
+    threads: int,
     say: Callable[[str], None],
     again: int = _MOST_AGAIN,
 ) -> Diagnosis:
@@ -140,7 +143,7 @@ def _diagnose(
     forward.estimate_amplitudes()
     variance = examine_variance(forward)
     light = _COMMON_LIGHT * facts.amplitude if variance.pixels_vary_together else 0.0
-    problem = Problem(dataset, scene, shifts=shifts, stray_light=light)
+    problem = Problem(dataset, scene, shifts=shifts, stray_light=light, threads=threads)
     samples = axes_of(forward, seed=seed)
     smooth = single_terms(samples)
     # the light of a second camera has a pattern and a phase of its own, which many effects can imitate
@@ -183,7 +186,7 @@ def _diagnose(
     reason = None if variance.pixels_vary_together or codes is not None else setup.reason
     if reason is not None and setup.may_do_without and against is None and again > 0:
         say("once more without what does not agree")
-        return _diagnose(_without(dataset, setup), scene, camera, None, seed, say, again - 1)
+        return _diagnose(_without(dataset, setup), scene, camera, None, seed, threads, say, again - 1)
     by_background = only_background(result, unknown, variance, camera)
     if by_background:
         described = None

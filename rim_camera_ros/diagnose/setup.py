@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.calibrate.sizes import change_by
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import Fit
 from rim_camera_ros.calibrate.exploration import Exploration
+from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.smooth import values_of

@@ -36,6 +36,7 @@ class AmbientTemperature(DistanceTerm):
         "a fixed scene while the room's temperature changes by several degrees, with the topic recorded"
     )
     refuted_by = "a drift without correlation to the temperature at any lag"
+    remembers = True
 
     coefficient: float = quantity("m/degC", "longer when warmer", typical=0.005)
     reference: float = quantity("degC", "temperature without effect", default=20.0, typical=5.0)

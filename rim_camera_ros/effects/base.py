@@ -118,6 +118,8 @@ class Effect(ABC):
     refuted_by: ClassVar[str]
     #: how well one frame suffices to undo it
     undo: ClassVar[Undo] = "exact"
+    #: whether it keeps something in the context's memory, for which frames must come in their order
+    remembers: ClassVar[bool] = False
 
     @abstractmethod
     def simulate(self, signal: Signal, context: Context) -> Signal:

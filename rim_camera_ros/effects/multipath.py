@@ -54,6 +54,7 @@ class Multipath(Effect):
     observable = "a concave corner or a bright surface beside a dark one, at known poses"
     refuted_by = "a corner measured as sharp as a single wall"
     undo: ClassVar[Undo] = "none"
+    remembers = True
 
     strength: float = quantity("-", "1 = Lambertian surfaces", minimum=0.0, typical=1.0)
 

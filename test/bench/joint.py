@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from rim_camera_ros.calibrate.adjustment import Problem, fit
+from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.blocks import present_priors
 from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.stations import Dataset, reduce_frames
 from rim_camera_ros.camera import Camera, Sensor
 from rim_camera_ros.camera_file import camera_numbers, with_effects

@@ -144,6 +144,7 @@ def diagnose(given: Path, answer: Path) -> dict[str, Any]:
     command = [
         *(sys.executable, "-m", "rim_camera_ros.cli", "diagnose", "recording"),
         *("--camera", "camera.yaml", "--scene", "scene.yaml", "--out", str(answer.absolute())),
+        *("--threads", "1"),
     ]
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     started, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)

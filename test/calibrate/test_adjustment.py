@@ -9,13 +9,14 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.adjustment import Problem, fit
+from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.blocks import present_priors
 from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
 from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.nulls import null_scores
+from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.calibrate.selection import Scores, folds_of
 from rim_camera_ros.camera import Camera

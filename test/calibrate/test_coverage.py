@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from rim_camera_ros.calibrate.adjustment import Problem
 from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.joint import exactly
 from rim_camera_ros.calibrate.noise_fit import fit_noise
 from rim_camera_ros.calibrate.pixels import usable_pixels
+from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_effects
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rim_camera_ros.calibrate.adjustment import Problem, fit
+from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.pixels import beside_edges, usable_pixels, without_edges
+from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.distance_scale import DistanceScale

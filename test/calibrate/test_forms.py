@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate import elsewhere
-from rim_camera_ros.calibrate.adjustment import Problem
 from rim_camera_ros.calibrate.blocks import Block, Regressor
 from rim_camera_ros.calibrate.candidate import Candidate, Facts
 from rim_camera_ros.calibrate.elsewhere import shows_elsewhere
@@ -21,6 +20,7 @@ from rim_camera_ros.calibrate.forms import SHARE, form_blocks
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import change_by
 from rim_camera_ros.calibrate.stations import Dataset

@@ -12,10 +12,10 @@ import pytest
 
 from rim_camera_ros.calibrate import pose_errors
 from rim_camera_ros.calibrate import search as search_module
-from rim_camera_ros.calibrate.adjustment import Problem, _settled
 from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.gauss_newton import settled_after
 from rim_camera_ros.calibrate.leaders import (
     AS_REST,
     NOT_THE_POSES,
@@ -28,6 +28,7 @@ from rim_camera_ros.calibrate.leaders import (
 from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.needs import Found, needed
 from rim_camera_ros.calibrate.outcome import Trial, as_good
+from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.search import Search, search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import contribution, effect_size
@@ -125,8 +126,8 @@ def test_effects_that_would_gain_and_were_not_added_are_told_with_the_reason() -
 
 def test_terms_of_the_distance_are_judged_at_the_same_noise(tmp_path: Path) -> None:
     plain = camera(tmp_path)
-    assert _settled(plain, camera(tmp_path, CYCLIC, DistanceScale(0.01))) < 0
-    assert _settled(plain, plain) < _settled(
+    assert settled_after(plain, camera(tmp_path, CYCLIC, DistanceScale(0.01))) < 0
+    assert settled_after(plain, plain) < settled_after(
         plain, camera(tmp_path, CYCLIC, Scattering((Kernel(0.1, (9.0, 9.0)),)))
     )
 

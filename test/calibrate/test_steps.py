@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.adjustment import Problem, fit
+from rim_camera_ros.calibrate.adjustment import fit
+from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.steps import Solved, longest_steps
 from rim_camera_ros.effects.distance_scale import DistanceScale
 

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.adjustment import Problem, fit
+from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.beyond_hyperbola import beyond_hyperbola
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
@@ -21,6 +21,7 @@ from rim_camera_ros.calibrate.pattern_prior import (
     likely_pattern_prior,
 )
 from rim_camera_ros.calibrate.pixels import usable_pixels
+from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.solution import Solution
 from rim_camera_ros.calibrate.stations import Dataset

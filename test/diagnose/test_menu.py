@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate.blocks import Regressor
-from rim_camera_ros.calibrate.normal_equations import Fold, NormalEquations
+from rim_camera_ros.calibrate.fold_sums import Fold
+from rim_camera_ros.calibrate.normal_equations import NormalEquations
 from rim_camera_ros.calibrate.plan import shipped_experiments
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.diagnose.menu import Proposal, _gain, recommended

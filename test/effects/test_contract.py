@@ -222,6 +222,16 @@ class TestEffect:
                 limit = 2e-2 if kind.name == "motion" else 2e-4
                 assert np.abs(column - difference)[usable].max() <= limit * scale, path
 
+    def test_only_what_remembers_touches_the_memory(self, kind: type[Effect]) -> None:
+        """Others may be computed for several stations at once."""
+        cam = camera()
+        effect = kind.example(cam)
+        signal, context = lit(cam, scene_for(kind))
+        context = replace(context, memory={})
+        effect.simulate(signal, context)
+        effect.columns(signal, context)
+        assert bool(context.memory) == kind.remembers
+
     @staticmethod
     def _warm(effect: Effect, signal: Signal, context: Context) -> Context:
         """A context 200 s after one that was 6 degrees colder."""

@@ -1,0 +1,150 @@
+"""What a joint adjustment is given, and what it results in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.blocks import (
+    Block,
+    gain_block,
+    light_block,
+    optics_block,
+    pose_block,
+    present_blocks,
+)
+from rim_camera_ros.calibrate.empirical_fit import empirical_block
+from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.light_curves import RESPONSE, RIPPLES, SURFACES
+from rim_camera_ros.calibrate.normal_equations import PATTERN_PRIOR, NormalEquations, Reduced
+from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.calibrate.steps import moved_light
+from rim_camera_ros.calibrate.views import Views
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.scene import Scene, ScenePose
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is fitted: the data, the scene, which effects are free, and what else.
+
+    ``effects`` None frees all that the camera has; ``geometry`` names of `library.optics_block` to estimate;
+    ``robust`` bounds the weight of outliers; ``pattern`` estimates an offset per pixel;
+    ``masks`` restrict the pixels, ``shifts`` stand for another simulation (both as in `Forward`);
+    ``stray_light`` [counts] as in `accumulate`; ``reflectance`` estimates how surfaces reflect beside
+    Lambert's law, ``response`` [counts] what an `amplitude_nonlinearity` leaves, relative to that level.
+    ``pattern_prior`` [m] is the 1-sigma of an offset per pixel. ``variance_factors`` as in `Forward`. The
+    effect ``empirical`` is fitted only where ``effects`` names it.
+    ``tick`` is called for each station in every pass and may raise to end the work; ``threads`` share it.
+    """
+
+    dataset: Dataset
+    scene: Scene
+    effects: tuple[str, ...] | None = None
+    geometry: tuple[str, ...] = ()
+    gain: bool = True
+    pattern: bool = True
+    robust: bool = True
+    single: bool = False
+    masks: Sequence[tuple[Array, Array]] | None = None
+    shifts: Sequence[tuple[Array, Array]] | None = None
+    stray_light: float = 0.0
+    reflectance: bool = False
+    response: float | None = None
+    pattern_prior: float = PATTERN_PRIOR
+    variance_factors: Mapping[tuple[int, int], float] = field(default_factory=dict)
+    tick: Callable[[], None] | None = None
+    threads: int = 1
+
+
+@dataclass
+class Fit:
+    """The result of an adjustment, from the camera ``start`` to ``camera``.
+
+    ``parameters`` by dotted path (``radiometry.gain`` in counts); ``covariance`` in their order;
+    ``pattern`` (H, W) m is what the fixed pattern is beyond the camera file's; ``nuisances`` the errors
+    found of poses and powers; ``chi_square`` of all residuals after the fit, prior terms left out, with
+    ``rows`` observations. ``equations`` are those at the solution, ``forward`` its predictions.
+    """
+
+    start: Camera
+    camera: Camera
+    scene: Scene
+    parameters: dict[str, float]
+    covariance: Array
+    pattern: Array
+    nuisances: dict[str, float]
+    chi_square: float
+    rows: int
+    converged: bool
+    iterations: int
+    equations: NormalEquations
+    reduced: Reduced
+    forward: Forward
+    priors: Array
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """1-sigma of each parameter."""
+        return dict(zip(self.parameters, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+def freed(problem: Problem, fitted: Fit) -> Problem:
+    """Return the problem in which exactly what a fit has estimated, of effects and light, is free."""
+    names = {path.split(".")[1] for path in fitted.parameters if path.startswith("effects.")}
+    curves = fitted.forward.light_curves
+    return replace(
+        problem,
+        effects=tuple(sorted(names)),
+        reflectance=curves is not None and not curves.values.keys().isdisjoint(SURFACES),
+        response=curves.level if curves is not None and curves.responds else None,
+    )
+
+
+def forward_of(
+    problem: Problem, scene: Scene, camera: Camera, *, views: Views | None, offsets: Mapping[str, float]
+) -> Forward:
+    """Return the predictions of a problem by a camera, with the curves of the light in the ``offsets``."""
+    forward = Forward(problem.dataset, scene, camera, views=views)
+    forward.masks, forward.shifts, forward.tick = problem.masks, problem.shifts, problem.tick
+    forward.variance_factors, forward.threads = problem.variance_factors, problem.threads
+    forward.light_curves = moved_light(offsets, problem.response)
+    return forward
+
+
+def light_groups(problem: Problem, camera: Camera) -> list[tuple[str, ...]]:
+    """Return the curves of the light that are fitted beside the camera."""
+    groups = [RIPPLES] if problem.gain else []
+    if problem.reflectance:
+        groups.append(SURFACES)
+    if problem.response is not None and "amplitude_nonlinearity" in camera.effects:
+        groups.append(RESPONSE)
+    return groups
+
+
+def blocks_of(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
+    """Return the regressors of all that is free in a problem."""
+    blocks = present_blocks(camera, effects=problem.effects)
+    empirical: Any = camera.effects.get("empirical")
+    if empirical is not None and problem.effects is not None and "empirical" in problem.effects:
+        blocks.append(empirical_block(empirical))
+    if problem.gain:
+        blocks.append(gain_block())
+    blocks += [optics_block(camera, name) for name in problem.geometry]
+    blocks += [light_block(labels) for labels in light_groups(problem, camera)]
+    free = [
+        (f"scene.{one.name}.{axis}", 1.0 if axis in "xyz" else 0.3)
+        for one in scene.surfaces
+        if isinstance(one.pose, ScenePose)
+        for axis in one.pose.free
+    ]
+    if free:
+        blocks.append(pose_block(free))
+    return blocks
