@@ -57,7 +57,9 @@ class Outcome:
     notes: list[str] = field(default_factory=list)
 
 
-def by_search(problem: Problem, camera: Camera, facts: Facts, *, say: Say, seed: int = 0) -> Outcome:
+def by_search(
+    problem: Problem, camera: Camera, facts: Facts, *, views: Views, say: Say, seed: int = 0
+) -> Outcome:
     """Fit what the camera file has and the recordings determine, and add what held-out poses ask for."""
     kept = _untold(problem, camera, say)
     names = [name for name in [*registry(), *GEOMETRY] if name not in kept and name not in UNFITTED]
@@ -65,7 +67,7 @@ def by_search(problem: Problem, camera: Camera, facts: Facts, *, say: Say, seed:
     asked = [name for name in names if name not in camera.effects and name not in problem.geometry]
     # surfaces that do not reflect as Lambert says would lend their light to other effects
     asked += sorted(OF_SURFACES)
-    result = search(free, camera, facts, effects=asked, seed=seed, progress=say)
+    result = search(free, camera, facts, effects=asked, seed=seed, views=views, progress=say)
     last = result.explorations[-1]
     solution = _solved(last.fit, last.scores, result.folds, camera, result.problem)
     named = list(last.candidates)[: len(last.spans)]

@@ -191,7 +191,7 @@ def calibrate(
     begin: Camera | None = None
     while True:
         if words is None:
-            outcome = by_search(problem, camera, facts, say=watch.say, seed=request.seed)
+            outcome = by_search(problem, camera, facts, views=forward.views, say=watch.say, seed=request.seed)
         else:
             outcome = exactly(problem, camera, facts, words, views=forward.views, say=watch.say, begin=begin)
         fitted = outcome.solution.fit

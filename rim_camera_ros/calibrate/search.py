@@ -35,6 +35,7 @@ from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import effect_size
 from rim_camera_ros.calibrate.stations import level_of
+from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 
@@ -61,12 +62,14 @@ def search(
     seed: int = 0,
     most: int = MOST_EFFECTS,
     further: Sequence[Candidate] = (),
+    views: Views | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Result:
     """Add effects to a camera one after the other as long as held-out poses ask for them.
 
     ``effects`` restricts the candidates. ``further`` candidates are scored with the others but never join
-    (smooth terms); where one of them explains far more than any effects, none joins.
+    (smooth terms); where one of them explains far more than any effects, none joins. ``views`` are those of
+    the same scene by the same rays, if there are any.
     """
     say = progress if progress is not None else _silent
     folds = folds_of(problem.dataset)
@@ -74,7 +77,7 @@ def search(
         problem = replace(problem, response=level_of(problem.dataset))
     pool = candidates(camera, facts, effects=effects)
     say(f"baseline and {len(pool)} candidates")
-    first = explore(problem, camera, pool, folds, further=further, seed=seed)
+    first = explore(problem, camera, pool, folds, further=further, views=views, seed=seed)
     start = first.scores.log_likelihood()
     state = Search(
         problem=replace(problem, masks=first.fit.forward.pixels_used()),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from rim_camera_ros.calibrate.blocks import UNFITTED
 from rim_camera_ros.calibrate.exploration import explore
@@ -60,7 +60,7 @@ def adjusted_terms(camera: Camera, fitted: Fit) -> list[Adjusted]:
         normal = change / scale
         correlation = covariance / scale[:, None] / scale[None, :] + 1e-9 * np.eye(len(index))
         wald = float(normal @ np.linalg.solve(correlation, normal))
-        if wald < chi2.isf(_CHANCE, len(index)) or _moved(camera, fitted, name) < LEAST_CHANGE:
+        if wald < chdtri(len(index), _CHANCE) or _moved(camera, fitted, name) < LEAST_CHANGE:
             continue
         result.append(
             Adjusted(

@@ -156,7 +156,15 @@ def _diagnose(
         smooth = []
     try:
         result = search(
-            problem, camera, facts, effects=effects, most=most, further=smooth, seed=seed, progress=say
+            problem,
+            camera,
+            facts,
+            effects=effects,
+            most=most,
+            further=smooth,
+            seed=seed,
+            views=forward.views,
+            progress=say,
         )
     except (RimError, np.linalg.LinAlgError):
         return _hopeless(problem, camera, variance, seed)
