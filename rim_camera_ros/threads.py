@@ -14,7 +14,10 @@ _MOST = 4
 
 def available() -> int:
     """Return how many threads a work may take: the cores that this process may use, four at most."""
-    return min(len(os.sched_getaffinity(0)), _MOST)
+    # not on every system
+    affinity = getattr(os, "sched_getaffinity", None)
+    cores = len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+    return min(cores, _MOST)
 
 
 def in_order[Item, Result](

@@ -18,7 +18,7 @@ def test_the_baseline_agrees(row, size: tuple[int, int]) -> None:
 
 
 def test_rows_without_a_baseline_run() -> None:
-    for row in (rows.every_effect(), rows.simulation(), *rows.parts_of_every_effect()[:2]):
+    for row in (rows.every_effect(), rows.simulation(), rows.threads(), *rows.parts_of_every_effect()[:2]):
         row.ours()
 
 

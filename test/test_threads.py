@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -24,9 +25,19 @@ from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.scene import Scene
-from rim_camera_ros.threads import in_order
+from rim_camera_ros.threads import available, in_order
 
 from .calibrate.helpers import camera, record, scene
+
+
+def test_as_many_threads_as_cores_at_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3, 5, 6})
+    assert available() == 3
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(64)))
+    assert available() == 4
+    monkeypatch.delattr(os, "sched_getaffinity")
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    assert available() == 2
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])

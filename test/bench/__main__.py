@@ -80,7 +80,7 @@ def measured(row: Row) -> bool:
     ours, naive = medians([row.ours, row.naive])
     ratio = naive / ours
     ok = row.required is None or ratio >= row.required
-    required = "" if row.required is None else f"{row.required:.0f} x"
+    required = "" if row.required is None else f"{row.required:g} x"
     cells = (f"{naive * 1e3:.3f}", f"{ours * 1e3:.3f}", f"{ratio:.1f} x", required)
     print(line(row.work, size, *cells, "" if row.required is None else verdict(ok)))
     return ok

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from rim_camera_ros.bags.images import decode_image
+from rim_camera_ros.calibrate.blocks import present_blocks
+from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.normal_equations import accumulate
+from rim_camera_ros.calibrate.stations import Dataset, reduce_frames
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.frame import RawFrame
 from rim_camera_ros.phasor import demodulate, to_phasor
@@ -165,6 +169,27 @@ def simulation() -> Row:
     return Row("simulated frame", cases.SIZES[0], lambda: simulated.frame(exposure), required=200.0)
 
 
+def threads() -> Row:
+    """Normal equations of stations with stray light, by two threads against one."""
+    camera = cases.scattering(*cases.SIZES[0])
+    simulated, exposure = cases.room(camera)
+    # farther apart than what is averaged
+    stamps = (exposure.stamp + k * 60 * 10**9 for k in range(8))
+    frames = [simulated.frame(replace(exposure, stamp=stamp, pose_stamp=stamp)) for stamp in stamps]
+    data = Dataset(list(reduce_frames(frames, camera)), ["bench"], [], len(frames))
+    assert len(data.stations) == len(frames)
+    blocks = present_blocks(camera)
+    forward = Forward(data, simulated.scene, camera)
+    forward.estimate_amplitudes()
+
+    def work(number: int) -> Any:
+        forward.threads = number
+        return accumulate(forward, blocks).folds[0].gram
+
+    np.testing.assert_array_equal(work(2), work(1))
+    return Row("equations, two threads", cases.SIZES[0], lambda: work(2), lambda: work(1), 1.3)
+
+
 def all_rows() -> Iterator[Row]:
     """Yield every row, checked."""
     for make in (cloud, scattering, samples, message, decoding):
@@ -174,3 +199,4 @@ def all_rows() -> Iterator[Row]:
                 yield row
     yield every_effect()
     yield simulation()
+    yield threads()
