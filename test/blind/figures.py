@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from .score import CONSISTENT, SETUP, UNKNOWN, Result, identifiability, named_right, seen, truth_of
 from .table import WHO, Score, confusion, label, local_strength, right_word
@@ -147,8 +148,9 @@ def _identifiability(results: Sequence[Result], path: Path) -> bool:
     axis.set_xlabel("identifiability: share of its energy that nothing else takes on", fontsize=8)
     axis.set_ylabel("RMS of the effect over sigma", fontsize=8)
     axis.tick_params(which="both", labelsize=7)
+    axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=30))
     axis.yaxis.set_major_formatter("{x:g}")
-    axis.yaxis.set_minor_formatter("{x:g}")
+    axis.yaxis.set_minor_formatter(NullFormatter())
     axis.legend(fontsize=7, frameon=False)
     _save(figure, path)
     return True
