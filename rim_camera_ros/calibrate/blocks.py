@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.light_curves import RIPPLES
-from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.prediction import Column, Prediction
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset
@@ -60,8 +60,8 @@ class Regressor:
     prior: float
 
 
-#: Derivatives of measured distance and published amplitude (None: none) by each regressor of a block.
-ColumnsOf = Callable[[Prediction], Sequence[tuple[Array, Array | None]]]
+#: The columns of each regressor of a block.
+ColumnsOf = Callable[[Prediction], Sequence[Column]]
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def effect_block(
     paths = tuple(priors)
     has_amplitude = effect.name not in _EFFECTS_WITHOUT_AMPLITUDE
 
-    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
+    def columns(prediction: Prediction) -> list[Column]:
         found = prediction.columns(effect)
         return [(found[path][0], found[path][1] if has_amplitude else None) for path in paths]
 
@@ -113,10 +113,10 @@ def pose_block(paths: Sequence[tuple[str, float]]) -> Block:
     """Return the regressors of the free poses of a scene: ``scene.SURFACE.AXIS`` with their priors."""
     regressors = tuple(Regressor(path, "scene", prior) for path, prior in paths)
 
-    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
+    def columns(prediction: Prediction) -> list[Column]:
         found = {one.path: one for one in prediction.pose_columns}
         zero = np.zeros(prediction.distance.shape)
-        result: list[tuple[Array, Array | None]] = []
+        result: list[Column] = []
         for path, _ in paths:
             result.append(prediction.pose_change(found[path]) if path in found else (zero, zero))
         return result
@@ -127,7 +127,7 @@ def pose_block(paths: Sequence[tuple[str, float]]) -> Block:
 def gain_block(prior: float = 1.0) -> Block:
     """Return the regressor of the relative radiometric gain (label ``radiometry.gain``, relative)."""
 
-    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
+    def columns(prediction: Prediction) -> list[Column]:
         return [prediction.gain_column()]
 
     return Block((Regressor("radiometry.gain", "radiometry", prior),), columns)
@@ -242,11 +242,11 @@ def optics_block(camera: Camera, name: str) -> Block:
         changes.append((sides[0] - sides[1]) / (2 * step))
     regressors = tuple(Regressor(f"optics.{path}", name, prior) for path, _, prior in parts)
 
-    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
+    def columns(prediction: Prediction) -> list[Column]:
         geometry = prediction.view.geometry
         rays = camera.rays
         along = np.einsum("ijk,ijk->ij", geometry.normals, rays)
-        result: list[tuple[Array, Array | None]] = []
+        result: list[Column] = []
         for change in changes:
             with np.errstate(invalid="ignore", divide="ignore"):
                 by = -geometry.distance * np.einsum("ijk,ijk->ij", geometry.normals, change) / along

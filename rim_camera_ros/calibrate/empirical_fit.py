@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.blocks import Block, Regressor
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.prediction import Column, Prediction
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects.covariates import COVARIATES, covariate
@@ -100,7 +100,7 @@ def empirical_block(effect: Empirical) -> Block:
     count = int(np.prod([len(one) for one in effect.knots]))
     regressors = tuple(Regressor(f"{LABEL}{i}", "empirical", PRIOR) for i in range(count))
 
-    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
+    def columns(prediction: Prediction) -> list[Column]:
         values = _values(effect.covariates, prediction)
         shape = prediction.distance.shape
         if values is None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.prediction import Column, Prediction
 
 Array = NDArray[Any]
 
@@ -41,10 +41,6 @@ def _rows(images: Sequence[Array], pixels: Array) -> Array:
     if not np.isfinite(rows.sum()):
         np.nan_to_num(rows, copy=False, posinf=0.0, neginf=0.0)
     return rows
-
-
-#: Derivatives of measured distance and published amplitude (None: none) by one regressor.
-Column = tuple[Array, Array | None]
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,12 @@ from scipy.ndimage import gaussian_filter1d
 from rim_camera_ros.calibrate.blocks import Block, Regressor
 from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES
-from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.prediction import Column, Prediction
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.sizes import change_by
 from rim_camera_ros.effects.base import DistanceTerm
 
 Array = NDArray[Any]
-Change = tuple[Array, Array | None]
 
 #: 1-sigma of each change of a form, as a share of what the effect does (RMS in units of the noise).
 SHARE = 0.3
@@ -79,7 +78,7 @@ def _sized(fitted: Fit, name: str, variants: Sequence[Block]) -> Block:
 
     middle, scale = moments([_factors(one) for one in some])
 
-    def columns(prediction: Prediction) -> list[Change]:
+    def columns(prediction: Prediction) -> list[Column]:
         factors = (_factors(prediction) - middle) * scale
         result = list(_changes(prediction, name, factors))
         for block in variants:
@@ -96,7 +95,7 @@ def _sized(fitted: Fit, name: str, variants: Sequence[Block]) -> Block:
     return Block(regressors, columns, in_order=any(one.in_order for one in variants))
 
 
-def _squares(prediction: Prediction, change: Change) -> Array:
+def _squares(prediction: Prediction, change: Column) -> Array:
     """Return the squares of a column in units of the noise, (H, W), 0 where a pixel is not used."""
     distance, amplitude = change
     total = np.where(prediction.used, np.nan_to_num(distance) / prediction.sigma, 0.0) ** 2
@@ -106,7 +105,7 @@ def _squares(prediction: Prediction, change: Change) -> Array:
     return np.asarray(np.nan_to_num(total))
 
 
-def _changes(prediction: Prediction, name: str, factors: Array) -> Iterator[Change]:
+def _changes(prediction: Prediction, name: str, factors: Array) -> Iterator[Column]:
     distance, amplitude = (None if one is None else np.nan_to_num(one) for one in change_by(prediction, name))
     assert distance is not None
     nothing = np.zeros(distance.shape)
@@ -135,7 +134,7 @@ def _changes(prediction: Prediction, name: str, factors: Array) -> Iterator[Chan
                 yield nothing, gaussian_filter1d(amplitude, width, axis=axis, mode="nearest") - amplitude
 
 
-def _later(prediction: Prediction) -> Change:
+def _later(prediction: Prediction) -> Column:
     """Return what it does that a frame is stamped at another time of its exposure, by a millisecond."""
     context = prediction.context
     assert context.geometry_at is not None

@@ -29,7 +29,7 @@ from rim_camera_ros.calibrate.blocks import (
 )
 from rim_camera_ros.calibrate.candidate import Candidate, Coefficients, Facts, added
 from rim_camera_ros.calibrate.light_curves import SURFACES
-from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.prediction import Column, Prediction
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
@@ -235,7 +235,7 @@ def _blurred(blur: float) -> Candidate:
     effect = MixedPixels(blur=blur)
     label = f"effects.mixed_pixels.blur@{blur:g} px"
 
-    def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
+    def columns(prediction: Prediction) -> list[Column]:
         signal = prediction.before_effect(effect.name)
         phasor = to_phasor(signal.distance, signal.amplitude, prediction.context.ambiguity)
         blurred = effect.apply(phasor, prediction.context)

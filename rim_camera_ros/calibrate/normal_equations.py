@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from rim_camera_ros.calibrate.blocks import Block, Regressor
-from rim_camera_ros.calibrate.fold_sums import Column, Fold, FoldSums, Share, share_of
+from rim_camera_ros.calibrate.fold_sums import Fold, FoldSums, Share, share_of
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.prediction import Column, Prediction
 from rim_camera_ros.threads import in_order
 
 Array = NDArray[Any]
@@ -203,7 +203,8 @@ def accumulate(
     offset per pixel; ``weigh`` returns factors on the weights of both channels (robust fitting); ``single``
     keeps the sums per pixel in float32; ``stray_light`` [counts] is the 1-sigma of light that all pixels of a
     station share (that of a second camera), a random effect of every station; ``pattern_prior`` [m] that of
-    the offsets of pixels.
+    the offsets of pixels. The threads of ``forward`` share the stations: the sums are the same with any
+    number of them.
     """
     regressors = [one for block in blocks for one in block.regressors]
     camera = forward.camera

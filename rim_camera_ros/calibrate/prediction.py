@@ -17,6 +17,8 @@ from rim_camera_ros.phasor import to_phasor
 
 Array = NDArray[Any]
 
+#: Derivatives (H, W) of measured distance and published amplitude (None: none) by one regressor.
+Column = tuple[Array, Array | None]
 
 #: Effects whose costly work holds for a geometry.
 KEPT = ("multipath",)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.blocks import optics_block
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES
-from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.prediction import Column, Prediction
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import DistanceTerm
@@ -71,7 +71,7 @@ def contribution(prediction: Prediction, name: str, start: Camera) -> Array:
     return np.asarray(np.nan_to_num(moved))
 
 
-def change_by(prediction: Prediction, name: str) -> tuple[Array, Array | None]:
+def change_by(prediction: Prediction, name: str) -> Column:
     """Return what an effect of the camera does to measured distance [m] and published amplitude [counts]."""
     effect = prediction.context.camera.effects[name]
     shape = prediction.distance.shape
