@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import contextvars
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
 
 #: More threads than this wait for the one that predicts.
 _MOST = 4
@@ -32,13 +33,18 @@ def in_order[Item, Result](
     if threads < 2:
         yield from map(work, items)
         return
+    # how numpy warns belongs to the thread
+    warnings = np.geterr()
+
+    def done(item: Item) -> Result:
+        with np.errstate(**warnings):
+            return work(item)
+
     with ThreadPoolExecutor(threads, thread_name_prefix="station") as pool:
         waiting: deque[Future[Result]] = deque()
         try:
             for item in items:
-                # how numpy warns belongs to the thread
-                context = contextvars.copy_context()
-                waiting.append(pool.submit(context.run, work, item))
+                waiting.append(pool.submit(done, item))
                 if len(waiting) > threads:
                     yield waiting.popleft().result()
             while waiting:

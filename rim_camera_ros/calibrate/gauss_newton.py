@@ -214,7 +214,10 @@ class GaussNewton:
             held = self._held(regressors)
             matrix[held, held] *= _HOLD
         right = reduced.right[own] - away / prior**2
-        factor = linalg.cho_factor(matrix)
+        step, covariance = right, matrix
+        if owned:  # scipy 1.11 solves no empty equations
+            factor = linalg.cho_factor(matrix)
+            step, covariance = linalg.cho_solve(factor, right), linalg.cho_solve(factor, np.eye(owned))
         square = float(reduced.square) + float(np.sum((away / prior) ** 2))
         return Linearised(
             forward=forward,
@@ -224,8 +227,8 @@ class GaussNewton:
             prior=prior,
             matrix=matrix,
             right=right,
-            step=linalg.cho_solve(factor, right),
-            covariance=linalg.cho_solve(factor, np.eye(owned)),
+            step=step,
+            covariance=covariance,
             square=square,
             objective=square + 2 * reduced.log_norm,
         )

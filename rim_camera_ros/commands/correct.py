@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -176,6 +177,9 @@ def _write_frame(
             "points": points,
             "stamp": np.int64(corrected.stamp),
         }
-        write_whole(given.npz, lambda stream: np.savez_compressed(stream, **arrays))
+        # a zip file that cannot be closed would say so on its own
+        packed = io.BytesIO()
+        np.savez_compressed(packed, **arrays)
+        write_whole(given.npz, lambda stream: stream.write(packed.getvalue()))
         written.append(str(given.npz))
     return written
