@@ -68,6 +68,8 @@ class Scores:
 
     def _evidence(self, reduced: Reduced, columns: Array) -> Any:
         matrix, right = self._scaled(reduced, columns)
+        if not len(columns):  # scipy 1.11 solves no empty equations
+            return np.zeros(right.shape[1:])
         factor = linalg.cholesky(matrix, lower=True, check_finite=False)
         solved = linalg.solve_triangular(factor, right, lower=True, check_finite=False)
         return 0.5 * np.sum(solved * solved, axis=0) - np.sum(np.log(np.diag(factor)))
@@ -104,6 +106,8 @@ class Scores:
 
     def _solve(self, reduced: Reduced, columns: Array) -> Array:
         matrix, right = self._scaled(reduced, columns)
+        if not len(columns):
+            return np.asarray(right)
         return np.asarray(self.prior[columns] * linalg.solve(matrix, right, assume_a="pos"))
 
     def covariance(self, columns: Array) -> Array:
