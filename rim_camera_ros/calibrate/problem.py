@@ -34,7 +34,7 @@ Array = NDArray[Any]
 class Problem:
     """What is fitted: the data, the scene, which effects are free, and what else.
 
-    ``effects`` None frees all that the camera has; ``geometry`` names of `library.optics_block` to estimate;
+    ``effects`` None frees all that the camera has; ``geometry`` names of `blocks.optics_block` to estimate;
     ``robust`` bounds the weight of outliers; ``pattern`` estimates an offset per pixel;
     ``masks`` restrict the pixels, ``shifts`` stand for another simulation (both as in `Forward`);
     ``stray_light`` [counts] as in `accumulate`; ``reflectance`` estimates how surfaces reflect beside

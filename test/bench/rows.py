@@ -187,7 +187,7 @@ def threads() -> Row:
         return accumulate(forward, blocks).folds[0].gram
 
     np.testing.assert_array_equal(work(2), work(1))
-    return Row("equations, two threads", cases.SIZES[0], lambda: work(2), lambda: work(1), 1.3)
+    return Row("equations, two threads", cases.SIZES[0], lambda: work(2), lambda: work(1), 1.1)
 
 
 def all_rows() -> Iterator[Row]:
