@@ -25,8 +25,8 @@ from rim_camera_ros.parameters import with_values
 Array = NDArray[Any]
 
 
-#: 1-sigma of the relative change of a surface's light at an angle of incidence.
-_REFLECTANCE_PRIOR = 0.2
+#: 1-sigma of the relative change of a surface's light at an angle of incidence, and of what is read of light.
+REFLECTANCE_PRIOR = 0.2
 
 
 #: ... and of its ripples over the phase.
@@ -104,7 +104,7 @@ def together(*blocks: Block) -> Block:
 
 def light_block(labels: Sequence[str]) -> Block:
     """Return the regressors of curves of the light: `light_curves.RIPPLES` or `light_curves.SURFACES`."""
-    prior = _RIPPLE_PRIOR if labels[0] in RIPPLES else _REFLECTANCE_PRIOR
+    prior = _RIPPLE_PRIOR if labels[0] in RIPPLES else REFLECTANCE_PRIOR
     regressors = tuple(Regressor(label, "radiometry", prior) for label in labels)
     return Block(regressors, lambda prediction: prediction.curve_columns(labels))
 

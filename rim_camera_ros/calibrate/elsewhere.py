@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, Exploration
-from rim_camera_ros.calibrate.problem import Problem
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.calibrate.sizes import change_by
 
@@ -44,8 +44,8 @@ def shows_elsewhere(
     names = [name for name in found if name in step.fit.camera.effects]
     if not names:
         return True
-    masks, left = _quiet_pixels(step, names)
-    if left < _LEAST_LEFT:
+    masks = quiet_pixels(step.fit, names)
+    if masks is None:
         return True
     candidate, span = step.candidates[number], step.spans[number]
     fitted = fit(
@@ -71,10 +71,13 @@ def shows_elsewhere(
     return float(scores.gain(own)) > _LEAST_PART * wanted
 
 
-def _quiet_pixels(step: Exploration, names: Sequence[str]) -> tuple[list[tuple[Array, Array]], float]:
-    """Return the pixels of each station and channel (H, W) that effects do not change, and their share."""
+def quiet_pixels(fitted: Fit, names: Sequence[str]) -> list[tuple[Array, Array]] | None:
+    """Return the pixels of each station and channel (H, W) that effects do not change.
+
+    None where too few are left.
+    """
     masks, used, kept = [], 0, 0
-    for one in step.fit.forward.predictions():
+    for one in fitted.forward.predictions():
         distance, light = one.used, one.amplitude_used
         used += int(distance.sum())
         for name in names:
@@ -84,4 +87,4 @@ def _quiet_pixels(step: Exploration, names: Sequence[str]) -> tuple[list[tuple[A
                 light = light & (np.abs(np.nan_to_num(changed)) < _QUIET * one.amplitude_sigma)
         kept += int(distance.sum())
         masks.append((distance, light))
-    return masks, kept / max(used, 1)
+    return masks if kept >= _LEAST_LEFT * max(used, 1) else None

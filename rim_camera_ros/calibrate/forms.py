@@ -35,6 +35,8 @@ _MOST_STATIONS = 12
 _SPREADS = (0.02, 0.07, 0.25)
 #: Degree of polynomials of the direction.
 _DEGREE = 4
+#: Smooth factors that depend on the direction alone, the first of them.
+_DIRECTIONS = 5
 #: Effects that the image around a pixel makes.
 _OF_IMAGE = frozenset({"scattering", "mixed_pixels", "multipath", "saturation_bleed"})
 
@@ -44,14 +46,15 @@ def form_blocks(fitted: Fit, names: Sequence[str], variants: Sequence[Candidate]
 
     ``variants`` of the same effects, as they stand in the library, join where they have their name.
     Effects of the geometry, of surfaces and of the response have no block: they have curves of their own. Nor
-    have functions of distance, amplitude or angle: a free one could do what another effect does.
+    have functions of distance, amplitude or angle: a free one could do what another effect does. The phase
+    and size of a cyclic error may change over the array otherwise than in proportion to the pixel.
     """
     effects = fitted.camera.effects
     blocks = []
     for name in names:
         if name not in effects or name in {*GEOMETRY, *OF_SURFACES, "amplitude_nonlinearity"}:
             continue
-        if isinstance(effects[name], DistanceTerm) and name not in _OF_IMAGE:
+        if isinstance(effects[name], DistanceTerm) and name not in {*_OF_IMAGE, "cyclic_error"}:
             continue
         own = [one.block for one in variants if one.effect == name]
         blocks.append(_sized(fitted, name, own))
@@ -108,6 +111,13 @@ def _squares(prediction: Prediction, change: Column) -> Array:
 def _changes(prediction: Prediction, name: str, factors: Array) -> Iterator[Column]:
     distance, amplitude = (None if one is None else np.nan_to_num(one) for one in change_by(prediction, name))
     assert distance is not None
+    if name == "cyclic_error":
+        by_phase = prediction.columns(prediction.context.camera.effects[name])
+        waves = [column for path, (column, _) in by_phase.items() if path.endswith(".phase")]
+        for wave in (distance, *waves):
+            for factor in factors[:_DIRECTIONS]:
+                yield wave * factor, None
+        return
     nothing = np.zeros(distance.shape)
     if amplitude is not None:
         yield nothing, amplitude

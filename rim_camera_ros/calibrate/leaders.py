@@ -29,7 +29,7 @@ _MOST_VARIANTS = 4
 AS_REST = "as what was found leaves such a rest where its form is not quite the true one"
 NOT_ELSEWHERE = "as it gains only where what was found acts"
 ONCE_FITTED = "as it gains or moves too little once it is fitted"
-NOT_THE_POSES = "as it leaves errors of poses that a drift would explain"
+NOT_IN_TIME = "as it follows the time of the poses no better than chance does"
 
 
 @dataclass(frozen=True)

@@ -34,14 +34,15 @@ _ROUGH = {
 }
 
 
-_THERMAL = frozenset({"warm_up_drift", "ambient_temperature"})
+#: What heats and cools.
+OF_TIME = frozenset({"warm_up_drift", "ambient_temperature"})
 _KINDS = (
     frozenset({"scattering", "mixed_pixels", "multipath", "saturation_bleed"}),
     frozenset({"emission_pattern", "amplitude_nonlinearity", "emitter_offset", "radiometry", "scattering"}),
     frozenset({"cyclic_error", "distance_scale", "camera_constant", "lens_distortion", "emitter_offset"}),
     # where the rays go decides how much light a pixel gets of the pattern
     frozenset({"emission_pattern", "camera_constant", "lens_distortion"}),
-    _THERMAL,
+    OF_TIME,
 )
 
 
@@ -78,6 +79,11 @@ _OF_SIZE = frozenset({"distance_scale"})
 
 #: What changes with distance in most recordings: a form in it leaves what looks like a scale of distance.
 _FALLING = frozenset({"amplitude", "incidence"})
+
+
+#: ... and share of what a curve of the distance gains beside another effect of it: a straight line is a part
+#: of any curve.
+_SHARE_OF_CURVE = 0.3
 
 
 #: A further effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
@@ -154,7 +160,7 @@ def needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
     """Return what a candidate must gain [nats] after others were found.
 
     After two, more than a smooth function of what those depend on, which would say the same; a scale of
-    distance more than one of amplitude or incidence after one.
+    distance more than one of amplitude or incidence after one, and a good part of one of distance.
     """
     effect = step.candidates[number].effect
     found = _like([effect], found)
@@ -163,14 +169,15 @@ def needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
     for one in found:
         if effect not in _OF_SIZE and any(effect in kind and one.effect in kind for kind in _KINDS):
             need = max(need, LEAST_SHARE_OF_KIND * one.gain)
-        if effect in _THERMAL and one.effect in _THERMAL:
+        if effect in OF_TIME and one.effect in OF_TIME:
             need = max(need, LEAST_SHARE_OF_THERMAL * one.gain)
         if effect in _ROUGH.get(one.effect, ()):
             need = max(need, LEAST_SHARE_BESIDE_ROUGH * one.gain)
     if found and effect not in OF_POSES:
         need = max(need, LEAST_SHARE_OF_UNEXPLAINED * step.unexplained)
     if effect in _OF_SIZE:
-        need = max(need, left_by_forms(step, found, _FALLING))
+        of_distance = _SHARE_OF_CURVE * left_by_forms(step, found, frozenset({"distance"}))
+        need = max(need, left_by_forms(step, found, _FALLING), of_distance)
     if len(found) > 1 and effect not in OF_POSES:
         need = max(need, left_by_forms(step, found))
     return max(float(step.thresholds[number]), need)

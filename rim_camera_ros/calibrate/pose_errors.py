@@ -14,9 +14,6 @@ from rim_camera_ros.scene import Scene
 WIDER = 1.5
 LEAST_POSES = 8
 _ROUNDS = 5
-#: Errors found over those stated up to which poses are explained, or as a share of what it was before.
-_EXPLAINED = 2.5
-_SHARE_LEFT = 0.5
 _TILTS = ("tilt_x", "tilt_y")
 
 
@@ -43,20 +40,6 @@ def pose_error_ratios(fitted: Fit) -> dict[str, tuple[float, float]]:
         surface: (ratio(offsets, LEAST_POSES), ratio(tilts, 2 * LEAST_POSES))
         for surface, (offsets, tilts) in found.items()
     }
-
-
-def poses_explained(before: Fit, after: Fit) -> bool:
-    """Return whether an effect that joined explains errors of poses beyond those stated, or leaves none.
-
-    A drift moves whole poses, and so does what the form of a large effect leaves; but once a true drift is
-    known, errors along the normals are about as large as stated.
-    """
-    was, left = _worst_offset(before), _worst_offset(after)
-    return left <= _EXPLAINED or left <= _SHARE_LEFT * was
-
-
-def _worst_offset(fitted: Fit) -> float:
-    return max((offset for offset, _ in pose_error_ratios(fitted).values()), default=0.0)
 
 
 def with_wider_poses(scene: Scene, fitted: Fit) -> Scene | None:

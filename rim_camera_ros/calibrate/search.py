@@ -10,13 +10,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from rim_camera_ros.calibrate.candidate import Candidate, Facts
-from rim_camera_ros.calibrate.elsewhere import shows_elsewhere
+from rim_camera_ros.calibrate.elsewhere import quiet_pixels, shows_elsewhere
 from rim_camera_ros.calibrate.exploration import Exploration, explore, explored, further_equations
 from rim_camera_ros.calibrate.forms import form_blocks
 from rim_camera_ros.calibrate.gauss_newton import keeps_amplitude_error
 from rim_camera_ros.calibrate.leaders import (
     NOT_ELSEWHERE,
-    NOT_THE_POSES,
+    NOT_IN_TIME,
     ONCE_FITTED,
     leaders,
     leading_variants,
@@ -27,12 +27,12 @@ from rim_camera_ros.calibrate.leaders import (
     what_it_became,
 )
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, candidates
-from rim_camera_ros.calibrate.needs import OF_POSES, Found, least_size, needed
+from rim_camera_ros.calibrate.needs import OF_TIME, Found, least_size, needed, own_covariates
 from rim_camera_ros.calibrate.outcome import Result, Trial, as_good
 from rim_camera_ros.calibrate.pixels import more_pixels
-from rim_camera_ros.calibrate.pose_errors import poses_explained
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.selection import folds_of
+from rim_camera_ros.calibrate.shuffled_times import follows_time
 from rim_camera_ros.calibrate.sizes import effect_size
 from rim_camera_ros.calibrate.stations import level_of
 from rim_camera_ros.calibrate.views import Views
@@ -85,6 +85,7 @@ def search(
         explorations=[first],
         folds=folds,
         further=further,
+        pool=pool,
         variants=leading_variants(first),
         seed=seed,
         say=say,
@@ -121,9 +122,9 @@ def _silent(text: str) -> None:
 class Search:
     """What was found so far, and what the next steps need to know.
 
-    ``explorations`` begin with that of the camera file; each effect found adds one. ``failed`` are leaders
-    that proved wrong since then, and why; ``settled`` the numbers of effects found at which the fit was
-    repeated.
+    ``explorations`` begin with that of the camera file; each effect found adds one. ``pool`` are all
+    candidates, ``variants`` those worth their columns at first. ``failed`` are leaders that proved wrong
+    since then, and why; ``settled`` the numbers of effects found at which the fit was repeated.
     """
 
     problem: Problem
@@ -131,6 +132,7 @@ class Search:
     explorations: list[Exploration]
     folds: Mapping[tuple[int, int], int]
     further: Sequence[Candidate] = ()
+    pool: Sequence[Candidate] = ()
     variants: Sequence[Candidate] = ()
     seed: int = 0
     say: Callable[[str], None] = _silent
@@ -257,8 +259,21 @@ class Search:
         size = effect_size(after.fit, trial.effects, self.camera)
         if gain <= need or size < least_size(after, trial.effects, self.found):
             return ONCE_FITTED
-        drifts = bool(self.found) and not OF_POSES.isdisjoint(trial.effects)
-        return NOT_THE_POSES if drifts and not poses_explained(self.step.fit, after.fit) else None
+        drifts = [name for name in trial.effects if name in OF_TIME] if self.found else []
+        return None if all(self._follows_time(trial, name) for name in drifts) else NOT_IN_TIME
+
+    def _follows_time(self, trial: Trial, name: str) -> bool:
+        fitted = trial.fitted.fit
+        own = [one for one in self.pool if one.effect == name]
+        names = [one.effect for one in self.found]
+        # a form that is not quite true leaves what changes with its own covariates, and these with time
+        effects = [fitted.camera.effects[one] for one in names if one in fitted.camera.effects]
+        covariates = {covariate for one in effects for covariate in own_covariates(one)}
+        curves = [one.block for one in self.further if one.variant in covariates]
+        beside = [*curves, *form_blocks(fitted, names, self.variants)]
+        masks = quiet_pixels(fitted, [one.name for one in effects])
+        problem = trial.problem if masks is None else replace(trial.problem, masks=masks)
+        return follows_time(fitted, name, own, self.folds, problem, beside=beside, seed=self.seed)
 
     def _best_trial(self, numbers: tuple[int, ...], leader: int) -> tuple[Trial, list[str]]:
         """Fit candidates and their near rivals non-linearly; return the best, and effects that are as good.

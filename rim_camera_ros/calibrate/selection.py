@@ -161,6 +161,20 @@ class Scores:
         scaled = strength / self.prior[list(extra)]
         return float(0.5 * scaled @ (self._conditional(extra) - np.eye(len(scaled))) @ scaled)
 
+    def beside_base(self, extra: Sequence[int]) -> tuple[Array, Array]:
+        """Return normal matrix (K, K) and right side (K,) of some regressors after the base is eliminated.
+
+        Without the regressors' own priors.
+        """
+        columns = np.array([*self.base, *extra], int)
+        matrix, right = self._scaled(self.full, columns)
+        n = len(self.base)
+        solved = linalg.solve(matrix[:n, :n], np.column_stack([matrix[:n, n:], right[:n]]), assume_a="pos")
+        scale = self.prior[list(extra)]
+        gram = matrix[n:, n:] - np.eye(len(extra)) - matrix[n:, :n] @ solved[:, :-1]
+        side = right[n:] - matrix[n:, :n] @ solved[:, -1]
+        return np.asarray(gram / scale[:, None] / scale[None, :]), np.asarray(side / scale)
+
     def _conditional(self, extra: Sequence[int]) -> Array:
         """Posterior precision of some regressors in units of their priors, after the base is fitted."""
         base = [i for i in self.base if i not in set(extra)]

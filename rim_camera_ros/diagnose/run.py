@@ -67,12 +67,6 @@ BEYOND = 1.2
 _VISIBLE_RIPPLE = 0.005
 #: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
 _COMMON_LIGHT = 0.1
-#: Ratio of held-out distances' RMS above which the improved camera is none, and what is said then.
-_WORSE = 1.1
-_NO_BETTER = (
-    "distances of held-out poses got worse although amplitudes got better: what is named stands for "
-    "something else, do not use camera.yaml"
-)
 #: Chi-square per value of held-out poses above which a recording that nothing explains is not consistent:
 #: where nothing is left out it was 1.02 at most.
 _UNEXPLAINED = 1.05
@@ -173,7 +167,8 @@ def _diagnose(
         dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
     say("looking for what no named effect explains")
     unknown = None if alone or one_pose else best_rest(result, samples, problem, seed)
-    variance = examine_variance(final.fit.forward)
+    responds = "amplitude_nonlinearity" in final.fit.camera.effects.keys() - camera.effects.keys()
+    variance = examine_variance(final.fit.forward, free_scale=responds)
     codes = missing_codes(dataset.codes, noise=camera.noise.floor / camera.sensor.lsb)
     named = result.gained
     explained = _explained(result, unknown)
@@ -363,8 +358,7 @@ def _verdict(
         verdict = "unknown_physics"
         left, where = unexplained(fitted, measure.chi2_before)
         missing = [left]
-    if measure.held_out and measure.rms_after > _WORSE * measure.rms_before:
-        notes.append(_NO_BETTER)
+    notes += measure.notes()
     return Diagnosis(
         verdict=verdict,
         missing=missing,

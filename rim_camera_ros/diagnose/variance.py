@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
+from scipy.optimize import minimize_scalar, nnls
 
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.camera import Camera
@@ -23,6 +23,8 @@ LEAST_SIGMA = 6.0
 #: reading out leaves a little in every real camera.
 LEAST_COMMON_SHARE = 0.003
 _BINS = 10
+#: Factors on the light that a response of another form than the true one may leave.
+_SCALES = (0.8, 1.25)
 
 
 @dataclass(frozen=True)
@@ -78,8 +80,12 @@ class Variance:
         return self.common > 1 + max(6 * self.common_sigma, 1.0)
 
 
-def examine_variance(forward: Forward) -> Variance:
-    """Compare the variances of repeated frames with the noise model at the latent amplitudes."""
+def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
+    """Compare the variances of repeated frames with the noise model at the latent amplitudes.
+
+    With ``free_scale`` these are known to a common factor near 1 only, and the one that fits best is taken:
+    beside a response that was found, whose small-signal gain follows from its form.
+    """
     camera = forward.camera
     amplitude, measured, model, freedom = [], [], [], []
     common, shares, floors = [], [], []
@@ -100,6 +106,10 @@ def examine_variance(forward: Forward) -> Variance:
     if not amplitude:
         return Variance(1.0, np.inf, (), camera.noise, None, np.inf, floor, False)
     a, s, m, f = (np.concatenate(parts).astype(float) for parts in (amplitude, measured, model, freedom))
+    if free_scale:
+        factor = _scale_of_light(a, s, m, f, camera.noise)
+        m = m * _scaled_variance(a, factor, camera.noise)
+        a = a * factor
     ratio = s / m
     edges = np.unique(np.quantile(a, np.linspace(0, 1, _BINS + 1)))
     bins = []
@@ -129,6 +139,22 @@ def examine_variance(forward: Forward) -> Variance:
         repeated=True,
         background=_background(a, s, m, f, camera),
     )
+
+
+def _scaled_variance(amplitude: Array, factor: float, noise: Noise) -> Array:
+    """Return the variance at amplitudes times a factor over that at the amplitudes."""
+    ratio = noise.sigma_distance(amplitude * factor) / noise.sigma_distance(amplitude)
+    return np.asarray(ratio**2)
+
+
+def _scale_of_light(a: Array, s: Array, m: Array, f: Array, noise: Noise) -> float:
+    """Return the factor on all amplitudes with which the noise model fits the variances best."""
+
+    def misfit(factor: float) -> float:
+        model = m * _scaled_variance(a, factor, noise)
+        return float((f * (np.log(model) + s / model)).sum())
+
+    return float(minimize_scalar(misfit, bounds=_SCALES, method="bounded").x)
 
 
 def _background(a: Array, s: Array, m: Array, f: Array, camera: Camera) -> float:

@@ -117,6 +117,26 @@ def test_a_beam_may_point_elsewhere(tmp_path: Path) -> None:
     assert np.std(rest) < 0.05 * np.std(tilted)
 
 
+def test_signal_lines_may_delay_a_cyclic_error_otherwise_than_in_proportion(tmp_path: Path) -> None:
+    """Its phase bends along the rows, and it grows along the columns: both are changes of its form."""
+    flat = CyclicError((Harmonic(4, 0.02, 0.7),), (0.003, 0.0))
+    model, board = camera(tmp_path, flat), scene(tmp_path)
+    data = record(model, board, poses=6, seed=2)
+    step = explore(Problem(data, board), model, [], folds_of(data), replicates=0)
+    (block,) = form_blocks(step.fit, ["cyclic_error"], [])
+    one = next(iter(step.fit.forward.predictions()))
+    effect = step.fit.camera.effects["cyclic_error"]
+    assert isinstance(effect, CyclicError)
+    (wave,) = effect.harmonics
+    far = 4 * 2 * np.pi / one.context.ambiguity * np.nan_to_num(one.delivered.distance)
+    angle = far + wave.phase + effect.phase_shift(one.context)
+    truth = wave.amplitude * (1 + 0.1 * across(one)) * np.sin(angle + 0.2 * across(one) ** 2)
+    rest = (truth - wave.amplitude * np.sin(angle))[one.used]
+    design = np.stack([d[one.used] for d, _ in block.columns(one)], axis=1)
+    left = rest - design @ np.linalg.lstsq(design, rest, rcond=None)[0]
+    assert np.std(left) < 0.15 * np.std(rest)
+
+
 def test_what_a_wrong_form_leaves_is_no_further_effect(tmp_path: Path) -> None:
     model, board = camera(tmp_path, STRAY), scene(tmp_path)
     truth = camera(tmp_path, STRAY, CyclicError((Harmonic(4, 0.0016, 0.7),), (0.0, 0.0)))

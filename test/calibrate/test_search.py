@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate import pose_errors
 from rim_camera_ros.calibrate import search as search_module
 from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.exploration import explore
@@ -18,7 +17,7 @@ from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.gauss_newton import settled_after
 from rim_camera_ros.calibrate.leaders import (
     AS_REST,
-    NOT_THE_POSES,
+    NOT_IN_TIME,
     ONCE_FITTED,
     Refused,
     refused,
@@ -362,37 +361,23 @@ def test_unmodulated_light_of_a_moving_camera_is_a_share_of_the_modulated(tmp_pa
     assert plain.build(model, {plain.block.regressors[0].label: 0.002}).effects["motion"] == Motion(0.002)
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "explained"),
-    [
-        ({"wall": 1.8}, {"wall": 1.0}, True),
-        ({"wall": 4.7, "plate": 3.7}, {"wall": 1.1, "plate": 1.5}, True),
-        ({"wall": 11.0}, {"wall": 5.0}, True),  # by more than half: something else bends the rest
-        ({"wall": 11.4}, {"wall": 6.2}, False),
-        ({"wall": 4.1, "plate": 13.1}, {"wall": 1.0, "plate": 13.5}, False),
-        ({}, {}, True),
-    ],
-)
-def test_a_drift_explains_the_errors_of_poses(
-    monkeypatch: pytest.MonkeyPatch, before: dict[str, float], after: dict[str, float], explained: bool
+@pytest.mark.parametrize("follows", [True, False])
+def test_a_drift_beside_other_effects_must_follow_time(
+    monkeypatch: pytest.MonkeyPatch, follows: bool
 ) -> None:
-    monkeypatch.setattr(
-        pose_errors, "pose_error_ratios", lambda ratios: {name: (one, 9.0) for name, one in ratios.items()}
-    )
-    fits: Any = (before, after)
-    assert pose_errors.poses_explained(*fits) is explained
-    # asked of drifts beside other effects alone
     monkeypatch.setattr("rim_camera_ros.calibrate.search.effect_size", lambda *_: 0.01)
     monkeypatch.setattr("rim_camera_ros.calibrate.search.least_size", lambda *_: 0.0005)
-    first, last = (SimpleNamespace(fit=one) for one in fits)
+    monkeypatch.setattr(Search, "_follows_time", lambda self, trial, name: follows)
     nothing: Any = None
-    state = Search(nothing, nothing, [first], {}, found=[Found("cyclic_error", 900.0)])  # type: ignore[list-item]
+    state = Search(nothing, nothing, [nothing], {}, found=[Found("cyclic_error", 900.0)])
 
-    def why_not(effect: str) -> str | None:
-        trial: Any = SimpleNamespace(effects=[effect], fitted=last)
+    def why_not(*effects: str) -> str | None:
+        trial: Any = SimpleNamespace(effects=effects, fitted=SimpleNamespace(fit=None))
         return state._why_not(trial, 100.0, 30.0)
 
-    assert why_not("warm_up_drift") == (None if explained else NOT_THE_POSES)
+    refusal = None if follows else NOT_IN_TIME
+    assert why_not("warm_up_drift") == why_not("scattering", "ambient_temperature") == refusal
     assert why_not("scattering") is None
+    assert why_not("integration_time_offset") is None
     state.found.clear()
     assert why_not("warm_up_drift") is None

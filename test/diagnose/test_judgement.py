@@ -13,6 +13,7 @@ import pytest
 from rim_camera_ros.calibrate.leaders import AS_REST, NOT_ELSEWHERE, Refused
 from rim_camera_ros.calibrate.needs import Found, needed, own_covariates
 from rim_camera_ros.diagnose import setup
+from rim_camera_ros.diagnose.accuracy import Accuracy
 from rim_camera_ros.diagnose.naming import notes_of_refused
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, with_variance
 from rim_camera_ros.diagnose.result import Missing
@@ -21,6 +22,7 @@ from rim_camera_ros.diagnose.setup import PoseCheck
 from rim_camera_ros.diagnose.variance import Variance, VarianceBin
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
+from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.incidence_angle import IncidenceAngle
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.noise import Noise
@@ -228,6 +230,44 @@ def test_a_third_effect_says_more_than_a_function_of_what_the_first_two_depend_o
     assert needed(step, 2, both[:1]) == pytest.approx(0.0015 * 7400.0)
     # amplitude falls with distance: what a form in it leaves looks like a scale of distance already after one
     assert needed(step, 0, both[:1]) == 42.0
+
+
+@pytest.mark.parametrize(("curve", "asked"), [(3000.0, 900.0), (100.0, 30.0), (5.0, 27.0)])
+def test_a_scale_is_a_good_part_of_what_a_curve_of_the_distance_says(
+    tmp_path: Path, curve: float, asked: float
+) -> None:
+    """Beside a cyclic error, whose other form leaves what changes with distance."""
+    step: Any = SimpleNamespace(
+        fit=SimpleNamespace(camera=camera(tmp_path, CyclicError((Harmonic(4, 0.02, 0.7),)))),
+        candidates=[
+            SimpleNamespace(effect="distance_scale", variant=""),
+            SimpleNamespace(effect="unknown", variant="distance"),
+        ],
+        gains=np.array([300.0, curve]),
+        thresholds=np.full(2, 8.0),
+        named=1,
+        unexplained=0.0,
+    )
+    assert needed(step, 0, [Found("cyclic_error", 18_000.0)]) == pytest.approx(asked)
+    assert needed(step, 0, []) == 8.0
+
+
+@pytest.mark.parametrize(
+    ("rms", "chi2", "held_out", "note"),
+    [
+        ((0.02, 0.0201), (1.03, 1.36), True, "rose from 1.03 to 1.36"),
+        ((0.02, 0.0201), (0.88, 1.04), True, None),  # as it should be
+        ((0.02, 0.023), (1.03, 1.36), True, "do not use camera.yaml"),
+        ((0.02, 0.023), (1.03, 1.36), False, None),
+        ((0.02, 0.019), (1.5, 1.1), True, None),
+    ],
+)
+def test_what_got_worse_is_said(
+    rms: tuple[float, float], chi2: tuple[float, float], held_out: bool, note: str | None
+) -> None:
+    notes = Accuracy(*rms, 0.018, *chi2, held_out).notes()
+    assert len(notes) == (note is not None)
+    assert all(note is not None and note in one for one in notes)
 
 
 def test_a_note_for_each_reason_tells_what_was_not_added() -> None:

@@ -8,11 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.light_curves import DIFFUSE, GLOSS, RIPPLES, SURFACES, LightCurves
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.run import diagnose
+from rim_camera_ros.diagnose.variance import examine_variance
+from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.scene import Geometry, Scene
@@ -88,3 +92,60 @@ def test_rough_surfaces_are_named_with_their_curve(tmp_path: Path) -> None:
     assert result.accuracy.chi2_after < 0.9 * result.accuracy.chi2_before
     assert result.accuracy.chi2_after == pytest.approx(1.0, abs=0.05)
     assert "reflect" in result.missing[0].sentence
+
+
+def readout(amplitude: np.ndarray) -> np.ndarray:
+    """What a stage with a soft knee at both ends publishes of light: no 1 / (1 + c A)."""
+    return np.asarray(amplitude * (1 + 0.05 * np.tanh(np.log(np.maximum(amplitude, 1.0) / 400.0))))
+
+
+def test_a_response_of_another_form_is_a_response(tmp_path: Path) -> None:
+    """It brightens what is bright: the one parameter of the vocabulary, which is not negative, cannot."""
+    truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
+    data = record(truth, board, seed=33)
+    bent = replace(data, stations=[replace(s, amplitude=readout(s.amplitude)) for s in data.stations])
+    result = diagnose(bent, board, truth)
+    assert [one.effect for one in result.missing] == ["amplitude_nonlinearity"]
+    assert result.accuracy.chi2_after == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize(("compression", "low", "high"), [(2e-4, 1.4e-4, 2.8e-4), (0.0, 0.0, 1e-6)])
+def test_a_free_response_begins_at_the_compression_that_is_like_it(
+    tmp_path: Path, compression: float, low: float, high: float
+) -> None:
+    model, board = camera(tmp_path), scene(tmp_path)
+    data = record(model, board, poses=3)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=model)
+    plain, curve = candidates(model, facts, effects=["amplitude_nonlinearity"])
+    assert (plain.variant, curve.variant) == ("", "curve")
+    # its values: the response over that at the level, at powers of ten of the level
+    published = AmplitudeNonlinearity(compression).compressed
+    values = {}
+    for one in curve.block.regressors:
+        power = float(one.label.removesuffix("@curve").rpartition("response.")[2])
+        light = np.array([facts.amplitude * 10**power, facts.amplitude])
+        factor = published(light) / light
+        values[one.label] = float(factor[0] / factor[1] - 1)
+    built = curve.build(model, values).effects["amplitude_nonlinearity"]
+    assert isinstance(built, AmplitudeNonlinearity)
+    assert low <= built.compression <= high
+
+
+def test_the_scale_of_the_light_is_free_where_the_response_is_not_known(tmp_path: Path) -> None:
+    truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
+    data = record(truth, board, seed=34)
+    told = replace(truth, noise=replace(truth.noise, amplitude=truth.noise.amplitude / 1.1))
+    forward = Forward(data, board, told)
+    forward.estimate_amplitudes()
+    assert examine_variance(forward).noise_is_wrong
+    free = examine_variance(forward, free_scale=True)
+    assert not free.noise_is_wrong
+    assert free.ratio == pytest.approx(1.0, abs=0.01)
+    # a floor is no scale of the light, nor is a factor of two
+    for other in (
+        replace(truth.noise, floor=0.6 * truth.noise.floor),
+        replace(truth.noise, amplitude=2.0 * truth.noise.amplitude),
+    ):
+        forward = Forward(data, board, replace(truth, noise=other))
+        forward.estimate_amplitudes()
+        assert examine_variance(forward, free_scale=True).noise_is_wrong
