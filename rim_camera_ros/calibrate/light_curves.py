@@ -123,6 +123,10 @@ class LightCurves:
     def _logarithm(self, light: Array) -> Array:
         return np.asarray(np.log10(np.maximum(light, 1e-3) / self.level))
 
+    def bend(self) -> float:
+        """Return by how much the response differs from 1 at most."""
+        return max(abs(self.values.get(f"{PREFIX}response.{k:+.1f}", 0.0)) for k in _LOGARITHMS)
+
     def ripple(self) -> float:
         """Return the largest relative amplitude of a ripple."""
         pairs = zip(RIPPLES[::2], RIPPLES[1::2], strict=True)

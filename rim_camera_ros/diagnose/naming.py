@@ -19,7 +19,11 @@ from rim_camera_ros.diagnose.result import Missing, Ranked
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.diagnose.where import OF_AMPLITUDE
 from rim_camera_ros.effects import registry
+from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
+from rim_camera_ros.effects.base import Effect
 
+#: Quantiles of a recording's amplitudes at which a response is told.
+_DARK_TO_BRIGHT = (0.05, 0.5, 0.95)
 _GEOMETRY_SENTENCE = {
     "radiometry": "radiometry: surfaces do not reflect as Lambert says; amplitudes depend otherwise on "
     "the angle "
@@ -56,7 +60,7 @@ def missing_effect(
     else:
         prefix = f"effects.{name}."
         own = {path.removeprefix(prefix): v for path, v in intervals.items() if path.startswith(prefix)}
-        sentence = effect.sentence()
+        sentence = _response_sentence(effect, fitted) or effect.sentence()
         values = {
             path.removeprefix(prefix): v
             for path, v in camera_numbers(camera).items()
@@ -73,6 +77,18 @@ def missing_effect(
         sentence=sentence,
         magnitude=size,
     )
+
+
+def _response_sentence(effect: Effect, fitted: Fit) -> str | None:
+    """Return what is published of dark, middling and bright light, in counts, if the response is a curve."""
+    curves = fitted.forward.light_curves
+    if not isinstance(effect, AmplitudeNonlinearity) or curves is None or not curves.responds:
+        return None
+    values = [one.amplitude[one.count > 0] for one in fitted.forward.dataset.stations]
+    published = np.quantile(np.concatenate(values), _DARK_TO_BRIGHT)
+    light = curves.light_of(published, effect.compressed)
+    said = [" / ".join(f"{value:,.1f}" for value in one) for one in (light, published)]
+    return f"amplitude response: {said[0]} counts of light are published as {said[1]}"
 
 
 def _size(fitted: Fit, name: str) -> float | None:

@@ -202,8 +202,8 @@ def _missing(result: Diagnosis) -> list[str]:
     if _improved(result):
         parts.append(
             html.paragraph(
-                "camera.yaml in the folder of this report is the camera file with all of this: simulating "
-                "and correcting with it is the better simulation and correction."
+                "camera.yaml in the folder of this report is the camera file with all of this that a camera "
+                "file describes: simulating and correcting with it is the better simulation and correction."
             )
         )
     return parts

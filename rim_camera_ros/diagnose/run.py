@@ -384,9 +384,15 @@ def _verdict(
 
 def _notes_of_light(fitted: Fit) -> list[str]:
     curves = fitted.forward.light_curves
-    if curves is None or curves.ripple() < _VISIBLE_RIPPLE:
-        return []
-    return [
-        f"amplitudes ripple by {curves.ripple():.1%} over the phase, as harmonics of the modulation make "
-        "them; a camera file does not describe it"
-    ]
+    notes = []
+    if curves is not None and curves.ripple() >= _VISIBLE_RIPPLE:
+        notes.append(
+            f"amplitudes ripple by {curves.ripple():.1%} over the phase, as harmonics of the modulation make "
+            "them; a camera file does not describe it"
+        )
+    if curves is not None and curves.responds and curves.bend() >= _VISIBLE_RIPPLE:
+        notes.append(
+            f"amplitudes respond to light otherwise than A / (1 + compression * A), by up to "
+            f"{curves.bend():.1%}; a camera file does not describe it"
+        )
+    return notes

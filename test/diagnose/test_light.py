@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,6 +100,11 @@ def readout(amplitude: np.ndarray) -> np.ndarray:
     return np.asarray(amplitude * (1 + 0.05 * np.tanh(np.log(np.maximum(amplitude, 1.0) / 400.0))))
 
 
+def true_light(published: np.ndarray) -> np.ndarray:
+    light = np.geomspace(1.0, 1e5, 100_000)
+    return np.interp(published, readout(light), light)
+
+
 def test_a_response_of_another_form_is_a_response(tmp_path: Path) -> None:
     """It brightens what is bright: the one parameter of the vocabulary, which is not negative, cannot."""
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
@@ -106,6 +112,13 @@ def test_a_response_of_another_form_is_a_response(tmp_path: Path) -> None:
     bent = replace(data, stations=[replace(s, amplitude=readout(s.amplitude)) for s in data.stations])
     result = diagnose(bent, board, truth)
     assert [one.effect for one in result.missing] == ["amplitude_nonlinearity"]
+    assert any("otherwise than A / (1 + compression * A)" in one for one in result.notes)
+    # what is said of it: 5 %, 50 % and 95 % of the amplitudes, to a factor on the light
+    said = re.fullmatch(r".*: (.*) counts of light are published as (.*)", result.missing[0].sentence)
+    assert said is not None
+    light, told = (np.array([float(x.replace(",", "")) for x in one.split(" / ")]) for one in said.groups())
+    factor = told / light / (told / true_light(told))
+    assert factor / factor[1] == pytest.approx([1.0, 1.0, 1.0], abs=0.02)
     assert result.accuracy.chi2_after == pytest.approx(1.0, abs=0.03)
 
 
