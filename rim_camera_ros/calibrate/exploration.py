@@ -50,7 +50,7 @@ class Exploration:
     in replicates in which nothing is left out; ``null_maxima`` is the greatest excess over the threshold's
     least value in each of them. The first ``named``
     candidates are of the vocabulary, the others stand for what is not. ``beside`` scores the named ones
-    beside changes of the forms of effects found before them, where there are such.
+    beside changes of the ``forms`` of effects found before them, where there are such.
     """
 
     fit: Fit
@@ -62,6 +62,7 @@ class Exploration:
     thresholds: Array
     named: int
     beside: Scores
+    forms: Sequence[Block] = ()
 
     @property
     def threshold(self) -> float:
@@ -166,13 +167,13 @@ def explored(
     named: Sequence[Candidate],
     *,
     further: Sequence[Candidate] = (),
-    forms: int = 0,
+    forms: Sequence[Block] = (),
     seed: int = 0,
     replicates: int = 200,
 ) -> Exploration:
     """Score the candidates whose columns stand in a fit's equations after its parameters.
 
-    The last ``forms`` columns of the equations are changes of the forms of the camera's effects, beside which
+    The last columns of the equations are ``forms``, changes of those of the camera's effects, beside which
     the named candidates are scored. Thresholds are those without them.
     """
     count = len(fitted.parameters)
@@ -184,7 +185,7 @@ def explored(
         spans.append(list(range(start, start + width)))
         start += width
     scores = Scores(fitted.equations, range(count))
-    changes = range(start, start + forms)
+    changes = range(start, start + sum(len(one.regressors) for one in forms))
     beside = Scores(fitted.equations, [*range(count), *changes]) if forms else scores
     # what no model explains makes every gain larger than the noise would: measure in its units
     chi_square, rows = scores.chi_square(held_out=True)
@@ -213,7 +214,7 @@ def explored(
         rate = ALARM_RATE / _INDEPENDENT
         thresholds = np.array([max(LEAST_THRESHOLD, gumbel_quantile(one, 1 - rate)) for one in drawn])
         maxima = drawn[: len(named)].max(axis=0) if named else drawn.max(axis=0)
-    return Exploration(fitted, found, scores, spans, gains, maxima, thresholds, len(named), beside)
+    return Exploration(fitted, found, scores, spans, gains, maxima, thresholds, len(named), beside, forms)
 
 
 def further_equations(

@@ -8,19 +8,20 @@ A discrepancy of the model in the sense of Kennedy and O'Hagan (2001), with the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from rim_camera_ros.calibrate.blocks import Block, Regressor
+from rim_camera_ros.calibrate.blocks import Block, Regressor, effect_block, present_priors
 from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES
 from rim_camera_ros.calibrate.prediction import Column, Prediction
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.sizes import change_by
+from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import DistanceTerm
 
 Array = NDArray[Any]
@@ -59,6 +60,29 @@ def form_blocks(fitted: Fit, names: Sequence[str], variants: Sequence[Candidate]
         own = [one.block for one in variants if one.effect == name]
         blocks.append(_sized(fitted, name, own))
     return blocks
+
+
+def change_of_forms(
+    camera: Camera, names: Sequence[str], forms: Sequence[Block], values: Mapping[str, float]
+) -> Callable[[Prediction], Array]:
+    """Return what changes of the forms of effects do to a station's distances [m].
+
+    ``values`` are the coefficients of the ``forms`` and, beside them, of the parameters of the effects
+    ``names`` of the camera, by label. What mixed pixels do is fitted where edges are not, and says nothing of
+    them.
+    """
+    own = [one for one in forms if not one.regressors[0].label.startswith(f"{FORM}.mixed_pixels.")]
+    effects = [camera.effects[name] for name in names if own and name in camera.effects]
+    blocks = [*own, *(effect_block(one, present_priors(one, camera)) for one in effects)]
+
+    def change(prediction: Prediction) -> Array:
+        total = np.zeros(prediction.distance.shape)
+        for block in blocks:
+            for regressor, (column, _) in zip(block.regressors, block.columns(prediction), strict=True):
+                total += values.get(regressor.label, 0.0) * np.nan_to_num(column)
+        return total
+
+    return change
 
 
 def _sized(fitted: Fit, name: str, variants: Sequence[Block]) -> Block:

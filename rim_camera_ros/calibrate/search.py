@@ -374,6 +374,6 @@ class Search:
             further_equations(fitted, blocks, self.folds, problem),
             left,
             further=self.further,
-            forms=sum(len(one.regressors) for one in forms),
+            forms=forms,
             seed=self.seed,
         )

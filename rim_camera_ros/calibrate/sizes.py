@@ -53,10 +53,7 @@ def contribution(prediction: Prediction, name: str, start: Camera) -> Array:
     """
     camera = prediction.context.camera
     if name in OF_SURFACES:
-        curves = prediction.light_curves
-        if curves is None:
-            return np.zeros(prediction.used.shape)
-        return np.asarray(SAME_SIZE * np.log(curves.surfaces(prediction.view.geometry)))
+        return np.asarray(SAME_SIZE * _of_surfaces(prediction))
     if name in GEOMETRY:
         return _geometry_contribution(prediction, name, start)
     effect = camera.effects[name]
@@ -69,6 +66,27 @@ def contribution(prediction: Prediction, name: str, start: Camera) -> Array:
     if name == "emission_pattern":
         return np.asarray(np.nan_to_num(np.maximum(np.abs(moved), SAME_SIZE * np.abs(relative))))
     return np.asarray(np.nan_to_num(moved))
+
+
+def moved_by_light(prediction: Prediction, name: str) -> Array:
+    """Return how far distances [m] move as an effect on the light, or surfaces, change the amplitude."""
+    relative, by_distance = (
+        _relative_light(prediction, name)
+        if name not in OF_SURFACES
+        else (
+            _of_surfaces(prediction),
+            np.zeros(1),
+        )
+    )
+    return np.asarray(np.nan_to_num(prediction.reading_change(by_distance, relative)[0]))
+
+
+def _of_surfaces(prediction: Prediction) -> Array:
+    """Return the change of log amplitude by surfaces unlike Lambert's."""
+    curves = prediction.light_curves
+    if curves is None:
+        return np.zeros(prediction.used.shape)
+    return np.asarray(np.log(curves.surfaces(prediction.view.geometry)))
 
 
 def change_by(prediction: Prediction, name: str) -> Column:

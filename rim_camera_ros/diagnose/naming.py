@@ -24,6 +24,8 @@ from rim_camera_ros.effects.base import Effect
 
 #: Quantiles of a recording's amplitudes at which a response is told.
 _DARK_TO_BRIGHT = (0.05, 0.5, 0.95)
+#: Relative ripple of the amplitude that is said.
+_VISIBLE_RIPPLE = 0.005
 _GEOMETRY_SENTENCE = {
     "radiometry": "radiometry: surfaces do not reflect as Lambert says; amplitudes depend otherwise on "
     "the angle "
@@ -179,3 +181,20 @@ def notes_of_refused(result: Result) -> list[str]:
         told = f"{one.effect} ({one.gain:,.0f} nats, {one.needed:,.0f} asked)"
         by_reason.setdefault(one.why, []).append(told)
     return [f"not added, {why}: {', '.join(told)}" for why, told in by_reason.items()]
+
+
+def notes_of_light(fitted: Fit) -> list[str]:
+    """Return what amplitudes do that no camera file describes, in words."""
+    curves = fitted.forward.light_curves
+    notes = []
+    if curves is not None and curves.ripple() >= _VISIBLE_RIPPLE:
+        notes.append(
+            f"amplitudes ripple by {curves.ripple():.1%} over the phase, as harmonics of the modulation make "
+            "them; a camera file does not describe it"
+        )
+    if curves is not None and curves.responds and curves.bend() >= _VISIBLE_RIPPLE:
+        notes.append(
+            f"amplitudes respond to light otherwise than A / (1 + compression * A), by up to "
+            f"{curves.bend():.1%}; a camera file does not describe it"
+        )
+    return notes

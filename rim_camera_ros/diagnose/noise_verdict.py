@@ -102,6 +102,16 @@ def only_background(result: Result, rest: Rest | None, variance: Variance, camer
     return gain < _SHIFT_OF_BACKGROUND * _cost(result, variance) or _by_light(result.explorations[0]) > named
 
 
+def only_rectified_noise(result: Result, variance: Variance) -> bool:
+    """Return whether a response that was found alone is no more than what too large a noise does to it.
+
+    The mean length of a noisy phasor is above the phasor's (Rice 1944), most where it is dark.
+    """
+    alone = {one.effect for one in result.found} == {"amplitude_nonlinearity"}
+    too_noisy = variance.noise_is_wrong and variance.ratio > 1
+    return alone and too_noisy and result.gained < _SHIFT_OF_BACKGROUND * _cost(result, variance)
+
+
 def _by_light(baseline: Exploration) -> float:
     """Return the gain of the best smooth function of what goes with the light."""
     smooth = range(baseline.named, len(baseline.candidates))

@@ -19,12 +19,13 @@ from rim_camera_ros.calibrate.coarser import (
     finer_image,
 )
 from rim_camera_ros.calibrate.exploration import Exploration, explore
+from rim_camera_ros.calibrate.forms import change_of_forms
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import OF_SURFACES
 from rim_camera_ros.calibrate.needs import left_by_forms
 from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.calibrate.plan import shipped_experiments
-from rim_camera_ros.calibrate.problem import Fit, Problem
+from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.search import MOST_EFFECTS, search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import Dataset
@@ -46,11 +47,17 @@ from rim_camera_ros.diagnose.naming import (
     missing_codes_of,
     missing_effect,
     next_recording,
+    notes_of_light,
     notes_of_refused,
     ranking_of,
     unseen_effects,
 )
-from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, with_variance
+from rim_camera_ros.diagnose.noise_verdict import (
+    only_background,
+    only_noise,
+    only_rectified_noise,
+    with_variance,
+)
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.setup import Setup, check_setup
 from rim_camera_ros.diagnose.smooth import axes_of, single_terms
@@ -63,8 +70,6 @@ from rim_camera_ros.scene import Scene
 DOUBT = 0.15
 #: A term outside the vocabulary must gain this share more than the named ones to take their place.
 BEYOND = 1.2
-#: Relative ripple of the amplitude that is said.
-_VISIBLE_RIPPLE = 0.005
 #: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
 _COMMON_LIGHT = 0.1
 #: Chi-square per value of held-out poses above which a recording that nothing explains is not consistent:
@@ -191,7 +196,7 @@ def _diagnose(
         say("once more without what does not agree")
         return _diagnose(_without(dataset, setup), scene, camera, None, seed, threads, say, again - 1)
     by_background = only_background(result, unknown, variance, camera)
-    if by_background:
+    if by_background or only_rectified_noise(result, variance):
         described = None
         result = replace(result, camera=baseline.fit.camera, found=[], explorations=[baseline])
     say("held-out poses before and after")
@@ -299,7 +304,7 @@ def _verdict(
 ) -> Diagnosis:
     baseline, final = result.explorations[0], result.explorations[-1]
     fitted = final.fit
-    notes = sorted({*fitted.notes, *fitted.forward.notes, *dataset.notes, *_notes_of_light(fitted)})
+    notes = sorted({*fitted.notes, *fitted.forward.notes, *dataset.notes, *notes_of_light(fitted)})
     unseen = unseen_effects(baseline)
     ranking = ranking_of(baseline, result)
     probabilities = {one.effect: one.probability for one in ranking}
@@ -327,7 +332,9 @@ def _verdict(
                 # given those before it, against nothing more being missing
                 share = float(1 / (1 + np.exp(-min(one.gain, 500.0))))
             missing.append(missing_effect(one.effect, fitted, intervals, min(max(share, 0.0), 1.0)))
-        where = of_terms(fitted, [one.effect for one in result.found], origin)
+        names = [one.effect for one in result.found]
+        beyond = change_of_forms(model, names, final.forms, final.beside.values())
+        where = of_terms(fitted, names, origin, rest=beyond)
         notes += notes_of_refused(result)
     else:
         verdict = "consistent"
@@ -380,19 +387,3 @@ def _verdict(
         gained=result.gained,
         smooth_rest=None if rest is None else (" and ".join(rest.covariates), rest.on_top),
     )
-
-
-def _notes_of_light(fitted: Fit) -> list[str]:
-    curves = fitted.forward.light_curves
-    notes = []
-    if curves is not None and curves.ripple() >= _VISIBLE_RIPPLE:
-        notes.append(
-            f"amplitudes ripple by {curves.ripple():.1%} over the phase, as harmonics of the modulation make "
-            "them; a camera file does not describe it"
-        )
-    if curves is not None and curves.responds and curves.bend() >= _VISIBLE_RIPPLE:
-        notes.append(
-            f"amplitudes respond to light otherwise than A / (1 + compression * A), by up to "
-            f"{curves.bend():.1%}; a camera file does not describe it"
-        )
-    return notes

@@ -13,15 +13,18 @@ from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import after_nuisances
-from rim_camera_ros.calibrate.sizes import SAME_SIZE, contribution
+from rim_camera_ros.calibrate.sizes import SAME_SIZE, contribution, moved_by_light
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.smooth import values_of
+from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.effects.covariates import COVARIATES
 
 Array = NDArray[Any]
 
 #: Effects that change the amplitude and the distance only by way of it.
 OF_AMPLITUDE = frozenset({"emission_pattern", "amplitude_nonlinearity", "radiometry"})
+#: Of these, what acts before the distance is measured.
+_ON_LIGHT = OF_AMPLITUDE - {"amplitude_nonlinearity"}
 _LEAST_SHARE = 0.03
 _MOST_COVARIATES = 4
 
@@ -39,19 +42,39 @@ class Where:
     curves: dict[str, tuple[Array, Array, Array]]
 
 
-def of_terms(fitted: Fit, names: Sequence[str], origin: Camera) -> Where:
-    """Locate the contribution of effects of the fitted camera; ``origin`` has the geometry before."""
+def of_terms(
+    fitted: Fit,
+    names: Sequence[str],
+    origin: Camera,
+    *,
+    rest: Callable[[Prediction], Array] | None = None,
+) -> Where:
+    """Locate the contribution of effects of the fitted camera; ``origin`` has the geometry before.
+
+    Effects on the amplitude count by the distances that move with it, where the camera's do, else by the
+    amplitude itself. ``rest`` is what the effects do beyond their forms: changes (H, W) of the distance in m.
+    """
+    moves = any(
+        "amplitude" in one.depends_on()
+        for one in fitted.camera.effects.values()
+        if isinstance(one, DistanceTerm)
+    )
 
     def value(one: Prediction) -> Array:
         shape = one.used.shape
         distance, light = np.zeros(shape), np.zeros(shape)
         for name in names:
+            if moves and name in _ON_LIGHT:
+                distance = distance + moved_by_light(one, name)
+                continue
             moved = contribution(one, name, origin)
             if name in OF_AMPLITUDE:
                 # noise is circular in the complex plane: so much of the amplitude is worth that many metres
                 light = light + moved / SAME_SIZE * one.context.ambiguity / (2 * np.pi)
             else:
                 distance = distance + moved
+        if rest is not None:
+            distance = distance + rest(one)
         if not light.any():
             return np.asarray(distance)
         return np.copysign(np.hypot(distance, light), distance if distance.any() else light)

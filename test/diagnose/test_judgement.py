@@ -15,7 +15,12 @@ from rim_camera_ros.calibrate.needs import Found, needed, own_covariates
 from rim_camera_ros.diagnose import setup
 from rim_camera_ros.diagnose.accuracy import Accuracy
 from rim_camera_ros.diagnose.naming import notes_of_refused
-from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, with_variance
+from rim_camera_ros.diagnose.noise_verdict import (
+    only_background,
+    only_noise,
+    only_rectified_noise,
+    with_variance,
+)
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.run import _is_unknown
 from rim_camera_ros.diagnose.setup import PoseCheck
@@ -209,6 +214,26 @@ def test_what_is_nothing_beside_the_noise_is_no_unknown_physics(
     result: Any = SimpleNamespace(explorations=[SimpleNamespace(scores=scores)])
     rest: Any = SimpleNamespace(on_top=on_top)
     assert only_noise(result, rest, variance(ratio)) is only
+
+
+@pytest.mark.parametrize(
+    ("names", "gained", "ratio", "only"),
+    [
+        (["amplitude_nonlinearity"], 860.0, 1.8, True),  # 184,000 nats are what the noise costs
+        (["amplitude_nonlinearity"], 4000.0, 1.8, False),
+        (["amplitude_nonlinearity"], 860.0, 0.8, False),  # less noise lifts no amplitude
+        (["amplitude_nonlinearity", "scattering"], 860.0, 1.8, False),
+        (["scattering"], 860.0, 1.8, False),
+    ],
+)
+def test_noise_lifts_dark_amplitudes(names: list[str], gained: float, ratio: float, only: bool) -> None:
+    scores = SimpleNamespace(chi_square=lambda: (1.0, 460_000))
+    result: Any = SimpleNamespace(
+        explorations=[SimpleNamespace(scores=scores)],
+        found=[Found(name, gained / len(names)) for name in names],
+        gained=gained,
+    )
+    assert only_rectified_noise(result, variance(ratio)) is only
 
 
 def test_a_third_effect_says_more_than_a_function_of_what_the_first_two_depend_on(tmp_path: Path) -> None:

@@ -4,24 +4,34 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from rim_camera_ros.calibrate.adjustment import fit
+from rim_camera_ros.calibrate.exploration import explored, further_equations
+from rim_camera_ros.calibrate.forms import change_of_forms, form_blocks
 from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
 from rim_camera_ros.calibrate.light_curves import RESPONSE, LightCurves
+from rim_camera_ros.calibrate.problem import Problem
+from rim_camera_ros.calibrate.selection import folds_of
+from rim_camera_ros.calibrate.sizes import change_by
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.diagnose.where import of_residuals, of_terms
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
+from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.effects.emission_pattern import EmissionPattern
+from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.noise import Noise
 
 from ..calibrate.helpers import camera, record, scene
 
+STRAY = Scattering((Kernel(0.06, (7.0, 9.0)),))
 AMBIGUITY = 299_792_458.0 / 40e6
 
 
@@ -81,6 +91,63 @@ def test_a_compressed_amplitude_counts_by_what_it_and_its_response_take(tmp_path
     fitted = SimpleNamespace(forward=beside, camera=both, scene=scene(tmp_path))
     again = of_terms(fitted, ["distance_scale", "amplitude_nonlinearity"], both)
     assert again.pixels[seen] == pytest.approx(found.pixels[seen], rel=1e-4)
+
+
+def test_a_beam_counts_by_the_distances_that_move_with_the_amplitude(tmp_path: Path) -> None:
+    """Light that is less by a share s moves distances by s a / A; where none move, s counts in sigma_A."""
+    pattern = EmissionPattern(falloff=(-0.4, 0.1))
+    bend = AmplitudeOffset(
+        hyperbola=MappingProxyType(dict.fromkeys((16.0, 60.0, 100.0), Hyperbola(6.0, 0.0)))
+    )
+
+    def share(one: Any) -> np.ndarray:
+        u, v = one.context.camera.rays[..., 0], one.context.camera.rays[..., 1]
+        square = np.arctan(np.hypot(u, v) / one.context.camera.rays[..., 2]) ** 2
+        return np.asarray(np.log(1 - 0.4 * square + 0.1 * square**2))
+
+    forward, fitted = forward_of(tmp_path, pattern)
+    _, seen = expected(forward, share)
+    alone = of_terms(fitted, ["emission_pattern"], forward.camera).pixels
+    wanted, _ = expected(forward, lambda one: share(one) * AMBIGUITY / (2 * np.pi))
+    assert alone[seen] == pytest.approx(wanted[seen], rel=0.02, abs=1e-6)
+
+    both = with_effects(forward.camera, {**forward.camera.effects, "amplitude_offset": bend})
+    beside = Forward(forward.dataset, fitted.scene, both)
+    beside.amplitude_model = forward.amplitude_model
+    moved = of_terms(SimpleNamespace(forward=beside, camera=both), ["emission_pattern"], both).pixels  # type: ignore[arg-type]
+    wanted, _ = expected(beside, lambda one: share(one) * -6.0 / one.amplitude)
+    assert moved[seen] == pytest.approx(wanted[seen], rel=0.02, abs=1e-6)
+    assert moved[seen].max() < 0.1 * alone[seen].max()
+
+
+def test_what_an_effect_does_beyond_its_form_belongs_to_its_place(tmp_path: Path) -> None:
+    """The true beam points elsewhere: the form is round, its changes are not."""
+    truth, board = camera(tmp_path, STRAY), scene(tmp_path)
+    data = record(truth, board, poses=16, seed=4)
+    forward = Forward(data, board, truth)
+    forward.estimate_amplitudes()
+
+    def across(one: Any) -> np.ndarray:
+        ramp = np.linspace(-1.0, 1.0, one.distance.shape[1])[None, :]
+        return np.asarray(0.6 * np.nan_to_num(change_by(one, "scattering")[0]) * ramp)
+
+    moved = [replace(p.station, distance=p.station.distance + across(p)) for p in forward.predictions()]
+    data = replace(data, stations=moved)
+    problem, folds = Problem(data, board), folds_of(data)
+    fitted = fit(problem, truth, fold_of=folds)
+    forms = form_blocks(fitted, ["scattering"], [])
+    step = explored(further_equations(fitted, forms, folds, problem), [], forms=forms, replicates=0)
+    rest = change_of_forms(fitted.camera, ["scattering"], step.forms, step.beside.values())
+    plain = of_terms(fitted, ["scattering"], truth).pixels
+    with_rest = of_terms(fitted, ["scattering"], truth, rest=rest).pixels
+    told = [change_by(p, "scattering")[0] + across(p) for p in forward.predictions()]
+    numbers = iter(told)
+    wanted, seen = expected(forward, lambda one: np.nan_to_num(next(numbers)))
+    errors = [float(np.std((one - wanted)[seen])) for one in (plain, with_rest)]
+    assert errors[1] < 0.5 * errors[0]
+    assert (
+        change_of_forms(fitted.camera, ["scattering"], (), {})(next(fitted.forward.predictions())).max() == 0
+    )
 
 
 def test_a_camera_without_noise_has_that_of_its_counts(tmp_path: Path) -> None:
