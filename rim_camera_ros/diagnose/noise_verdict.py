@@ -22,6 +22,8 @@ _OF_LIGHT = frozenset({"amplitude", "distance", "contrast"})
 #: Share of what too small a noise costs, in nats, below which the unmodulated light that makes the noise is
 #: taken to make a shift as well, and what else differs to be nothing.
 _SHIFT_OF_BACKGROUND = 0.02
+#: Gain of a scale of distance over that of a smooth function of the light up to which it is no more.
+_AS_SCALE = 1.25
 
 
 def with_variance(
@@ -92,14 +94,17 @@ def with_variance(
 def only_background(result: Result, rest: Rest | None, variance: Variance, camera: Camera) -> bool:
     """Return whether all that was found is no more than the shift that comes with unmodulated light.
 
-    Next to nothing beside the noise, or less than a smooth function of the light says of it.
+    Next to nothing beside the noise, or less than a smooth function of the light says of it. A scale of
+    distance is nearly such a function itself: dark is what is far.
     """
     found = bool(result.found) and variance.noise_is_wrong and variance.background > 0
     if not found or "background_light" in camera.effects:
         return False
     named = result.gained
     gain = named + (0.0 if rest is None else rest.on_top)
-    return gain < _SHIFT_OF_BACKGROUND * _cost(result, variance) or _by_light(result.explorations[0]) > named
+    scale = [one.effect for one in result.found] == ["distance_scale"]
+    most = _by_light(result.explorations[0]) * (_AS_SCALE if scale else 1.0)
+    return gain < _SHIFT_OF_BACKGROUND * _cost(result, variance) or most > named
 
 
 def only_rectified_noise(result: Result, variance: Variance) -> bool:

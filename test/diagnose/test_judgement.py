@@ -179,7 +179,8 @@ def test_a_pose_on_which_named_physics_acts_is_no_bad_setup(
         (1.25, 1900.0, 86.0, 50.0, 40.0, True),  # of 12,500 nats that the noise costs
         (1.25, 1900.0, 240.0, 50.0, 40.0, False),
         (1.25, 1900.0, 9200.0, 8500.0, 10_200.0, True),  # a function of the light says more
-        (1.25, 1900.0, 9200.0, 8500.0, 9100.0, False),
+        (1.25, 1900.0, 9200.0, 8500.0, 9100.0, True),  # a scale of distance is nearly one itself
+        (1.25, 1900.0, 9200.0, 8500.0, 7300.0, False),
         (1.25, 0.0, 86.0, 50.0, 400.0, False),  # its form over the amplitude is not that of such light
         (1.0, 1900.0, 86.0, 50.0, 400.0, False),
     ],
