@@ -34,6 +34,8 @@ FORM = "form"
 _MOST_STATIONS = 12
 #: Spreads along rows and along columns, as shares of the array's width.
 _SPREADS = (0.02, 0.07, 0.25)
+#: Effects whose changes of form the data do not determine where they act most.
+_NOT_DETERMINED = frozenset({"emitter_offset", "mixed_pixels"})
 #: Degree of polynomials of the direction.
 _DEGREE = 4
 #: Smooth factors that depend on the direction alone, the first of them.
@@ -68,10 +70,11 @@ def change_of_forms(
     """Return what changes of the forms of effects do to a station's distances [m].
 
     ``values`` are the coefficients of the ``forms`` and, beside them, of the parameters of the effects
-    ``names`` of the camera, by label. What mixed pixels do is fitted where edges are not, and says nothing of
-    them.
+    ``names`` of the camera, by label. Nothing of effects whose changes the data do not determine where they
+    act most: mixed pixels, fitted where edges are not, and an emitter beside the lens, whose first order is
+    the same in all frames as the fixed pattern is.
     """
-    own = [one for one in forms if not one.regressors[0].label.startswith(f"{FORM}.mixed_pixels.")]
+    own = [one for one in forms if one.regressors[0].label.split(".")[1] not in _NOT_DETERMINED]
     effects = [camera.effects[name] for name in names if own and name in camera.effects]
     blocks = [*own, *(effect_block(one, present_priors(one, camera)) for one in effects)]
 
