@@ -74,9 +74,13 @@ def change_of_forms(
     act most: mixed pixels, fitted where edges are not, and an emitter beside the lens, whose first order is
     the same in all frames as the fixed pattern is.
     """
-    own = [one for one in forms if one.regressors[0].label.split(".")[1] not in _NOT_DETERMINED]
-    effects = [camera.effects[name] for name in names if own and name in camera.effects]
-    blocks = [*own, *(effect_block(one, present_priors(one, camera)) for one in effects)]
+    by_name = {one.regressors[0].label.split(".")[1]: one for one in forms}
+    kept = [name for name in names if name in by_name and name not in _NOT_DETERMINED]
+    effects = [camera.effects[name] for name in kept]
+    blocks = [
+        *(by_name[name] for name in kept),
+        *(effect_block(one, present_priors(one, camera)) for one in effects),
+    ]
 
     def change(prediction: Prediction) -> Array:
         total = np.zeros(prediction.distance.shape)
