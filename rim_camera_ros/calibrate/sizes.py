@@ -70,14 +70,10 @@ def contribution(prediction: Prediction, name: str, start: Camera) -> Array:
 
 def moved_by_light(prediction: Prediction, name: str) -> Array:
     """Return how far distances [m] move as an effect on the light, or surfaces, change the amplitude."""
-    relative, by_distance = (
-        _relative_light(prediction, name)
-        if name not in OF_SURFACES
-        else (
-            _of_surfaces(prediction),
-            np.zeros(1),
-        )
-    )
+    if name in OF_SURFACES:
+        relative, by_distance = _of_surfaces(prediction), np.zeros(1)
+    else:
+        relative, by_distance = _relative_light(prediction, name)
     return np.asarray(np.nan_to_num(prediction.reading_change(by_distance, relative)[0]))
 
 
