@@ -52,8 +52,8 @@ class Accuracy:
             return []
         return [
             f"chi-square per value of held-out poses rose from {self.chi2_before:.3g} to "
-            f"{self.chi2_after:.3g}: predictions are closer, but what is left is larger than stated in "
-            "places; the form named is not quite the true one there, or something else is left out"
+            f"{self.chi2_after:.3g}: what is left is larger than the errors stated for it; the form named is "
+            "not quite the true one, or something else is left out"
         ]
 
 

@@ -199,7 +199,7 @@ def _missing(result: Diagnosis) -> list[str]:
                 "vocabulary's."
             )
         )
-    if _improved(result):
+    if _improved(result) and not result.accuracy.notes():
         parts.append(
             html.paragraph(
                 "camera.yaml in the folder of this report is the camera file with all of this that a camera "
@@ -279,11 +279,7 @@ def _proof(result: Diagnosis) -> str:
         if fit.held_out
         else "There are too few poses to hold any out: these are the poses of the fit itself."
     )
-    worse = ""
-    if fit.chi2_after > fit.chi2_before > 1.0:
-        worse = html.paragraph(
-            "The held-out poses are predicted worse than before: the new model is not to be relied on."
-        )
+    worse = "".join(html.paragraph(f"{note[:1].upper()}{note[1:]}.") for note in fit.notes())
     picture = proof((fit.rms_before, fit.chi2_before), (fit.rms_after, fit.chi2_after), noise)
     figure = html.figure(picture, f"{held} Dashed: what the noise of the camera alone makes.")
     headings = ["mean frames of each pose", "before", "after", "noise alone", "unit"]

@@ -173,7 +173,11 @@ def _diagnose(
     say("looking for what no named effect explains")
     unknown = None if alone or one_pose else best_rest(result, samples, problem, seed)
     responds = "amplitude_nonlinearity" in final.fit.camera.effects.keys() - camera.effects.keys()
-    variance = examine_variance(final.fit.forward, free_scale=responds)
+    variance = examine_variance(final.fit.forward)
+    if responds and variance.noise_is_wrong:
+        scaled = examine_variance(final.fit.forward, free_scale=True)
+        # a scale that does not explain all of it says nothing of the noise
+        variance = variance if scaled.noise_is_wrong else scaled
     codes = missing_codes(dataset.codes, noise=camera.noise.floor / camera.sensor.lsb)
     named = result.gained
     explained = _explained(result, unknown)

@@ -144,6 +144,15 @@ def test_a_free_response_begins_at_the_compression_that_is_like_it(
     assert low <= built.compression <= high
 
 
+def test_too_much_noise_is_told_as_large_as_it_is(tmp_path: Path) -> None:
+    """It lifts dark amplitudes, which a response takes up; that must not make the noise look smaller."""
+    truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
+    loud = replace(truth, noise=replace(truth.noise, amplitude=3.0 * truth.noise.amplitude))
+    result = diagnose(record(loud, board, seed=35), board, truth)
+    assert [one.effect for one in result.missing] == ["noise"]
+    assert result.variance.noise.amplitude == pytest.approx(loud.noise.amplitude, rel=0.03)
+
+
 def test_the_scale_of_the_light_is_free_where_the_response_is_not_known(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
     data = record(truth, board, seed=34)

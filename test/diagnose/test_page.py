@@ -249,6 +249,14 @@ def test_residuals_fall_to_the_noise(case: Case) -> None:
     assert np.sqrt(np.mean(found.strength**2)) == pytest.approx(9.0e-3 / np.sqrt(2), rel=0.12)
 
 
+def test_a_model_that_chi_square_speaks_against_is_not_called_better(case: Case) -> None:
+    assert "is the better simulation" in text_of(case.page)
+    worse = replace(case.missing, accuracy=replace(case.missing.accuracy, chi2_before=1.03, chi2_after=1.36))
+    found = text_of(rendered(worse))
+    assert "Chi-square per value of held-out poses rose from 1.03 to 1.36" in found
+    assert "is the better simulation" not in found
+
+
 def test_nothing_is_compared_where_nothing_changed(case: Case) -> None:
     found = evidence(case.consistent)
     assert found.chi_before is None
