@@ -79,7 +79,8 @@ class Exploration:
     def forget(self) -> None:
         """Let go of the sums per pixel, which only the last exploration still needs."""
         for fold in self.fit.equations.folds:
-            fold.pixel = fold.pixel[:, :0]
+            # a view would keep them
+            fold.pixel = fold.pixel[:, :0].copy()
 
     def best(self) -> dict[str, int]:
         """Return the best variant of each effect, the best effect first; further candidates left out."""

@@ -178,7 +178,8 @@ class FoldSums:
         for (one, other), value in self._inner.items():
             gram[place[one], place[other]] = value
         pixels = len(self._weight)
-        pixel = np.zeros((pixels if pattern else 1, size), self._type)
+        # column by column, as they were summed: turned they would take most of a pass
+        pixel = np.zeros((size, pixels if pattern else 1), self._type).T
         if pattern:
             pixel[:, :count] = self._pixel.T
             pixel[:, -1] = self._pixel_y

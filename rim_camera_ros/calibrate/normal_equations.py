@@ -88,7 +88,7 @@ def pixel_blocks(folds: Sequence[Fold], count: int) -> Iterator[tuple[slice, Arr
     size = count + sum(len(fold.nuisances) for fold in folds) + 1
     for first in range(0, pixels, _BLOCK):
         rows = slice(first, min(first + _BLOCK, pixels))
-        block = np.zeros((rows.stop - first, size), folds[0].pixel.dtype)
+        block = np.zeros((size, rows.stop - first), folds[0].pixel.dtype).T
         start = count
         for fold in folds:
             own = fold.pixel[rows]

@@ -84,17 +84,23 @@ class Scattering(ComplexEffect):
 
     def phasor_columns(self, phasor: Image, context: Context) -> dict[str, Image]:
         height, width = phasor.shape
+        image = planar(phasor)
         result: dict[str, Image] = {}
+
+        def along_columns(down: Image) -> Image:
+            return (down @ image.reshape(height, 2 * width)).reshape(2 * height, width)
+
+        def along_rows(rows: Image, across: Image) -> Image:
+            return complex_image((rows @ across).reshape(height, 2, width))
+
         for i, kernel in enumerate(self.kernels):
             across = gaussian_matrix(width, kernel.sigma[0])
-            down = gaussian_matrix(height, kernel.sigma[1])
-            result[f"kernels.{i}.weight"] = down @ phasor @ across - phasor
-            result[f"kernels.{i}.sigma.0"] = (
-                kernel.weight * down @ phasor @ gaussian_matrix_by_sigma(width, kernel.sigma[0])
-            )
-            result[f"kernels.{i}.sigma.1"] = (
-                kernel.weight * gaussian_matrix_by_sigma(height, kernel.sigma[1]) @ phasor @ across
-            )
+            rows = along_columns(gaussian_matrix(height, kernel.sigma[1]))
+            wider = kernel.weight * gaussian_matrix_by_sigma(width, kernel.sigma[0])
+            higher = kernel.weight * gaussian_matrix_by_sigma(height, kernel.sigma[1])
+            result[f"kernels.{i}.weight"] = along_rows(rows, across) - phasor
+            result[f"kernels.{i}.sigma.0"] = along_rows(rows, wider)
+            result[f"kernels.{i}.sigma.1"] = along_rows(along_columns(higher), across)
         if self.ghost is not None:
             du, dv = self.ghost.shift
             moved = shift(phasor, columns=du, rows=dv)
