@@ -15,6 +15,8 @@ from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.effects.background_light import BackgroundLight
 
+#: What may be named by repeated frames alone, though no distance moves.
+OF_NOISE = frozenset({"noise", "background_light"})
 #: Relative deviation of the variance below which it may be due to light that no named physics predicts.
 _OF_UNKNOWN_LIGHT = 0.2
 #: Covariates that the light of a surface goes with.

@@ -53,6 +53,7 @@ from rim_camera_ros.diagnose.naming import (
     unseen_effects,
 )
 from rim_camera_ros.diagnose.noise_verdict import (
+    OF_NOISE,
     only_background,
     only_noise,
     only_rectified_noise,
@@ -62,7 +63,7 @@ from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.setup import Setup, check_setup
 from rim_camera_ros.diagnose.smooth import axes_of, single_terms
 from rim_camera_ros.diagnose.variance import Variance, examine_variance
-from rim_camera_ros.diagnose.where import nowhere, of_change, of_residuals, of_terms
+from rim_camera_ros.diagnose.where import nowhere, of_change, of_noise, of_residuals, of_terms
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.scene import Scene
 
@@ -354,6 +355,8 @@ def _verdict(
         adjusted = []
     shifted = rest is not None or bool(missing) or shifted
     verdict, missing, model = with_variance(verdict, missing, adjusted, model, variance, ties, shifted)
+    if not where.pixels.any() and any(one.effect in OF_NOISE for one in missing):
+        where = of_noise(fitted, camera, model)
     if codes is not None and verdict != "inconsistent_setup":
         verdict, missing = "unknown_physics", [missing_codes_of(codes, camera)]
         where = of_residuals(fitted)

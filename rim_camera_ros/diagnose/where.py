@@ -87,6 +87,16 @@ def of_values(fitted: Fit, value: Callable[[Prediction], Array]) -> Where:
     return _locate(fitted, value)
 
 
+def of_noise(fitted: Fit, before: Camera, after: Camera) -> Where:
+    """Locate another noise: the root of the change of one frame's variance between two cameras."""
+
+    def value(one: Prediction) -> Array:
+        sigmas = [c.noise.sigma_distance(one.amplitude, background=c.background) for c in (before, after)]
+        return np.asarray(np.sqrt(np.abs(sigmas[1] ** 2 - sigmas[0] ** 2)))
+
+    return _locate(fitted, value)
+
+
 def of_change(fitted: Fit, camera: Camera) -> Where:
     """Locate how a fit changes the distances that a camera file predicts, without each station's mean."""
     before = Forward(fitted.forward.dataset, fitted.scene, camera, views=fitted.forward.views)

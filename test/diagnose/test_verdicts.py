@@ -124,6 +124,19 @@ def test_noise_is_examined(tmp_path: Path) -> None:
     result = diagnose(record(truth, board, seed=24), board, told)
     assert [one.effect for one in result.missing] == ["noise"]
     assert result.variance.noise.amplitude == pytest.approx(truth.noise.amplitude, rel=0.05)
+    # (6^2 - 4.2^2) / A^2 of variance is more than the file says: most of it where it is dark
+    total, count = np.zeros(told.shape), np.zeros(told.shape)
+    for one in result.final.fit.forward.predictions():
+        seen = one.view.geometry.hit & (one.station.count > 0)
+        at = one.amplitude[seen]
+        file = 0.003**2 + (4.2 / at) ** 2 + (299_792_458.0 / 40e6 / 65536) ** 2 / 12
+        total[seen] += (6.0**2 - 4.2**2) / at**2 / file
+        count[seen] += 1
+    wanted = total[count > 0] / count[count > 0]
+    found = result.where.pixels[count > 0]
+    assert np.median(found / wanted) == pytest.approx(1.0, abs=0.1)
+    assert np.corrcoef(found, wanted)[0, 1] > 0.99
+    assert [name for name, _ in result.where.covariates][:1] == ["amplitude"]
 
 
 def test_missing_codes() -> None:
