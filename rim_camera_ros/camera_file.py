@@ -177,7 +177,7 @@ def draw_parameters(camera: Camera, rng: np.random.Generator) -> Camera:
     return with_numbers(camera, dict(zip(names, drawn.tolist(), strict=True)))
 
 
-def save_camera(camera: Camera, path: str | os.PathLike[str], *, header: str = "") -> None:
+def save_camera(camera: Camera, path: str | os.PathLike[str], *, comment: str = "") -> None:
     """Write a camera file and the arrays that it names beside it; the YAML comes last and whole.
 
     Raises `RimError` where it cannot be written; arrays that were not there before are removed then.
@@ -190,14 +190,14 @@ def save_camera(camera: Camera, path: str | os.PathLike[str], *, header: str = "
     try:
         for one in arrays:
             _write_array(path.parent, one)
-        write_yaml(path, _document(camera), header=header)
+        write_yaml(path, _document(camera), comment=comment)
     except BaseException:
         for written in new:
             written.unlink(missing_ok=True)
         raise
 
 
-def save_camera_apart(camera: Camera, path: str | os.PathLike[str], *, header: str = "") -> Camera:
+def save_camera_apart(camera: Camera, path: str | os.PathLike[str], *, comment: str = "") -> Camera:
     """Write a camera file whose arrays are its own: no other file in the folder names them.
 
     They are called ``STEM.PLACE.CHECKSUM.npy`` after the camera file, so that neither another camera file nor
@@ -207,7 +207,7 @@ def save_camera_apart(camera: Camera, path: str | os.PathLike[str], *, header: s
     """
     path = Path(path)
     camera = _with_own_arrays(camera, path.stem)
-    save_camera(camera, path, header=header)
+    save_camera(camera, path, comment=comment)
     own = re.compile(re.escape(path.stem) + r"\.[a-z_]+\.[0-9a-f]{8}\.npy")
     stale = [one for one in path.parent.glob("*.npy") if own.fullmatch(one.name)]
     # a copy of the replaced file may live on beside it

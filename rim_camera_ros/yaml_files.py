@@ -142,10 +142,11 @@ class _Dumper(yaml.SafeDumper):
     ignore_aliases: ClassVar[Any] = lambda self, data: True
 
 
-def write_yaml(path: str | os.PathLike[str], data: Any, *, header: str = "") -> None:
-    """Write plain data as YAML, whole or not at all."""
+def write_yaml(path: str | os.PathLike[str], data: Any, *, comment: str = "") -> None:
+    """Write plain data as YAML, whole or not at all, below a comment in plain words."""
     text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=110)
-    write_whole(path, lambda stream: stream.write((header + text).encode()))
+    above = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
+    write_whole(path, lambda stream: stream.write((above + text).encode()))
 
 
 def write_whole(path: str | os.PathLike[str], write: Callable[[Any], Any]) -> None:

@@ -175,7 +175,7 @@ def test_round_trip_of_everything(tmp_path: Path) -> None:
     camera = every_effect(tmp_path)
     (tmp_path / "other").mkdir()
     path = tmp_path / "other" / "camera.yaml"
-    save_camera(camera, path, header="# by test\n")
+    save_camera(camera, path, comment="by test")
     again = load_camera(path)
     assert again == replace(camera, provenance=again.provenance)
     assert dict(again.provenance) == {"recordings": [{"sha256": "ab"}], "n": 3}

@@ -277,9 +277,9 @@ def test_encode_is_the_inverse_of_decode(tmp_path: Path) -> None:
     )
     plain = encode(value)
     assert list(plain["rows"]) == [16, 7.5]
-    write_yaml(tmp_path / "file.yaml", plain, header="# a header\n")
+    write_yaml(tmp_path / "file.yaml", plain, comment="a file: of two\nlines")
     text = (tmp_path / "file.yaml").read_text()
-    assert text.startswith("# a header\n")
+    assert text.startswith("# a file: of two\n# lines\n")
     assert load(tmp_path, text) == value
     assert [one.file for one in arrays_of(value)] == ["m.npy"]
 

@@ -19,11 +19,11 @@ from rim_camera_ros.effects.interference import Interference
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "calibration" / "experiments"
-SECOND_CAMERA_HEADER = """\
-# The shipped sr3000 with a second camera of the same kind that lights the same scene (Kahlmann 2007, eq. 2.11): its quartz is 1 ppm off, so
-# that the selectivity by frequency hardly helps; 80 counts in each pixel are assumed. To simulate two_cameras_experiment with.
-#
-# Generated: calibration/tools/experiments.py from calibration/sr3000.yaml
+SECOND_CAMERA_COMMENT = """\
+The shipped sr3000 with a second camera of the same kind that lights the same scene (Kahlmann 2007, eq. 2.11): its quartz is 1 ppm off, so
+that the selectivity by frequency hardly helps; 80 counts in each pixel are assumed. To simulate two_cameras_experiment with.
+
+Generated: calibration/tools/experiments.py from calibration/sr3000.yaml
 """
 
 
@@ -39,7 +39,7 @@ def write(folder):
         "recordings": [],
     }
     camera = replace(with_effects(camera, effects), covariance=None, provenance=provenance)
-    save_camera(camera, folder / f"{SECOND_CAMERA}.yaml", header=SECOND_CAMERA_HEADER)
+    save_camera(camera, folder / f"{SECOND_CAMERA}.yaml", comment=SECOND_CAMERA_COMMENT)
 
 
 def main(arguments=None):

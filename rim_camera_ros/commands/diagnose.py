@@ -98,8 +98,8 @@ def run(given: argparse.Namespace) -> int:
     temporary = Path(tempfile.mkdtemp(prefix=f".{given.out.name}.", dir=given.out.absolute().parent))
     try:
         temporary.chmod(0o755)
-        header = f"Diagnosis of {given.bag} with camera {given.camera} and scene {given.scene}."
-        write_report(result, temporary, header=header)
+        comment = f"Diagnosis of {given.bag} with camera {given.camera} and scene {given.scene}."
+        write_report(result, temporary, comment=comment)
         write_page(result, temporary, recording=str(given.bag), camera=given.camera, scene=given.scene)
         if given.out.exists():
             shutil.rmtree(given.out)

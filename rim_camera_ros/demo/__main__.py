@@ -59,7 +59,7 @@ def run(out: Path, *, frames: int, seed: int) -> None:
     scene = load_scene(find_scene(SCENE))
     correcting = draw_parameters(simulated, np.random.default_rng(seed))
     correcting_file = out / "correction_camera.yaml"
-    save_camera(correcting, correcting_file, header=f"# {SIMULATED} with parameters drawn, seed {seed}\n")
+    save_camera(correcting, correcting_file, comment=f"{SIMULATED} with parameters drawn, seed {seed}")
     print(
         f"A simulated SR-3000 with every effect on looks at a room ({frames} frames at {RATE:g} Hz).\n"
         f"It is corrected with parameters drawn within their stated sigma (seed {seed}); driver,\n"

@@ -102,7 +102,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def write_report(result: Diagnosis, folder: Path, *, header: str = "") -> None:
+def write_report(result: Diagnosis, folder: Path, *, comment: str = "") -> None:
     """Write report.json, where.npy and camera.yaml into an existing folder, the report last.
 
     Raises `RimError` where a file cannot be written.
@@ -111,6 +111,6 @@ def write_report(result: Diagnosis, folder: Path, *, header: str = "") -> None:
     write_whole(folder / WHERE, lambda stream: np.save(stream, pixels, allow_pickle=False))
     # a covariance or validity that was stated for the camera as it was does not hold for the new one
     camera = replace(result.camera, covariance=None) if result.verdict != "consistent" else result.camera
-    save_camera(camera, folder / MODEL, header=header)
+    save_camera(camera, folder / MODEL, comment=comment)
     text = json.dumps(as_json(result), indent=1, allow_nan=False) + "\n"
     write_whole(folder / "report.json", lambda stream: stream.write(text.encode()))

@@ -65,5 +65,5 @@ def store_geometry(message: Any, *, base: str, folders: Folders) -> tuple[Path, 
     path = folders.target(source.name, place="camera")
     provenance = {**camera.provenance, "geometry": f"set_camera_info, the rest from {source}"}
     camera = replace(camera, provenance=provenance)
-    save_camera(camera, path, header="# The geometry was given by set_camera_info.\n")
+    save_camera(camera, path, comment="The geometry was given by set_camera_info.")
     return path, camera

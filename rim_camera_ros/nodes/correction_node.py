@@ -367,7 +367,7 @@ class CorrectionNode:
                 covariance=kept,
                 minimum_amplitude=self._camera.minimum_amplitude if minimum < 0 else minimum,
             )
-            save_camera(camera, path, header="# What a correction node corrected with.\n")
+            save_camera(camera, path, comment="What a correction node corrected with.")
         except Exception as error:
             known = isinstance(error, RimError)
             response.success = False

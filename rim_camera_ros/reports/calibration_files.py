@@ -30,13 +30,13 @@ def write_calibration(
     ``author`` is what calibrated, as ``rim calibrate``. Raises `OSError` where the disk refuses.
     """
     accuracy = result.accuracy
-    header = (
-        f"# Calibrated by {author} from {several(result.frames, 'frame')} of "
+    comment = (
+        f"Calibrated by {author} from {several(result.frames, 'frame')} of "
         f"{several(result.poses, 'pose')}.\n"
-        f"# Corrected distances of held-out poses: {accuracy.after * 1e3:.2f} mm RMS, of which noise "
-        f"{accuracy.noise * 1e3:.2f} mm; see provenance below.\n"
+        f"Corrected distances of held-out poses: {accuracy.after * 1e3:.2f} mm RMS, of which noise "
+        f"{accuracy.noise * 1e3:.2f} mm; see provenance below."
     )
-    result.camera = save_camera_apart(result.camera, out, header=header)
+    result.camera = save_camera_apart(result.camera, out, comment=comment)
     if report is not None and page is not None:
         content = page
         write_whole(report, lambda stream: stream.write(content))
