@@ -22,6 +22,9 @@ from .generator.freeze import digest
 from .plan import Case
 from .score import intersection_over_union, region
 
+#: The improved camera in the folder of a diagnosis.
+MODEL = "camera.yaml"
+
 FORMAT = "rim_proof/1"
 LEDGER = "ledger.txt"
 ONE_THREAD = dict.fromkeys(
@@ -84,6 +87,7 @@ def run_case(
     }
     if outcome["error"] is None:
         document |= compared(answer, sealed, outcome["report"])
+        attempt(MODEL, lambda: readable(answer / MODEL), trouble)
         document["chi2_of_truth"] = attempt(
             "twin", lambda: chi_square(truth, out / "twins" / case.name), trouble
         )
@@ -202,6 +206,13 @@ def attempt(what: str, run: Callable[[], Any], trouble: list[str]) -> Any:
     except Exception as error:
         trouble.append(f"{what}: {type(error).__name__}: {error}")
         return None
+
+
+def readable(camera: Path) -> None:
+    """Raises where the package does not read a camera file, as `rim simulate` would."""
+    from rim_camera_ros.camera_file import load_camera
+
+    load_camera(camera)
 
 
 def baseline_names(given: Path) -> dict[str, str]:

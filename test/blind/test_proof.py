@@ -502,6 +502,7 @@ def test_forty_cases(tmp_path):
     results = [json.loads(path.read_text()) for path in sorted((tmp_path / "results").glob("*.json"))]
     assert len(results) == 40
     assert [one["case"]["name"] for one in results if one["error"] is not None] == []
+    assert [text for one in results for text in one["trouble"] if text.startswith("camera.yaml")] == []
     by_tier = {tier: [one for one in results if one["truth"]["tier"] == tier] for tier in CI_COUNTS}
     alarms = [one["case"]["name"] for one in by_tier["null"] if not named_right(one)]
     assert len(alarms) <= binom.ppf(0.99, len(by_tier["null"]), 0.05), alarms
