@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -149,6 +150,30 @@ def finer_image(image: Array, shape: tuple[int, int], step: int) -> Array:
     return np.asarray(image[np.ix_(rows, columns)])
 
 
+def finer_number(path: str, value: float, step: int) -> float:
+    """Return a number of the coarser grid's camera, by its path in the camera file, as the full one's."""
+    name = path.rpartition(".")[2]
+    if path in ("optics.cx", "optics.cy"):
+        return value * step + step // 2
+    if path.startswith("effects.cyclic_error.gradient."):
+        return value / step
+    by_pixels = path in ("optics.fx", "optics.fy") or path.startswith("effects.mixed_pixels.")
+    if path.startswith("effects.scattering."):
+        by_pixels = name != "weight"
+    return value * step if by_pixels else value
+
+
+def _knots(factor: float, covariate: str, knots: tuple[float, ...]) -> tuple[float, ...]:
+    """Return knots over a covariate with ``factor`` times as many pixels along each axis."""
+    if covariate in ("row", "column"):
+        # from pixel step // 2 on
+        first = round(max(factor, 1 / factor)) // 2
+        return tuple(one * factor + first if factor > 1 else (one - first) * factor for one in knots)
+    if covariate in ("edge", "saturation"):
+        return tuple(one * factor for one in knots)
+    return knots
+
+
 def _scaled(effect: Effect, factor: float, step: int | None) -> Effect:
     """Scale what an effect states in pixels; a map is thinned out where a ``step`` is given."""
     if isinstance(effect, Scattering):
@@ -163,6 +188,8 @@ def _scaled(effect: Effect, factor: float, step: int | None) -> Effect:
         return MixedPixels(blur=effect.blur * factor)
     if isinstance(effect, CyclicError):
         return replace(effect, gradient=(effect.gradient[0] / factor, effect.gradient[1] / factor))
+    if isinstance(effect, Empirical):
+        return replace(effect, knots=tuple(map(partial(_knots, factor), effect.covariates, effect.knots)))
     if isinstance(effect, FixedPatternOffset) and step is not None:
         picked = effect.map.values[step // 2 :: step, step // 2 :: step]
         return FixedPatternOffset(map=ArrayFile(effect.map.file, np.ascontiguousarray(picked)))

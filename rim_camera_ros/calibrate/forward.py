@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from rim_camera_ros.calibrate.light_curves import LightCurves
-from rim_camera_ros.calibrate.prediction import KEPT, Prediction
+from rim_camera_ros.calibrate.prediction import KEPT, Prediction, Shift
 from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.calibrate.views import View, Views
 from rim_camera_ros.camera import Camera
@@ -56,9 +56,10 @@ class Forward:
     """Predictions of a dataset's stations by one camera, in order of time.
 
     ``masks`` of each station and channel, where given, restrict the pixels that are used, so that fits by
-    different cameras can be compared. ``shifts`` of each station and channel are what another simulation
-    says beyond this one's prediction at the start. ``variance_factors`` by recording and placement multiply
-    the variances of a pose's distances. ``light_curves`` change the light beside the camera file's effects.
+    different cameras can be compared. ``shifts`` of each station are what another simulation says beyond
+    this one's prediction at the start, with the variances of its own noise. ``variance_factors`` by recording
+    and placement multiply the variances of a pose's distances. ``light_curves`` change the light beside the
+    camera file's effects.
     ``near_edges`` takes in pixels beside edges, where no masks are given.
     ``tick`` is called for each station and may raise to end the work; what is computed of every prediction
     may take so many ``threads``.
@@ -70,7 +71,7 @@ class Forward:
         self.notes: set[str] = set()
         self.amplitude_model = AmplitudeModel()
         self.masks: Sequence[tuple[Array, Array]] | None = None
-        self.shifts: Sequence[tuple[Array, Array]] | None = None
+        self.shifts: Sequence[Shift] | None = None
         self.near_edges = False
         self.variance_factors: Mapping[tuple[int, int], float] = {}
         self.light_curves: LightCurves | None = None
@@ -126,8 +127,7 @@ class Forward:
                 self.tick()
             one = self._predict(station, memory, model, slopes)
             if self.shifts is not None:
-                one.residual = one.residual - self.shifts[number][0]
-                one.amplitude_residual = one.amplitude_residual - self.shifts[number][1]
+                self.shifts[number].apply(one)
                 one.used &= np.isfinite(one.residual)
                 one.amplitude_used &= one.used
             factor = self.variance_factors.get((station.recording, station.placed), 1.0)
@@ -140,7 +140,7 @@ class Forward:
                 one.amplitude_used = self.masks[number][1] & possible
             yield one
 
-    def shifts_to(self, other: Dataset) -> list[tuple[Array, Array]]:
+    def shifts_to(self, other: Dataset) -> list[Shift]:
         """Return what another recording of the same stations measures beyond these predictions.
 
         Raises `InputError` where it does not have the same stations.
@@ -161,7 +161,7 @@ class Forward:
                     remedy="simulate it with --poses BAG of the recording",
                 )
             distance = np.where(one.station.count > 0, one.residual, np.nan)
-            result.append((distance, one.amplitude_residual))
+            result.append(Shift(distance, one.amplitude_residual, one.sigma**2, one.amplitude_sigma**2))
         return result
 
     def pixels_used(self) -> list[tuple[Array, Array]]:

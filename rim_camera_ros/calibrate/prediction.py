@@ -30,7 +30,8 @@ class Prediction:
 
     ``residual`` [m] and ``amplitude_residual`` [counts] are measured - predicted; ``used`` and
     ``amplitude_used`` mark the pixels to fit; ``sigma`` and ``amplitude_sigma`` the standard deviation of
-    the station's mean by the noise model. ``amplitude`` is the latent amplitude [counts]: what the terms see.
+    the station's mean by the noise model, with ``variance_of_other`` [m^2], that of a recording which it is
+    compared with. ``amplitude`` is the latent amplitude [counts]: what the terms see.
     """
 
     station: Station
@@ -56,6 +57,7 @@ class Prediction:
     gain: float
     spread: list[Effect] = field(default_factory=list)
     light_curves: LightCurves | None = None
+    variance_of_other: Array | float = 0.0
     _images: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
     def light_change(self, after: str | None, change: Array) -> tuple[Array, Array]:
@@ -157,3 +159,23 @@ class Prediction:
         if not self.spread:
             return self.reading_change(change.imag / wave, change.real)
         return self.light_change(None, change)
+
+
+@dataclass(frozen=True)
+class Shift:
+    """What another recording of a station measures beyond the predictions (H, W): ``distance`` [m] and
+    ``amplitude`` [counts], and the variances of its noise.
+    """
+
+    distance: Array
+    amplitude: Array
+    distance_variance: Array
+    amplitude_variance: Array
+
+    def apply(self, one: Prediction) -> None:
+        """Compare with the other recording: both scatter."""
+        one.residual = one.residual - self.distance
+        one.amplitude_residual = one.amplitude_residual - self.amplitude
+        one.variance_of_other = self.distance_variance
+        one.sigma = np.sqrt(one.sigma**2 + self.distance_variance)
+        one.amplitude_sigma = np.sqrt(one.amplitude_sigma**2 + self.amplitude_variance)

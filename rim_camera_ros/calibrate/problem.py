@@ -21,6 +21,7 @@ from rim_camera_ros.calibrate.empirical_fit import empirical_block
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.light_curves import RESPONSE, RIPPLES, SURFACES
 from rim_camera_ros.calibrate.normal_equations import PATTERN_PRIOR, NormalEquations, Reduced
+from rim_camera_ros.calibrate.prediction import Shift
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.calibrate.steps import moved_light
 from rim_camera_ros.calibrate.views import Views
@@ -53,7 +54,7 @@ class Problem:
     robust: bool = True
     single: bool = False
     masks: Sequence[tuple[Array, Array]] | None = None
-    shifts: Sequence[tuple[Array, Array]] | None = None
+    shifts: Sequence[Shift] | None = None
     stray_light: float = 0.0
     reflectance: bool = False
     response: float | None = None

@@ -176,6 +176,18 @@ class Search:
                 continue
             self.found.remove(one)
             self._replace_step(without.fit, before)
+            self._judge_first_anew()
+
+    def _judge_first_anew(self) -> None:
+        """Judge what became the first effect by what the camera file alone leaves."""
+        first, start = self.found[0], self.explorations[0]
+        by_others = sum(one.gain for one in self.found[1:])
+        gain = self.step.scores.log_likelihood() - start.scores.log_likelihood() - by_others
+        number = start.best().get(first.effect)
+        if number is None or first.step == 0:
+            return
+        gains, ties = rivals(start, first.effect, needed(start, number, []))
+        self.found[0] = Found(first.effect, max(gain, first.gain), gains, ties, step=0)
 
     def look_beside_edges(self) -> int | None:
         """Look for mixed pixels in pixels beside edges, which are left out while other effects are sought.

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shutil
-import tempfile
 from pathlib import Path
 
 from rim_camera_ros.calibrate.stations import Dataset, reduce_recording
@@ -22,6 +20,8 @@ from rim_camera_ros.commands.common import (
     scene_of,
     topics_of,
 )
+from rim_camera_ros.commands.output_folder import OutputFolder
+from rim_camera_ros.diagnose.files import MODEL, PAGE, REPORT, WHERE
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.scene import Scene
@@ -70,9 +70,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(given: argparse.Namespace) -> int:
     """Diagnose, and write the report."""
+    if not 0 <= given.seed < 2**64:
+        raise InputError(f"--seed {given.seed} is not a number from 0 to 2^64 - 1")
     inputs = [given.bag, given.against, find_camera(given.camera), find_scene(given.scene)]
     check_outputs({"--out": given.out}, inputs)
-    _check_folder(given.out, force=given.force)
+    folder = OutputFolder(given.out, own={MODEL, REPORT, PAGE, WHERE}, of="a diagnosis", mark=REPORT)
+    folder.check(force=given.force)
     camera, scene = camera_of(given.camera), scene_of(given.scene)
     dataset = _stations(given, given.bag, camera, scene)
     against = None if given.against is None else _stations(given, given.against, camera, scene)
@@ -94,19 +97,10 @@ def run(given: argparse.Namespace) -> int:
     from rim_camera_ros.diagnose.page import write_page
     from rim_camera_ros.diagnose.report import write_report
 
-    # a folder of its own first: what is there stays until everything is written
-    temporary = Path(tempfile.mkdtemp(prefix=f".{given.out.name}.", dir=given.out.absolute().parent))
-    try:
-        temporary.chmod(0o755)
+    with folder.written() as temporary:
         comment = f"Diagnosis of {given.bag} with camera {given.camera} and scene {given.scene}."
         write_report(result, temporary, comment=comment)
         write_page(result, temporary, recording=str(given.bag), camera=given.camera, scene=given.scene)
-        if given.out.exists():
-            shutil.rmtree(given.out)
-        temporary.rename(given.out)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
     say(given, result.notes)
     if not given.quiet:
         from rim_camera_ros.diagnose.summary import summary
@@ -123,20 +117,6 @@ def _numbers(text: str) -> tuple[int, ...]:
     if min(numbers) < 0:
         raise argparse.ArgumentTypeError(f"'{text}' is no list of numbers of poses, as 3,17")
     return numbers
-
-
-def _check_folder(folder: Path, *, force: bool) -> None:
-    if not folder.exists():
-        return
-    if not folder.is_dir():
-        raise InputError("is a file, not a folder", file=folder, remedy="give another name")
-    content = {one.name for one in folder.iterdir()}
-    if content and not force:
-        raise InputError("exists already", file=folder, remedy="--force replaces it")
-    if content and "report.json" not in content:
-        raise InputError(
-            "holds something else than a diagnosis", file=folder, remedy="give another name or empty it"
-        )
 
 
 def _stations(given: argparse.Namespace, path: Path, camera: Camera, scene: Scene) -> Dataset:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 from rim_camera_ros.commands.common import Stages, add_command, check_file, check_outputs
+from rim_camera_ros.commands.output_folder import OutputFolder
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.yaml_files import write_whole
 
@@ -80,18 +79,12 @@ def _check(given: argparse.Namespace) -> None:
         raise InputError("a Markdown page ends in .md", file=given.page, place="--page")
     check_outputs({"--out": given.out, "--page": given.page}, [])
     check_file(given.page, force=given.force)
-    folder = given.out
-    if folder is None or not folder.exists():
-        return
-    if not folder.is_dir():
-        raise InputError("is a file, not a folder", file=folder, remedy="give another name")
-    content = {one.name for one in folder.iterdir()}
-    if content and not given.force:
-        raise InputError("exists already", file=folder, remedy="--force replaces it")
-    if content and _REPORT not in content:
-        raise InputError(
-            "holds something else than a reproduction", file=folder, remedy="give another name or empty it"
-        )
+    if given.out is not None:
+        _folder(given.out).check(force=given.force)
+
+
+def _folder(path: Path) -> OutputFolder:
+    return OutputFolder(path, own={_REPORT, _INDEX}, of="a reproduction", mark=_REPORT)
 
 
 def _write_folder(done: Sequence[Done], folder: Path) -> None:
@@ -99,21 +92,13 @@ def _write_folder(done: Sequence[Done], folder: Path) -> None:
     from rim_camera_ros.reproduce.pictures import png
     from rim_camera_ros.reproduce.report import file_name, html_page, json_report
 
-    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.absolute().parent))
-    try:
-        temporary.chmod(0o755)
+    with _folder(folder).written() as temporary:
         for one in done:
             for picture in one.outcome.pictures:
                 (temporary / file_name(picture)).write_bytes(png(picture))
         (temporary / _INDEX).write_text(html_page(done), encoding="utf-8")
         report = json.dumps(json_report(done), indent=1, allow_nan=False) + "\n"
         (temporary / _REPORT).write_text(report, encoding="utf-8")
-        if folder.exists():
-            shutil.rmtree(folder)
-        temporary.rename(folder)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
 
 
 def _write_page(done: Sequence[Done], given: argparse.Namespace) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.calibrate.exploration import Exploration, explore
+from rim_camera_ros.calibrate.needs import left_by_forms
 from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.camera import Camera
@@ -31,6 +32,8 @@ Array = NDArray[Any]
 
 
 _LEAST_UNKNOWN = 20.0
+#: A smooth rest must gain this share of what the named effects gained before they are doubted.
+DOUBT = 0.15
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,31 @@ def best_rest(result: Result, samples: Mapping[str, Array], problem: Problem, se
     return max(options, key=lambda one: one.on_top, default=None)
 
 
+def explained_share(result: Result, unknown: Rest | None) -> float:
+    """Return the share of the excess chi-square that the final fit explains, each step at its pixels."""
+    chi_squares = [one.scores.chi_square() for one in result.explorations]
+    after, rows = chi_squares[-1]
+    at = result.beside_edges
+    explained = chi_squares[0][0] - after
+    if at is not None:
+        # there are more pixels from there on
+        explained += chi_squares[at][0] - chi_squares[at - 1][0]
+    excess = explained + after - rows
+    if excess <= 0:
+        return 0.0
+    by_unknown = 2 * unknown.gain if unknown is not None else 0.0
+    return max(explained, by_unknown) / excess
+
+
+def is_unknown(unknown: Rest, named: float, final: Exploration, result: Result) -> bool:
+    """Return whether what is left is more than the forms of the named effects leave."""
+    if unknown.on_top < max(_LEAST_UNKNOWN, 1.5 * unknown.threshold):
+        return False
+    # a named effect whose form is not quite the true one leaves a smooth rest in its own covariates
+    of_forms = 0.0 if unknown.fine is not None else left_by_forms(final, result.found)
+    return unknown.on_top - of_forms > DOUBT * named
+
+
 @dataclass(frozen=True)
 class Described:
     """Unknown physics with its table fitted jointly with the known terms."""
@@ -106,7 +134,8 @@ def describe(unknown: Rest, baseline: Exploration, result: Result, seed: int) ->
     model = start
     where = of_residuals(baseline.fit)
     fitted = baseline.fit
-    if table is not None and "empirical" not in start.effects:
+    modelled = table is not None and "empirical" not in start.effects
+    if modelled:
         model, fitted = _refit_table(unknown, baseline, result, seed)
         where = of_terms(fitted, ["empirical"], start)
     elif unknown.fine is not None:
@@ -130,7 +159,15 @@ def describe(unknown: Rest, baseline: Exploration, result: Result, seed: int) ->
     if formula is not None:
         sentence += f"; described by {formula}"
     missing = Missing(
-        UNKNOWN, 1.0, {}, {}, sentence, covariates=unknown.covariates, magnitude=magnitude, formula=formula
+        UNKNOWN,
+        1.0,
+        {},
+        {},
+        sentence,
+        covariates=unknown.covariates,
+        magnitude=magnitude,
+        formula=formula,
+        modelled=modelled,
     )
     return Described(unknown.gain, model, fitted, where, missing)
 
@@ -144,7 +181,13 @@ def unexplained(fitted: Fit, chi_square: float) -> tuple[Missing, Where]:
         f"unknown physics: held-out values scatter by {np.sqrt(chi_square):.2f} times what noise and errors "
         f"of poses explain; neither an effect of the vocabulary nor a smooth function describes it{most}"
     )
-    return Missing(UNKNOWN, 1.0, {}, {}, sentence, covariates=names), where
+    size = float(np.sqrt(max(chi_square - 1, 0.0) * np.mean(_variances(fitted))))
+    return Missing(UNKNOWN, 1.0, {}, {}, sentence, covariates=names, magnitude=size), where
+
+
+def _variances(fitted: Fit) -> Array:
+    """Return the variances [m^2] of the distances that were fitted."""
+    return np.concatenate([one.sigma[one.used] ** 2 for one in fitted.forward.predictions(slopes=False)])
 
 
 def _refit_table(unknown: Rest, baseline: Exploration, result: Result, seed: int) -> tuple[Camera, Fit]:

@@ -36,9 +36,16 @@ _GEOMETRY_SENTENCE = {
 
 
 def missing_effect(
-    name: str, fitted: Fit, intervals: Mapping[str, tuple[float, float, float]], probability: float
+    name: str,
+    fitted: Fit,
+    intervals: Mapping[str, tuple[float, float, float]],
+    probability: float,
+    *,
+    origin: Camera,
 ) -> Missing:
+    """Return what is said of an effect that was found; ``origin`` is the camera file that lacks it."""
     camera = fitted.camera
+    probability = min(max(probability, 0.0), 1.0)
     effect = camera.effects.get(name)
     if effect is None:
         if name in OF_SURFACES:
@@ -68,9 +75,9 @@ def missing_effect(
             for path, v in camera_numbers(camera).items()
             if path.startswith(prefix)
         }
-    size = None if name in OF_AMPLITUDE else _size(fitted, name)
+    size = None if name in OF_AMPLITUDE else _size(fitted, name, origin)
     if size is not None:
-        sentence += f"; it moves distances by up to {size * 1e3:.3g} mm in this recording"
+        sentence += f"; it moves distances by up to {size * 1e3:.3g} mm in this recording (99 % of them)"
     return Missing(
         effect=name,
         probability=probability,
@@ -93,12 +100,12 @@ def _response_sentence(effect: Effect, fitted: Fit) -> str | None:
     return f"amplitude response: {said[0]} counts of light are published as {said[1]}"
 
 
-def _size(fitted: Fit, name: str) -> float | None:
+def _size(fitted: Fit, name: str, origin: Camera) -> float | None:
     from rim_camera_ros.calibrate.sizes import contribution
 
     values = []
     for one in fitted.forward.predictions():
-        image = contribution(one, name, fitted.start)
+        image = contribution(one, name, origin)
         values.append(np.abs(np.broadcast_to(image, one.used.shape)[one.used]))
     everything = np.concatenate(values) if values else np.zeros(0)
     return float(np.quantile(everything, 0.99)) if everything.size else None

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
 from dataclasses import replace
 
 from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.adjusted import Adjusted
+from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.diagnose.described import Rest
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
@@ -31,16 +32,17 @@ _AS_SCALE = 1.25
 def with_variance(
     verdict: str,
     missing: list[Missing],
-    adjusted: list[Adjusted],
     model: Camera,
     variance: Variance,
     ties: list[list[str]],
     shifted: bool,
+    known: Set[str] = frozenset(),
 ) -> tuple[str, list[Missing], Camera]:
     """Add what repeated frames say: a second camera, or another noise than the file's.
 
     Unmodulated light shifts distances as well (``shifted``: something does); what only adds noise is noise.
     Noise goes with the light: where that is not understood, a little too much or too little says nothing.
+    ``known`` are the effects of the camera file.
     """
     if verdict == "inconsistent_setup":
         return verdict, missing, model
@@ -58,7 +60,7 @@ def with_variance(
     )
     unknown_light = verdict == "unknown_physics" and abs(variance.ratio - 1) < _OF_UNKNOWN_LIGHT
     if variance.noise_is_wrong and not (unknown_light and not (possible and of_light)):
-        before, after = model.noise, variance.noise
+        after = variance.noise
         if possible:
             ties.append(["background_light", "noise"])
         if possible and shifted:
@@ -72,6 +74,8 @@ def with_variance(
             model = added(model, BackgroundLight(level=level))
             if of_light:
                 missing, verdict = [], "missing_physics"
+                table = {"empirical"} - known
+                model = with_effects(model, {n: e for n, e in model.effects.items() if n not in table})
         else:
             sentence = (
                 f"noise: the variance of repeated frames is {variance.ratio:.2f} times the model's; they fit "
@@ -79,13 +83,6 @@ def with_variance(
             )
             numbers = {"floor": after.floor, "shot": after.shot, "amplitude": after.amplitude}
             named = Missing("noise", 1.0, numbers, {}, sentence)
-            adjusted.append(
-                Adjusted(
-                    "noise",
-                    {"floor": before.floor, "shot": before.shot, "amplitude": before.amplitude},
-                    numbers,
-                )
-            )
             model = replace(model, noise=after)
         missing = [*missing, named]
         if verdict != "unknown_physics":

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.diagnose import page_pictures as pictures
 from rim_camera_ros.diagnose import page_words as words
+from rim_camera_ros.diagnose.files import PAGE
 from rim_camera_ros.diagnose.page_evidence import OF_AMPLITUDE, evidence
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
@@ -19,7 +20,6 @@ from rim_camera_ros.yaml_files import write_whole
 
 Array = NDArray[Any]
 
-PAGE = "report.html"
 #: What is told by the variance of repeated frames.
 _OF_FRAMES = ("noise", "interference")
 
@@ -220,7 +220,8 @@ def _unknown(result: Diagnosis) -> str:
                 "cannot be told from the fixed pattern."
             )
         )
-    table: Any = result.camera.effects.get("empirical")
+    known: Any = result.camera.effects.get("empirical")
+    table = known if one.modelled else None
     if table is not None and len(table.covariates) == 2:
         from rim_camera_ros.diagnose.page_maps import surface
 
@@ -234,9 +235,10 @@ def _unknown(result: Diagnosis) -> str:
         caption = "What it adds to distances over its two covariates: effect empirical of camera.yaml."
         parts.append(html.figure(picture, caption))
     elif table is None:
-        parts.append(
-            html.paragraph("camera.yaml does not model it: no smooth function of two covariates does.")
-        )
+        why = "no smooth function of two covariates does"
+        if known is not None:
+            why = f"a camera file has one table, and this one's is of {' and '.join(known.covariates)}"
+        parts.append(html.paragraph(f"camera.yaml does not model it: {why}."))
     return "".join(parts)
 
 

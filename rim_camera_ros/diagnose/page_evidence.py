@@ -19,7 +19,7 @@ from rim_camera_ros.calibrate.sizes import contribution
 from rim_camera_ros.calibrate.stations import Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.result import Diagnosis
-from rim_camera_ros.diagnose.smooth import UNKNOWN, values_of
+from rim_camera_ros.diagnose.smooth import values_of
 from rim_camera_ros.effects.covariates import COVARIATES
 
 Array = NDArray[Any]
@@ -176,7 +176,7 @@ def better_fit(result: Diagnosis) -> Fit:
 def changed_effects(result: Diagnosis) -> tuple[str, ...]:
     """Return the effects whose contribution is shown, by their names in the improved camera."""
     present = set(result.model.effects) | set(GEOMETRY) | {"radiometry"}
-    missing = ["empirical" if one.effect == UNKNOWN else one.effect for one in result.missing]
+    missing = ["empirical" if one.modelled else one.effect for one in result.missing]
     names = missing or [one.effect for one in result.adjusted]
     return tuple(name for name in names if name in present)
 

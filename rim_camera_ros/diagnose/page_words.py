@@ -184,7 +184,9 @@ def described(camera: Camera, owner: str, path: str) -> tuple[str, str]:
             camera, {"camera_constant": "optics", "lens_distortion": "optics"}.get(owner, owner), None
         )
     unit = meaning = ""
-    for part in path.split("."):
+    parts = path.split(".")
+    while parts:
+        part = parts.pop(0)
         if is_dataclass(value):
             metadata: Mapping[str, Any] = next(
                 (one.metadata for one in fields(value) if one.name == part), {}
@@ -196,7 +198,10 @@ def described(camera: Camera, owner: str, path: str) -> tuple[str, str]:
             unit, meaning = (_member(text, int(part), len(value)) for text in (unit, meaning))
             value = value[int(part)]
         elif isinstance(value, Mapping):
-            value = {f"{key:g}": inner for key, inner in value.items()}.get(part)
+            settings = {f"{key:g}": inner for key, inner in value.items()}
+            if part not in settings and parts:
+                part += f".{parts.pop(0)}"  # a setting of 0.5 ms
+            value = settings.get(part)
     return _printed(unit), meaning
 
 

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from rim_camera_ros.camera_file import save_camera
+from rim_camera_ros.diagnose.files import MODEL, REPORT, WHERE
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
+from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.parameters import encode
 from rim_camera_ros.yaml_files import write_whole
 
 FORMAT = "rim_diagnosis/1"
-MODEL = "camera.yaml"
-WHERE = "where.npy"
 
 
 def as_json(result: Diagnosis) -> dict[str, Any]:
@@ -75,9 +75,9 @@ def _missing(one: Missing, result: Diagnosis) -> dict[str, Any]:
         "interval": {path: [low, high] for path, (low, high) in one.interval.items()},
         "sentence": one.sentence,
     }
-    if one.magnitude is not None:
+    if one.magnitude is not None or one.effect == UNKNOWN:
         entry["magnitude"] = one.magnitude
-    if one.covariates:
+    if one.covariates or one.effect == UNKNOWN:
         entry["covariates"] = list(one.covariates)
         entry["closed_form"] = one.formula
     return entry
@@ -85,7 +85,9 @@ def _missing(one: Missing, result: Diagnosis) -> dict[str, Any]:
 
 def _parameters(one: Missing, result: Diagnosis) -> Any:
     """Return the parameters as in the camera file."""
-    effect = result.camera.effects.get("empirical" if one.covariates else one.effect)
+    if one.effect == UNKNOWN and not one.modelled:
+        return {}
+    effect = result.camera.effects.get("empirical" if one.effect == UNKNOWN else one.effect)
     return encode(effect) if effect is not None else dict(one.parameters)
 
 
@@ -109,8 +111,9 @@ def write_report(result: Diagnosis, folder: Path, *, comment: str = "") -> None:
     """
     pixels = np.asarray(result.where.pixels, np.float32)
     write_whole(folder / WHERE, lambda stream: np.save(stream, pixels, allow_pickle=False))
-    # a covariance or validity that was stated for the camera as it was does not hold for the new one
-    camera = replace(result.camera, covariance=None) if result.verdict != "consistent" else result.camera
+    # a covariance that was stated for the camera as it was does not hold for the new one
+    same = result.verdict in ("consistent", "inconsistent_setup")
+    camera = result.camera if same else replace(result.camera, covariance=None)
     save_camera(camera, folder / MODEL, comment=comment)
     text = json.dumps(as_json(result), indent=1, allow_nan=False) + "\n"
-    write_whole(folder / "report.json", lambda stream: stream.write(text.encode()))
+    write_whole(folder / REPORT, lambda stream: stream.write(text.encode()))

@@ -17,7 +17,8 @@ from rim_camera_ros.diagnose.where import Where
 @dataclass(frozen=True)
 class Missing:
     """What was left out: effect (or `unknown`), its probability, parameters with 95 % intervals by path
-    (relative to the effect), and the sentence; for unknown physics covariates, magnitude [m] and closed form.
+    (relative to the effect), and the sentence; for unknown physics covariates, magnitude [m], closed form,
+    and whether a new table of the improved camera models it.
     """
 
     effect: str
@@ -28,6 +29,7 @@ class Missing:
     covariates: tuple[str, ...] = ()
     magnitude: float | None = None
     formula: str | None = None
+    modelled: bool = False
 
 
 @dataclass(frozen=True)

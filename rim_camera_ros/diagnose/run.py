@@ -15,14 +15,11 @@ from rim_camera_ros.calibrate.coarser import (
     coarseness,
     coarser_camera,
     coarser_dataset,
-    finer_camera,
-    finer_image,
 )
-from rim_camera_ros.calibrate.exploration import Exploration, explore
+from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forms import change_of_forms
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import OF_SURFACES
-from rim_camera_ros.calibrate.needs import left_by_forms
 from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.calibrate.plan import shipped_experiments
 from rim_camera_ros.calibrate.problem import Problem
@@ -34,13 +31,15 @@ from rim_camera_ros.diagnose.accuracy import accuracy
 from rim_camera_ros.diagnose.adjusted import adjusted_terms, parameters_matter
 from rim_camera_ros.diagnose.codes import MissingCodes, missing_codes
 from rim_camera_ros.diagnose.described import (
-    _LEAST_UNKNOWN,
     Described,
     Rest,
     best_rest,
     describe,
+    explained_share,
+    is_unknown,
     unexplained,
 )
+from rim_camera_ros.diagnose.full_grid import on_full_grid
 from rim_camera_ros.diagnose.intervals import intervals_of
 from rim_camera_ros.diagnose.menu import recommended, told_apart
 from rim_camera_ros.diagnose.naming import (
@@ -67,8 +66,6 @@ from rim_camera_ros.diagnose.where import nowhere, of_change, of_noise, of_resid
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.scene import Scene
 
-#: A smooth rest must gain this share of what the named effects gained before they are doubted.
-DOUBT = 0.15
 #: A term outside the vocabulary must gain this share more than the named ones to take their place.
 BEYOND = 1.2
 #: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
@@ -82,6 +79,10 @@ _ONE_POSE = (
     "only one pose: what depends on distance, amplitude or angle cannot be told from an offset of each "
     "pixel, so none of it is named, and nothing is held out; record 20 poses or more at different distances"
 )
+_NOT_MODELLED = (
+    "camera.yaml does not hold the second camera: its frequency and its light at each pixel cannot be told"
+)
+_BESIDE_CODES = "not told beside counts that are left out, which may look like it; mend those first"
 _BESIDE_A_SECOND_CAMERA = "a second camera shines in: nothing else can be told; record with it switched off"
 
 
@@ -116,11 +117,7 @@ def diagnose(
         threads,
         say,
     )
-    result.looked_at, result.camera = result.camera, finer_camera(result.camera, camera, step)
-    pixels = finer_image(result.where.pixels, camera.shape, step)
-    result.where = replace(result.where, pixels=pixels)
-    result.notes.append(f"of every {step} x {step} pixels one was looked at")
-    return result
+    return on_full_grid(result, camera, step)
 
 
 def _diagnose(
@@ -181,14 +178,14 @@ def _diagnose(
         variance = variance if scaled.noise_is_wrong else scaled
     codes = missing_codes(dataset.codes, noise=camera.noise.floor / camera.sensor.lsb)
     named = result.gained
-    explained = _explained(result, unknown)
+    explained = explained_share(result, unknown)
     described = None
     # a curve of the light that is not refitted leaves a smooth rest by itself, smaller than what it explains
     linear = any(one.effect in OF_SURFACES for one in result.found)
     by_itself = linear and unknown is not None and unknown.on_top < named
     if unknown is not None and not by_itself and not only_noise(result, unknown, variance):
         beyond = not result.found or unknown.gain > BEYOND * result.found[0].gain
-        if beyond and _is_unknown(unknown, named, final, result):
+        if beyond and is_unknown(unknown, named, final, result):
             described = describe(unknown, baseline, result, seed)
     setup = check_setup(
         final.fit if described is None else described.fit,
@@ -267,31 +264,6 @@ def _silent(text: str) -> None:
     return None
 
 
-def _explained(result: Result, unknown: Rest | None) -> float:
-    """Return the share of the excess chi-square that the final fit explains, each step at its pixels."""
-    chi_squares = [one.scores.chi_square() for one in result.explorations]
-    after, rows = chi_squares[-1]
-    at = result.beside_edges
-    explained = chi_squares[0][0] - after
-    if at is not None:
-        # there are more pixels from there on
-        explained += chi_squares[at][0] - chi_squares[at - 1][0]
-    excess = explained + after - rows
-    if excess <= 0:
-        return 0.0
-    by_unknown = 2 * unknown.gain if unknown is not None else 0.0
-    return max(explained, by_unknown) / excess
-
-
-def _is_unknown(unknown: Rest, named: float, final: Exploration, result: Result) -> bool:
-    """Return whether what is left is more than the forms of the named effects leave."""
-    if unknown.on_top < max(_LEAST_UNKNOWN, 1.5 * unknown.threshold):
-        return False
-    # a named effect whose form is not quite the true one leaves a smooth rest in its own covariates
-    of_forms = 0.0 if unknown.fine is not None else left_by_forms(final, result.found)
-    return unknown.on_top - of_forms > DOUBT * named
-
-
 def _verdict(
     *,
     camera: Camera,
@@ -336,14 +308,15 @@ def _verdict(
             if one is not result.found[0]:
                 # given those before it, against nothing more being missing
                 share = float(1 / (1 + np.exp(-min(one.gain, 500.0))))
-            missing.append(missing_effect(one.effect, fitted, intervals, min(max(share, 0.0), 1.0)))
+            missing.append(missing_effect(one.effect, fitted, intervals, share, origin=origin))
         names = [one.effect for one in result.found]
         beyond = change_of_forms(model, names, final.forms, final.beside.values())
         where = of_terms(fitted, names, origin, rest=beyond)
         notes += notes_of_refused(result)
     else:
         verdict = "consistent"
-    adjusted = adjusted_terms(camera, baseline.fit if verdict == "consistent" else fitted)
+    moved_in = baseline.fit if verdict == "consistent" else fitted
+    adjusted = adjusted_terms(camera, moved_in if unknown is None else unknown.fit)
     if verdict == "consistent":
         if adjusted and not variance.pixels_vary_together and parameters_matter(camera, result):
             verdict = "wrong_parameters"
@@ -354,12 +327,18 @@ def _verdict(
     if verdict == "inconsistent_setup":
         adjusted = []
     shifted = rest is not None or bool(missing) or shifted
-    verdict, missing, model = with_variance(verdict, missing, adjusted, model, variance, ties, shifted)
+    known = camera.effects.keys()
+    verdict, missing, model = with_variance(verdict, missing, model, variance, ties, shifted, known)
+    if variance.pixels_vary_together and "interference" not in known:
+        notes.append(_NOT_MODELLED)
     if not where.pixels.any() and any(one.effect in OF_NOISE for one in missing):
         where = of_noise(fitted, camera, model)
     if codes is not None and verdict != "inconsistent_setup":
-        verdict, missing = "unknown_physics", [missing_codes_of(codes, camera)]
-        where = of_residuals(fitted)
+        names = [one.effect for one in missing]
+        verdict, missing, adjusted = "unknown_physics", [missing_codes_of(codes, camera)], []
+        model, where = camera, of_residuals(fitted)
+        if names:
+            notes.append(f"{_BESIDE_CODES}: {', '.join(names)}")
     advice = {}
     for one in result.found:
         names = sorted({one.effect, *one.ties})

@@ -100,7 +100,7 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
             continue
         amplitude.append(one.amplitude[pixels])
         measured.append(station.distance_variance[pixels])
-        model.append(one.sigma[pixels] ** 2 * station.frames)
+        model.append((one.sigma**2 - one.variance_of_other)[pixels] * station.frames)
         freedom.append(np.full(int(pixels.sum()), station.frames - 1.0))
     floor = float(np.sqrt(np.mean(np.concatenate(floors)))) if floors else 0.0
     if not amplitude:
@@ -131,7 +131,7 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
         ratio=float((ratio * f).sum() / f.sum()),
         sigma=float(np.sqrt(2 / f.sum())),
         bins=tuple(bins),
-        noise=_fitted_noise(a, s, m, f, camera.noise),
+        noise=_fitted_noise(a, s, m, f, camera),
         common=float(np.mean(common)) if common else None,
         common_share=float(np.mean(shares)) if shares else 0.0,
         common_sigma=float(1.0 / np.sqrt(number * max(frames - 1, 1))),
@@ -177,10 +177,12 @@ def _background(a: Array, s: Array, m: Array, f: Array, camera: Camera) -> float
     return level if level > 0 and own < scaled - 5 else 0.0
 
 
-def _fitted_noise(amplitude: Array, measured: Array, model: Array, freedom: Array, noise: Noise) -> Noise:
-    """Fit floor^2 + shot^2 / A + amplitude^2 / A^2 to the variances, weighted by the model's."""
+def _fitted_noise(amplitude: Array, measured: Array, model: Array, freedom: Array, camera: Camera) -> Noise:
+    """Fit floor^2 + shot^2 (A + background) / A^2 + amplitude^2 / A^2, weighted by the model's variances."""
+    noise = camera.noise
     with_shot = noise.shot > 0
-    columns = [np.ones_like(amplitude), 1 / amplitude**2] + ([1 / amplitude] if with_shot else [])
+    by_photons = (amplitude + camera.background) / amplitude**2
+    columns = [np.ones_like(amplitude), 1 / amplitude**2] + ([by_photons] if with_shot else [])
     weight = np.sqrt(freedom) / model
     design = np.stack([c * weight for c in columns], axis=1)
     scale = np.linalg.norm(design, axis=0)

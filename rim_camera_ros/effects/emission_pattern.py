@@ -51,7 +51,7 @@ class EmissionPattern(ComplexEffect):
         share = 1 + q * (self.falloff[0] + q * self.falloff[1])
         return (
             f"emission pattern: {share:.0%} of the light on the axis is emitted 22.5 degrees (25 gon) "
-            "beside it; amplitudes towards the image's edges are lower by that"
+            f"beside it; amplitudes there are {abs(1 - share):.0%} {'lower' if share <= 1 else 'higher'}"
         )
 
     @classmethod

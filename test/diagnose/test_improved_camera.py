@@ -77,6 +77,22 @@ def test_correcting_with_it_is_the_better_correction(folder: Path) -> None:
     assert np.std(after) < 0.1 * np.std(before)
 
 
+@pytest.mark.parametrize(("name", "verdict"), [("true", "consistent"), ("known", "missing_physics")])
+def test_against_a_simulation_that_is_a_recording(folder: Path, name: str, verdict: str) -> None:
+    """Both scatter: the noise of their difference is that of the two."""
+    camera, bag, out = folder / f"{name}.yaml", folder / f"{name} simulated", folder / f"against {name}"
+    scene = folder / "scene.yaml"
+    run("simulate", scene, camera=camera, poses=folder / "bag", out=bag, seed=11)
+    run("diagnose", folder / "bag", camera=camera, scene=scene, out=out, against=bag)
+    report = json.loads((out / "report.json").read_text())
+    assert report["verdict"] == verdict
+    assert [one["effect"] for one in report["missing"]] == ["cyclic_error"] * (name == "known")
+    assert report["fit"]["chi2_after"] == pytest.approx(1.0, abs=0.06)
+    alone = json.loads((folder / "out" / "report.json").read_text())["fit"]["noise_floor"]
+    assert report["fit"]["noise_floor"] == pytest.approx(np.sqrt(2) * alone, rel=0.01)
+    assert report["variance_ratio"] == pytest.approx(1.0, abs=0.06)
+
+
 def test_nothing_is_missing_in_it(folder: Path) -> None:
     again = folder / "again"
     run(

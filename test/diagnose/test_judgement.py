@@ -14,6 +14,7 @@ from rim_camera_ros.calibrate.leaders import AS_REST, NOT_ELSEWHERE, Refused
 from rim_camera_ros.calibrate.needs import Found, needed, own_covariates
 from rim_camera_ros.diagnose import setup
 from rim_camera_ros.diagnose.accuracy import Accuracy
+from rim_camera_ros.diagnose.described import is_unknown
 from rim_camera_ros.diagnose.naming import notes_of_refused
 from rim_camera_ros.diagnose.noise_verdict import (
     only_background,
@@ -22,7 +23,6 @@ from rim_camera_ros.diagnose.noise_verdict import (
     with_variance,
 )
 from rim_camera_ros.diagnose.result import Missing
-from rim_camera_ros.diagnose.run import _is_unknown
 from rim_camera_ros.diagnose.setup import PoseCheck
 from rim_camera_ros.diagnose.variance import Variance, VarianceBin
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
@@ -57,7 +57,7 @@ def test_noise_beside_unknown_physics_must_be_far_off(
 ) -> None:
     unknown = Missing("unknown", 1.0, {}, {}, "", covariates=("row",))
     before = [unknown] if verdict == "unknown_physics" else []
-    said, missing, _ = with_variance(verdict, before, [], camera(tmp_path), variance(ratio), [], False)
+    said, missing, _ = with_variance(verdict, before, camera(tmp_path), variance(ratio), [], False)
     assert [one.effect for one in missing if one is not unknown] == named
     assert said == (verdict if not named or verdict == "unknown_physics" else "missing_physics")
 
@@ -94,9 +94,9 @@ def test_a_form_that_is_not_quite_true_is_no_unknown_physics(
     )
     result: Any = SimpleNamespace(found=[Found(name, 1000.0) for name in found])
     rest: Any = SimpleNamespace(on_top=gains["distance"], threshold=20.0, fine=None)
-    assert _is_unknown(rest, 1000.0, final, result) is unknown
+    assert is_unknown(rest, 1000.0, final, result) is unknown
     fine: Any = SimpleNamespace(on_top=gains["distance"], threshold=20.0, fine=object())
-    assert _is_unknown(fine, 1000.0, final, result) is (gains["distance"] > 150.0)
+    assert is_unknown(fine, 1000.0, final, result) is (gains["distance"] > 150.0)
 
 
 def judged(*names: str, unexplained: float = 0.0) -> Any:

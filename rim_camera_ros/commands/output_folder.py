@@ -1,0 +1,68 @@
+"""A folder that a command writes whole, or leaves as it is."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator, Set
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from rim_camera_ros.errors import InputError
+
+
+@dataclass(frozen=True)
+class OutputFolder:
+    """The folder ``path``, which holds the files ``own`` and arrays or pictures (npy, png) ``of`` something.
+
+    ``mark`` is the file by which an older one is known.
+    """
+
+    path: Path
+    own: Set[str]
+    of: str
+    mark: str
+
+    def check(self, *, force: bool) -> None:
+        """Check before the work that it can be written after it. Raises `InputError`."""
+        path = self.path
+        if not path.exists():
+            return
+        if not path.is_dir():
+            raise InputError("is a file, not a folder", file=path, remedy="give another name")
+        if path.resolve() == Path.cwd():
+            raise InputError("is the folder you work in", file=path, remedy="name a folder within it")
+        content = {one.name for one in path.iterdir()}
+        if content and not force:
+            raise InputError("exists already", file=path, remedy="--force replaces it")
+        older = self.mark in content
+        foreign = sorted(one for one in content - self.own if not (older and one.endswith((".npy", ".png"))))
+        if content and (foreign or not older):
+            named = f" ({foreign[0]})" if foreign else ""
+            raise InputError(
+                f"holds something else than {self.of}{named}",
+                file=path,
+                remedy="give another name or empty it",
+            )
+
+    @contextmanager
+    def written(self) -> Iterator[Path]:
+        """Give a new folder to write into, which then takes the place of the old one, whole or not at all."""
+        path = self.path.resolve()
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        old = temporary / "old"
+        try:
+            new = temporary / "new"
+            new.mkdir()
+            yield new
+            if path.exists():
+                path.rename(old)
+            try:
+                new.rename(path)
+            except BaseException:
+                if old.exists():
+                    old.rename(path)
+                raise
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)

@@ -1,0 +1,208 @@
+"""What the report says is what the improved camera file holds, for every kind of finding."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rim_camera_ros.bags import Recording, RecordingWriter
+from rim_camera_ros.calibrate import coarser
+from rim_camera_ros.calibrate.candidate import added
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import camera_numbers, load_camera
+from rim_camera_ros.cli import main
+from rim_camera_ros.diagnose.noise_verdict import with_variance
+from rim_camera_ros.diagnose.result import Missing
+from rim_camera_ros.diagnose.variance import Variance
+from rim_camera_ros.effects.empirical import Empirical
+from rim_camera_ros.parameters import NestedList
+
+from .helpers import CAMERA, CYCLIC, scene_text
+
+
+@dataclass(frozen=True)
+class Files:
+    """A diagnosis: its report, the camera file before and after, and the one that recorded."""
+
+    report: dict[str, Any]
+    known: Camera
+    true: Camera
+    improved: Camera
+
+    @property
+    def missing(self) -> list[str]:
+        return [one["effect"] for one in self.report["missing"]]
+
+
+def run(*words: Any, **options: Any) -> None:
+    given = [word for name, value in options.items() for word in (f"--{name}", value)]
+    assert main([*map(str, (*words, *given)), "--quiet"]) == 0
+
+
+def diagnosed(
+    folder: Path,
+    known: str,
+    true: str,
+    *,
+    scene: str | None = None,
+    changed: Callable[[np.ndarray], np.ndarray] | None = None,
+    **options: Any,
+) -> Files:
+    """Record with one camera file, the counts changed if need be, and diagnose with another."""
+    (folder / "known.yaml").write_text(known)
+    (folder / "true.yaml").write_text(true)
+    (folder / "scene.yaml").write_text(scene_text() if scene is None else scene)
+    bag = folder / "bag"
+    run("simulate", folder / "scene.yaml", camera=folder / "true.yaml", out=bag)
+    if changed is not None:
+        with Recording(bag) as old, RecordingWriter(folder / "changed") as new:
+            for one in old.frames():
+                new.write_raw(replace(one, distance=changed(one.distance)))
+        bag = folder / "changed"
+    out = folder / "out"
+    run("diagnose", bag, camera=folder / "known.yaml", scene=folder / "scene.yaml", out=out, **options)
+    report = json.loads((out / "report.json").read_text())
+    cameras = [load_camera(one) for one in (folder / "known.yaml", folder / "true.yaml", out / "camera.yaml")]
+    found = Files(report, *cameras)
+    agrees(found)
+    return found
+
+
+def agrees(found: Files) -> None:
+    """Every number of the report that a camera file has is that of the improved one."""
+    numbers = camera_numbers(found.improved)
+    for one in found.report["adjusted"]:
+        prefix = "radiometry." if one["effect"] == "radiometry" else f"effects.{one['effect']}."
+        for path, value in one["to"].items():
+            assert numbers[prefix + path] == pytest.approx(value, rel=1e-9), path
+    for one in found.report["missing"]:
+        prefix = f"effects.{one['effect']}." if one["effect"] in found.improved.effects else "optics."
+        for path, (low, high) in one["interval"].items():
+            assert low <= numbers[prefix + path] <= high, path
+
+
+def test_a_wrong_focal_length_is_told_as_what_it_is(tmp_path: Path) -> None:
+    """The first that is found stands in for it, and is dropped: what is left has gained it all."""
+    found = diagnosed(tmp_path, CAMERA, CAMERA.replace("fx: 30.0, fy: 30.0", "fx: 31.0, fy: 31.0"))
+    assert found.missing == ["camera_constant"]
+    assert found.improved.optics.fx == pytest.approx(31.0, abs=0.1)
+    (one,) = found.report["missing"]
+    assert one["probability"] > 0.99
+    assert found.report["ranking"][0]["effect"] == "camera_constant"
+    # over so narrow a view a stretch that grows with the angle is nearly the same
+    assert found.report["indistinguishable"] == [["camera_constant", "lens_distortion"]]
+    # the rays at the corner of 24 x 20 pixels move by a thirtieth of 0.40 rad: by centimetres on a wall
+    assert 0.01 < one["magnitude"] < 0.06
+
+
+def test_a_wrong_gain_is_a_wrong_parameter(tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, CAMERA, CAMERA.replace("gain: 200.0", "gain: 230.0"))
+    assert found.report["verdict"] == "wrong_parameters"
+    assert found.improved.radiometry.gain == pytest.approx(230.0, rel=0.01)
+
+
+def test_another_noise_beside_known_unmodulated_light(tmp_path: Path) -> None:
+    """What the light adds is not the noise section's: of one frame 0.3^2 (A + 3000) / A^2 and a floor."""
+    known = CAMERA.replace("shot: 0.0, amplitude: 4.0", "shot: 0.3, amplitude: 0.0")
+    known += "effects: {background_light: {level: 3000.0, offset: 0.0}}\n"
+    found = diagnosed(tmp_path, known, known.replace("floor: 0.003", "floor: 0.006"))
+    assert found.missing == ["noise"]
+    assert found.report["adjusted"] == []
+    at = np.array([200.0, 500.0, 1000.0, 3000.0])
+    sigma = found.improved.noise.sigma_distance(at, background=found.improved.background)
+    assert sigma == pytest.approx(np.sqrt(0.006**2 + 0.3**2 * (at + 3000.0) / at**2), rel=0.04)
+    assert found.report["fit"]["chi2_after"] == pytest.approx(1.0, abs=0.06)
+
+
+def test_a_second_table_is_not_told_as_the_first(tmp_path: Path) -> None:
+    table = (
+        "effects: {empirical: {covariates: [amplitude], knots: [[100, 1000, 5000]], "
+        "values: [0, 1.0e-4, 0]}}\n"
+    )
+    true = (
+        "effects: {empirical: {covariates: [height], knots: [[-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5]], "
+        "values: [0.03, 0.0, -0.012, 0.0, 0.012, 0.0, -0.03]}}\n"
+    )
+    found = diagnosed(tmp_path, CAMERA + table, CAMERA + true)
+    assert found.missing == ["unknown"]
+    (one,) = found.report["missing"]
+    assert one["covariates"] == ["height"]
+    assert one["parameters"] == {}
+    assert found.improved.effects["empirical"].covariates == ("amplitude",)  # type: ignore[attr-defined]
+    text = (tmp_path / "out" / "report.html").read_text()
+    assert "a camera file has one table, and this one&#x27;s is of amplitude" in text
+
+
+def test_counts_left_out_hide_what_is_beside_them(tmp_path: Path) -> None:
+    found = diagnosed(
+        tmp_path,
+        CAMERA,
+        CAMERA + CYCLIC,
+        scene=scene_text().replace("frames: 4", "frames: 60"),
+        changed=lambda counts: counts & 0xFFFC,
+    )
+    assert found.report["verdict"] == "unknown_physics"
+    assert found.missing == ["unknown"]
+    assert found.improved.effects == {}
+    assert found.report["fit"]["rms_after"] == found.report["fit"]["rms_before"]
+    assert any("not told beside counts that are left out" in one for one in found.report["notes"])
+
+
+def test_a_large_sensor_is_told_in_its_own_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(coarser, "MANY_PIXELS", 1000)
+    monkeypatch.setattr(coarser, "_COARSE_PIXELS", 600)
+    known = CAMERA.replace("width: 24, height: 20", "width: 48, height: 40")
+    known = known.replace("fx: 30.0, fy: 30.0, cx: 11.7, cy: 9.2", "fx: 60.0, fy: 60.0, cx: 23.9, cy: 18.9")
+    found = diagnosed(tmp_path, known, known.replace("fx: 60.0, fy: 60.0", "fx: 62.0, fy: 62.0"))
+    assert any("of every 2 x 2 pixels one was looked at" in note for note in found.report["notes"])
+    assert found.missing == ["camera_constant"]
+    (one,) = found.report["missing"]
+    assert one["parameters"]["fx"] == pytest.approx(62.0, abs=0.2)
+    assert found.improved.optics.fx == pytest.approx(one["parameters"]["fx"], rel=1e-9)
+
+
+def test_numbers_in_pixels_of_both_grids() -> None:
+    assert coarser.finer_number("optics.cx", 11.0, 4) == 46.0
+    assert coarser.finer_number("optics.fx", 31.0, 2) == 62.0
+    assert coarser.finer_number("optics.distortion.0", 31.0, 2) == 31.0
+    assert coarser.finer_number("effects.scattering.kernels.0.sigma.1", 3.0, 2) == 6.0
+    assert coarser.finer_number("effects.scattering.kernels.0.weight", 0.03, 2) == 0.03
+    assert coarser.finer_number("effects.mixed_pixels.blur", 0.5, 3) == 1.5
+    assert coarser.finer_number("effects.cyclic_error.gradient.0", 0.004, 2) == 0.002
+
+
+def test_a_table_over_rows_is_one_of_the_whole_sensor(tmp_path: Path) -> None:
+    (tmp_path / "camera.yaml").write_text(CAMERA.replace("width: 24, height: 20", "width: 640, height: 480"))
+    camera = load_camera(tmp_path / "camera.yaml")
+    values = NestedList(np.array([[0.0, 0.0], [0.01, 0.02], [0.0, 0.0]]))
+    table = Empirical(("row", "edge"), ((0.0, 60.0, 119.0), (1.0, 4.0)), values)
+    small = added(coarser.coarser_camera(camera, 4), table)
+    full = coarser.finer_camera(small, camera, 4)
+    # every fourth row from the third on
+    assert full.effects["empirical"].knots == ((2.0, 242.0, 478.0), (4.0, 16.0))  # type: ignore[attr-defined]
+    again = coarser.coarser_camera(full, 4)
+    assert again.effects["empirical"] == table
+
+
+def test_the_table_goes_where_unmodulated_light_takes_its_place(tmp_path: Path) -> None:
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    camera = load_camera(tmp_path / "camera.yaml")
+    table = Empirical(("amplitude",), ((100.0, 1000.0),), NestedList(np.array([0.01, -0.01])))
+    variance = Variance(1.8, 0.01, (), camera.noise, 1.0, 0.1, 0.003, True, background=500.0)
+    unknown = Missing("unknown", 1.0, {}, {}, "unknown physics", ("amplitude",), 0.01, "f")
+    verdict, missing, model = with_variance(
+        "unknown_physics", [unknown], added(camera, table), variance, [], True
+    )
+    assert (verdict, [one.effect for one in missing]) == ("missing_physics", ["background_light"])
+    assert list(model.effects) == ["background_light"]
+    # a table that the camera file had stays
+    _, _, model = with_variance(
+        "unknown_physics", [unknown], added(camera, table), variance, [], True, {"empirical"}
+    )
+    assert set(model.effects) == {"background_light", "empirical"}
