@@ -70,16 +70,17 @@ def with_variance(
                 f"variance of "
                 f"repeated frames is {variance.ratio:.2f} times the model's, most where it is dark"
             )
-            named = Missing("background_light", 0.7, {"level": level}, {}, sentence)
+            named = Missing("background_light", 1.0, {"level": level}, {}, sentence)
             model = added(model, BackgroundLight(level=level))
             if of_light:
                 missing, verdict = [], "missing_physics"
                 table = {"empirical"} - known
                 model = with_effects(model, {n: e for n, e in model.effects.items() if n not in table})
         else:
+            shot = f", {after.shot:.3g} m*sqrt(counts)" if after.shot else ""
             sentence = (
                 f"noise: the variance of repeated frames is {variance.ratio:.2f} times the model's; they fit "
-                f"floor {after.floor * 1e3:.2g} mm and {after.amplitude:.3g} m*counts over the amplitude"
+                f"floor {after.floor * 1e3:.2g} mm{shot} and {after.amplitude:.3g} m*counts over the amplitude"
             )
             numbers = {"floor": after.floor, "shot": after.shot, "amplitude": after.amplitude}
             named = Missing("noise", 1.0, numbers, {}, sentence)
