@@ -79,8 +79,9 @@ def with_variance(
         else:
             shot = f", {after.shot:.3g} m*sqrt(counts)" if after.shot else ""
             sentence = (
-                f"noise: the variance of repeated frames is {variance.ratio:.2f} times the model's; they fit "
-                f"floor {after.floor * 1e3:.2g} mm{shot} and {after.amplitude:.3g} m*counts over the amplitude"
+                f"noise: the variance of repeated frames is {variance.ratio:.2f} times the model's; they "
+                f"fit floor {after.floor * 1e3:.2g} mm{shot} and {after.amplitude:.3g} m*counts over the "
+                "amplitude"
             )
             numbers = {"floor": after.floor, "shot": after.shot, "amplitude": after.amplitude}
             named = Missing("noise", 1.0, numbers, {}, sentence)
