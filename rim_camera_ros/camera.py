@@ -170,6 +170,22 @@ class Camera:
             raise InputError(f"integration_time must be positive, found {value:g}", remedy="check frame_info")
         return value
 
+    def light_of(self, published: Any) -> Any:
+        """Return the amplitude before its compression, of which the noise model speaks, of published ones."""
+        effect: Any = self.effects.get("amplitude_nonlinearity")
+        return published if effect is None else effect.expanded(published)
+
+    def check_modulation(self, settings: Settings) -> None:
+        """Raise `InputError` where a frame was taken at another modulation frequency than the file's."""
+        frequency, own = settings.modulation_frequency, self.sensor.modulation_frequency
+        if frequency is not None and abs(frequency / own - 1) > 1e-3:
+            raise InputError(
+                f"it was recorded at a modulation frequency of {frequency / 1e6:g} MHz, the camera file says "
+                f"{own / 1e6:g} MHz",
+                place="frame_info",
+                remedy="calibrate each modulation frequency by itself",
+            )
+
     @property
     def background(self) -> float:
         """Counts of unmodulated light (effect ``background_light``), which add noise only."""

@@ -212,7 +212,11 @@ def save_camera_apart(camera: Camera, path: str | os.PathLike[str], *, comment: 
     stale = [one for one in path.parent.glob("*.npy") if own.fullmatch(one.name)]
     # a copy of the replaced file may live on beside it
     for other in path.parent.glob("*.y*ml") if stale else ():
-        text = other.read_bytes()
+        try:
+            text = other.read_bytes()
+        except OSError:
+            # it may name any of them
+            return camera
         stale = [one for one in stale if one.name.encode() not in text]
     for one in stale:
         one.unlink(missing_ok=True)

@@ -252,6 +252,19 @@ def test_what_is_off_is_said() -> None:
     assert correction.notes == {"warm_up_drift is off: the recording states no uptime"}
 
 
+def test_another_modulation_frequency() -> None:
+    """Counts of 30 MHz are not those of 20 MHz; poses of such a recording may be simulated."""
+    cam = camera()
+    frame, truth = simulated(cam, wall(), replace(SETTINGS, modulation_frequency=30e6))
+    assert frame.settings.modulation_frequency == 20e6
+    np.testing.assert_allclose(Correction(cam).correct(frame).distance, truth, atol=1e-5)
+    other = replace(frame, settings=replace(SETTINGS, modulation_frequency=30e6))
+    with pytest.raises(
+        InputError, match=r"frame_info: it was recorded at .* 30 MHz, the camera file says 20 MHz"
+    ):
+        Correction(cam).correct(other)
+
+
 def test_images_of_another_sensor() -> None:
     frame, _ = simulated(camera(), wall())
     other = replace(camera(), sensor=replace(camera().sensor, width=29, height=38))
@@ -339,6 +352,24 @@ def test_a_term_of_distance_and_row_amplitude(exact: bool) -> None:
     frame, truth = simulated(cam, wall())
     found = Correction(cam, exact=exact).correct(frame)
     np.testing.assert_allclose(found.distance, truth, atol=1e-5)
+
+
+@pytest.mark.parametrize("other", ["distance", "height"])
+def test_a_table_of_the_angle_and_something_else(other: str) -> None:
+    """Its distance is the measured one, not none: to what the plane's angle is uncertain by."""
+    effect = Empirical(
+        ("incidence", other),
+        ((0.0, 1.2), (0.5, 4.0) if other == "distance" else (-1.5, 1.5)),
+        NestedList(np.array([[-0.03, 0.05], [0.06, -0.04]])),
+    )
+    cam = with_effects(camera(), {"empirical": effect})
+    frame, truth = simulated(cam, wall())
+    assert np.nanmax(np.abs(frame.distance - truth)) > 0.01
+    found = Correction(cam, exact=True).correct(frame)
+    inner = np.isfinite(found.distance)
+    assert inner.mean() > 0.9
+    assert np.median(np.abs(found.distance - truth)[inner]) < 2e-4
+    assert np.max(np.abs(found.distance - truth)[inner]) < 3e-3
 
 
 # --- estimates from the frame ---------------------------------------------------------------------

@@ -126,7 +126,8 @@ def exactly(
     untold = undetermined_effects(scores, [n for n in names if n in fitted.camera.effects])
     for name in dict.fromkeys([*unseen, *untold]):
         notes.append(f"{name} cannot be determined from these recordings: {undeterminable(name, facts)}")
-    if names and set(names) - {"fixed_pattern_offset"} <= {*unseen, *untold}:
+    asked = set(names) - {"fixed_pattern_offset"}
+    if asked and asked <= {*unseen, *untold}:
         raise InputError(notes[0], place="--effects", remedy="without --effects those are fitted that can be")
     solution = _solved(fitted, scores, folds, camera_start, problem)
     if untold:

@@ -114,6 +114,13 @@ class LargeSensor:
         """Return the ranges with the region [px] on the full grid."""
         if coarse.region is None:
             return coarse
-        first, step = self.step // 2, self.step
-        u0, v0, u1, v1 = (one * step + first for one in coarse.region)
-        return replace(coarse, region=(u0, v0, u1, v1))
+        height, width = self.camera.shape
+        u0, v0, u1, v1 = coarse.region
+        # a pixel that was looked at stands for those around it, the last ones for the rim
+        last = [
+            size - 1.0
+            if end >= len(range(self.step // 2, size, self.step)) - 1
+            else (end + 1) * self.step - 1
+            for end, size in ((u1, width), (v1, height))
+        ]
+        return replace(coarse, region=(u0 * self.step, v0 * self.step, last[0], last[1]))

@@ -313,14 +313,7 @@ def check_frame(frame: RawFrame, camera: Camera) -> None:
             f"the camera file {camera.shape[1]} x {camera.shape[0]}",
             remedy="give the camera file of the camera that recorded it",
         )
-    frequency, own = frame.settings.modulation_frequency, camera.sensor.modulation_frequency
-    if frequency is not None and abs(frequency / own - 1) > 1e-3:
-        raise InputError(
-            f"it was recorded at a modulation frequency of {frequency / 1e6:g} MHz, the camera file says "
-            f"{own / 1e6:g} MHz",
-            place="frame_info",
-            remedy="calibrate each modulation frequency by itself",
-        )
+    camera.check_modulation(frame.settings)
 
 
 def reduce_recording(

@@ -79,6 +79,13 @@ def run(given: argparse.Namespace) -> int:
     camera, scene = camera_of(given.camera), scene_of(given.scene)
     dataset = _stations(given, given.bag, camera, scene)
     against = None if given.against is None else _stations(given, given.against, camera, scene)
+    # before the work: what is not installed is said at once
+    try:
+        from rim_camera_ros.diagnose.page import write_page
+    except ImportError as error:
+        remedy = "pip install 'rim_camera_ros[reports]', or apt install python3-matplotlib"
+        raise InputError(f"no report can be drawn: {error}", remedy=remedy) from None
+    from rim_camera_ros.diagnose.report import write_report
     from rim_camera_ros.diagnose.run import diagnose
 
     with Stages(quiet=given.quiet) as stages:
@@ -94,9 +101,6 @@ def run(given: argparse.Namespace) -> int:
             )
         except InputError as error:
             raise error.located(given.bag) from None
-    from rim_camera_ros.diagnose.page import write_page
-    from rim_camera_ros.diagnose.report import write_report
-
     with folder.written() as temporary:
         comment = f"Diagnosis of {given.bag} with camera {given.camera} and scene {given.scene}."
         write_report(result, temporary, comment=comment)

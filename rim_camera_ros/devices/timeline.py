@@ -200,8 +200,7 @@ def exposures_like(frames: Iterable[RawFrame], scene: Scene, camera: Camera) -> 
             station, key = station + 1, stamps
         settings = frame.settings
         if settings.integration_time is None:
-            fallback = camera.sensor.integration_time or DEFAULT_INTEGRATION_TIME
-            settings = replace(settings, integration_time=fallback)
+            settings = replace(settings, integration_time=camera.integration_time(settings))
         yield Exposure(
             stamp=frame.stamp,
             settings=settings,

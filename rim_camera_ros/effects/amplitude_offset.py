@@ -79,10 +79,14 @@ class AmplitudeOffset(DistanceTerm):
 
     def sentence(self) -> str:
         parts = []
-        for key, one in sorted(self.hyperbola.items()):
+        rows = sorted(self.hyperbola.items())
+        near = all(one.a < 0 for _, one in rows)
+        for key, one in rows:
             at = max(one.b + 2, abs(one.a) / 0.05)
-            parts.append(f"{one.a / (at - one.b) * 1e3:.0f} mm at {at:.0f} counts (setting {row_name(key)})")
-        return "amplitude-dependent distance: dark surfaces are measured too far, by " + ", ".join(parts)
+            size = one.a / (at - one.b) * (-1e3 if near else 1e3)
+            parts.append(f"{size:.0f} mm at {at:.0f} counts (setting {row_name(key)})")
+        where = "near" if near else "far"
+        return f"amplitude-dependent distance: dark surfaces are measured too {where}, by " + ", ".join(parts)
 
     @classmethod
     def example(cls, camera: Camera) -> AmplitudeOffset:

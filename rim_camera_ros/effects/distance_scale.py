@@ -32,7 +32,8 @@ class DistanceScale(DistanceTerm):
         return {"scale": (np.asarray(signal.distance), 0.0)}
 
     def sentence(self) -> str:
-        return f"distance scale: distances are too long by {self.scale * 1e3:+.3g} mm per metre"
+        wrong = "long" if self.scale >= 0 else "short"
+        return f"distance scale: distances are too {wrong} by {abs(self.scale) * 1e3:.3g} mm per metre"
 
     @classmethod
     def example(cls, camera: Camera) -> DistanceScale:

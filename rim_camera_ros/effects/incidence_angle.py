@@ -80,11 +80,15 @@ class IncidenceAngle(DistanceTerm):
         }
 
     def sentence(self) -> str:
+        at_60 = {key: sum(c * 60.0 ** (4 - i) for i, c in enumerate(a)) for key, a in self.polynomial.items()}
+        far = all(value < 0 for value in at_60.values())
         parts = []
-        for key, a in sorted(self.polynomial.items()):
-            at_60 = sum(c * 60.0 ** (4 - i) for i, c in enumerate(a))
-            parts.append(f"{at_60 * 1e3:.0f} mm at 60 gon (54 degrees) with setting {row_name(key)}")
-        return "angle of incidence: oblique surfaces are measured too near, by " + ", ".join(parts)
+        for key, value in sorted(at_60.items()):
+            parts.append(
+                f"{value * (-1e3 if far else 1e3):.0f} mm at 60 gon (54 degrees) with setting {row_name(key)}"
+            )
+        where = "far" if far else "near"
+        return f"angle of incidence: oblique surfaces are measured too {where}, by " + ", ".join(parts)
 
     @classmethod
     def example(cls, camera: Camera) -> IncidenceAngle:

@@ -38,7 +38,8 @@ class IntegralTable(DistanceTerm):
         return interpolate(self.knots, values, (context.column, context.row, distance))
 
     def sentence(self) -> str:
-        return f"integral table: errors by position of {np.std(self.values.values) * 1e3:.1f} mm RMS"
+        size = np.sqrt(np.mean(self.values.values**2))
+        return f"integral table: errors by position of {size * 1e3:.1f} mm RMS"
 
     @classmethod
     def example(cls, camera: Camera) -> IntegralTable:

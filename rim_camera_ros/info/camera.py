@@ -8,6 +8,7 @@ import numpy as np
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import Effect
+from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.info.text import number, section, span, table, words
 from rim_camera_ros.pipeline.correct import Correction
@@ -149,6 +150,9 @@ def _integration_times(camera: Camera) -> list[float | None]:
     times: set[float] = set()
     for effect in camera.effects.values():
         times |= _row_keys(effect)
+        if isinstance(effect, Empirical):
+            pairs = zip(effect.covariates, effect.knots, strict=True)
+            times |= {one for name, knots in pairs if name == "integration_time" for one in knots}
     if times:
         return [*sorted(times)]
     return [camera.sensor.integration_time]

@@ -148,7 +148,7 @@ class Noise:
         self._once = np.zeros(_BINS, np.int64)
         self._model: NDArray[np.float64] | None = None
         if camera is not None:
-            amplitudes = np.maximum(np.arange(float(FULL_SCALE)), 1.0)
+            amplitudes = camera.light_of(np.maximum(np.arange(float(FULL_SCALE)), 1.0))
             self._model = camera.noise.sigma_distance(amplitudes, background=camera.background) ** 2
         self._variance = np.zeros(len(CLASSES) - 1)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.camera_file import load_camera, save_camera
+from rim_camera_ros.camera_file import load_camera, save_camera_apart
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera
 from rim_camera_ros.nodes.folders import Folders
@@ -65,5 +65,5 @@ def store_geometry(message: Any, *, base: str, folders: Folders) -> tuple[Path, 
     path = folders.target(source.name, place="camera")
     provenance = {**camera.provenance, "geometry": f"set_camera_info, the rest from {source}"}
     camera = replace(camera, provenance=provenance)
-    save_camera(camera, path, comment="The geometry was given by set_camera_info.")
+    camera = save_camera_apart(camera, path, comment="The geometry was given by set_camera_info.")
     return path, camera

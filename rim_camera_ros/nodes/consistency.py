@@ -98,12 +98,13 @@ class NoiseWatch:
         usable = (last.distance > 0) & (frame.distance > 0)
         usable &= np.maximum(last.amplitude, frame.amplitude) < camera.sensor.saturation
         # where the noise of the amplitude is no longer small, the mean of two does not tell the noise
-        usable &= camera.noise.sigma_distance(amplitude) < camera.sensor.ambiguity / 40
+        light = camera.light_of(amplitude)
+        usable &= camera.noise.sigma_distance(light) < camera.sensor.ambiguity / 40
         change = self._metres(frame.distance) - self._metres(last.distance)
         if camera.sensor.wraps:
             span = np.float32(FULL_SCALE * camera.sensor.lsb)
             change -= span * np.rint(change / span)
-        sigma = camera.noise.sigma_distance(amplitude, background=camera.background)
+        sigma = camera.noise.sigma_distance(light, background=camera.background)
         # noise is circular, so this choice leaves the noise of the distance as it is
         brighter = np.abs(last.amplitude.astype(np.float32) - frame.amplitude)
         sigma_amplitude = noise_of_amplitude(sigma, amplitude, ambiguity=camera.sensor.ambiguity)

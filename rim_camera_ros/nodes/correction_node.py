@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 
 from rim_camera_ros.bags.topics import CAMERA_INFO, ROLES
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.camera_file import load_camera, save_camera
+from rim_camera_ros.camera_file import load_camera, save_camera_apart
 from rim_camera_ros.effects import registry
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.files import find_camera
@@ -367,7 +367,7 @@ class CorrectionNode:
                 covariance=kept,
                 minimum_amplitude=self._camera.minimum_amplitude if minimum < 0 else minimum,
             )
-            save_camera(camera, path, comment="What a correction node corrected with.")
+            save_camera_apart(camera, path, comment="What a correction node corrected with.")
         except Exception as error:
             known = isinstance(error, RimError)
             response.success = False

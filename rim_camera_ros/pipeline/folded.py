@@ -231,7 +231,7 @@ class Folded:
         self.context.incidence = np.arccos(np.clip(cosine, 0.0, 1.0).astype(self._dtype))
         result = np.zeros(cosine.shape, self._dtype)
         for one in self._by_incidence:
-            result += np.asarray(one.term(result, amplitude, self.context), self._dtype)
+            result += np.asarray(one.term(distance, amplitude, self.context), self._dtype)
         result[np.isnan(cosine)] = 0
         return result
 

@@ -115,6 +115,10 @@ class Simulation:
     def context(self, exposure: Exposure) -> Context:
         """Return the context in which the effects see this exposure."""
         settings = exposure.settings
+        if settings.modulation_frequency is not None:
+            # poses may be those of a camera that was modulated otherwise
+            own = self.camera.sensor.modulation_frequency
+            settings = replace(settings, modulation_frequency=own)
         if settings.integration_time is None:
             settings = replace(settings, integration_time=self.camera.integration_time(settings))
         if self._start is None or exposure.stamp < self._start:

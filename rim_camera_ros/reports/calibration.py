@@ -175,10 +175,15 @@ def _parameters(result: Calibration) -> str:
             digits = significant(after.get(path), sigma[path])
             rows.append([name, number_of(before.get(path)), *digits, unit_of(result.camera, path)])
     words = ""
-    untold = result.solution.untold()
-    if untold and not result.integral:
-        names = ", ".join(one.removeprefix("effects.") for one in untold)
-        words = html.paragraph(f"Not determined by these recordings, as in the file before: {names}.")
+    untold = [] if result.integral else result.solution.untold()
+    kept = [one for one in untold if one in before and before[one] == after.get(one)]
+    for names, why in (
+        (kept, "as in the file before"),
+        ([one for one in untold if one not in kept], "set by what was known before"),
+    ):
+        if names:
+            told = ", ".join(one.removeprefix("effects.") for one in names)
+            words += html.paragraph(f"Not determined by these recordings, {why}: {told}.")
     factor = result.solution.factor
     scaled = (
         f" They are scaled by the square root of {factor:.2f}, chi-square per value." if factor > 1.01 else ""

@@ -11,15 +11,21 @@ from rim_camera_ros.yaml_files import write_whole
 
 
 def page_of(result: Calibration, *, title: str) -> tuple[bytes | None, list[str]]:
-    """Return the report (HTML), None without matplotlib, and notes on what could not be made."""
+    """Return the report (HTML), None where it cannot be drawn, and notes on what could not be made."""
     try:
         from rim_camera_ros.reports.calibration import calibration_page
+
+        return calibration_page(result, title=title).encode(), []
     except ImportError as error:
-        if error.name is None or not error.name.startswith("matplotlib"):
-            raise
+        why = str(error)
+        if error.name is not None and error.name.startswith("matplotlib"):
+            why = "matplotlib is not installed"
         remedy = "pip install 'rim_camera_ros[reports]', or apt install python3-matplotlib"
-        return None, [f"no report was written: matplotlib is not installed ({remedy})"]
-    return calibration_page(result, title=title).encode(), []
+        return None, [f"no report was written: {why} ({remedy})"]
+    except Exception as error:
+        # the work of minutes is not lost with its picture
+        fault = f"{type(error).__name__}: {error}"
+        return None, [f"no report was written: {fault} (this is a fault of the program: please report it)"]
 
 
 def write_calibration(
@@ -30,10 +36,13 @@ def write_calibration(
     ``author`` is what calibrated, as ``rim calibrate``. Raises `OSError` where the disk refuses.
     """
     accuracy = result.accuracy
+    if result.integral and result.integral_accuracy is not None:
+        accuracy = result.integral_accuracy
+    whose = "held-out poses" if accuracy.held_out else "the fitted poses (too few to hold any out)"
     comment = (
         f"Calibrated by {author} from {several(result.frames, 'frame')} of "
         f"{several(result.poses, 'pose')}.\n"
-        f"Corrected distances of held-out poses: {accuracy.after * 1e3:.2f} mm RMS, of which noise "
+        f"Corrected distances of {whose}: {accuracy.after * 1e3:.2f} mm RMS, of which noise "
         f"{accuracy.noise * 1e3:.2f} mm; see provenance below."
     )
     result.camera = save_camera_apart(result.camera, out, comment=comment)

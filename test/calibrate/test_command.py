@@ -256,3 +256,31 @@ def test_a_noise_model_is_stated_in_the_file(folder: Path, written: tuple[Path, 
     # confirmed, so that the numbers of the file stay as they are
     assert load_camera(written[0]).noise == Noise(floor=0.003, shot=0.0, amplitude=6.0)
     assert "confirmed: floor 3 mm" in written[1]
+
+
+def test_offsets_of_pixels_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Beside a file that other programs keep there and that cannot be read, and without its picture."""
+    own = folder / "of pixels"
+    own.mkdir()
+    (own / ".#scene.yaml").symlink_to("somebody@somewhere.1234")
+    status, out, _ = run(
+        capsys, *arguments(folder, "--effects", "fixed_pattern_offset", out="of pixels/c.yaml")
+    )
+    assert status == 0
+    assert out.splitlines()[-1].startswith("written: ")
+    found = load_camera(own / "c.yaml")
+    assert "fixed_pattern_offset" in found.effects
+    assert found.effects["cyclic_error"] == TOLD
+
+
+def test_a_picture_that_fails_loses_no_calibration(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_: object, **__: object) -> str:
+        raise ValueError("no such colour")
+
+    monkeypatch.setattr("rim_camera_ros.reports.calibration.calibration_page", broken)
+    status, _, error = run(capsys, *arguments(folder, "--effects", "cyclic_error", out="without.yaml"))
+    assert status == 0
+    assert "no report was written: ValueError: no such colour" in error
+    assert load_camera(folder / "without.yaml").covariance is not None

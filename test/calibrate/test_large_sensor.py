@@ -107,7 +107,10 @@ def test_what_is_stated_for_the_coarser_grid_is_restated(tmp_path: Path) -> None
     paths = ["effects.cyclic_error.gradient.1", "effects.cyclic_error.harmonics.0.amplitude"]
     matrix = large.covariance(paths, np.array([[9.0, 6.0], [6.0, 5.0]]))
     np.testing.assert_allclose(matrix, [[1.0, 2.0], [2.0, 5.0]])
-    assert large.validity(Validity(region=(2.0, 1.0, 9.0, 5.0))).region == (7.0, 4.0, 28.0, 16.0)
+    # pixel 7 stands for 6 to 8; the last one that is looked at for the rim as well
+    assert own.shape == (36, 44)
+    assert large.validity(Validity(region=(2.0, 1.0, 9.0, 5.0))).region == (6.0, 3.0, 29.0, 17.0)
+    assert large.validity(Validity(region=(0.0, 0.0, 14.0, 11.0))).region == (0.0, 0.0, 43.0, 35.0)
 
 
 def test_edges_are_those_of_the_full_grid(tmp_path: Path) -> None:
