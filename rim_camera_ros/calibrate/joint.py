@@ -108,10 +108,18 @@ def exactly(
     Raises `InputError` for unknown names, and where the recordings determine none of them.
     """
     names, covariates = checked_names(words)
+    own: Any = camera.effects.get("empirical")
+    if own is not None and "empirical" in words:
+        covariates = own.covariates
     folds = folds_of(problem.dataset)
     geometry = tuple(dict.fromkeys([*problem.geometry, *(n for n in names if n in GEOMETRY)]))
     problem = replace(problem, effects=tuple(names), geometry=geometry)
     notes: list[str] = []
+    if own is not None and covariates is not None and covariates != own.covariates:
+        notes.append(
+            f"empirical: the file's table of {' and '.join(own.covariates)} gave way to one of "
+            f"{' and '.join(covariates)}"
+        )
     camera_start = camera
     camera, unseen = _with_absent(
         problem, camera if begin is None else begin, facts, names, folds, views, say
@@ -128,7 +136,9 @@ def exactly(
         notes.append(f"{name} cannot be determined from these recordings: {undeterminable(name, facts)}")
     asked = set(names) - {"fixed_pattern_offset"}
     if asked and asked <= {*unseen, *untold}:
-        raise InputError(notes[0], place="--effects", remedy="without --effects those are fitted that can be")
+        raise InputError(
+            notes[-1], place="--effects", remedy="without --effects those are fitted that can be"
+        )
     solution = _solved(fitted, scores, folds, camera_start, problem)
     if untold:
         remaining = tuple(n for n in names if n not in untold)

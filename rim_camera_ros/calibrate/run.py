@@ -43,6 +43,7 @@ Array = NDArray[Any]
 
 GEOMETRY = ("camera_constant", "lens_distortion")
 _INTEGRAL = "integral_table"
+_REPLACED = "left out: the table stands in the place of all effects"
 #: Pixels of the sensor from which on sums per pixel are kept in single precision.
 _MANY_PIXELS = 20_000
 #: Common variation of frames beyond which something changes all pixels from frame to frame.
@@ -273,6 +274,10 @@ def _finished(
     if path is not None and path.effect is not None:
         paths, covariance = [*paths, *PATHS], block_diag(covariance, path.covariance)
     if only_integral:
+        statuses = [
+            replace(one, status="left out", text=_REPLACED) if one.status == "kept" else one
+            for one in statuses
+        ]
         assert table is not None
         camera = table.cameras([None])[None]
         paths, covariance = [], np.zeros((0, 0))
@@ -289,7 +294,9 @@ def _finished(
             scene=request.scene_name,
             fitted=[_INTEGRAL] if only_integral else sorted({_owner(path) for path in paths}),
             left_out={one.effect: one.text for one in statuses if one.status != "fitted"},
-            accuracy=_stated_accuracy(by_table if only_integral and by_table else accuracy, solution),
+            accuracy=_stated_accuracy(by_table, None)
+            if only_integral and by_table
+            else _stated_accuracy(accuracy, solution),
             notes=notes,
         ),
     )
@@ -319,8 +326,9 @@ def _owner(path: str) -> str:
     return parts[1] if parts[0] == "effects" else parts[0]
 
 
-def _stated_accuracy(accuracy: Accuracy, solution: Solution) -> Mapping[str, Any]:
-    chi_square = solution.held_out_chi_square()
+def _stated_accuracy(accuracy: Accuracy, solution: Solution | None) -> Mapping[str, Any]:
+    """Return what the camera file states; without a solution of effects, the errors alone."""
+    by_fit = {} if solution is None else _of_fit(solution)
     return {
         "held_out_poses": accuracy.poses if accuracy.held_out else 0,
         "rms_m": round(accuracy.after, 6),
@@ -328,6 +336,13 @@ def _stated_accuracy(accuracy: Accuracy, solution: Solution) -> Mapping[str, Any
         "noise_m": round(accuracy.noise, 6),
         "reference_m": round(accuracy.reference, 6),
         "systematic_m": round(accuracy.systematic, 6),
+        **by_fit,
+    }
+
+
+def _of_fit(solution: Solution) -> Mapping[str, Any]:
+    chi_square = solution.held_out_chi_square()
+    return {
         "chi_square_per_value": None if chi_square is None else round(chi_square, 4),
         "outliers": solution.outliers,
         "values": solution.values,

@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from rim_camera_ros.bags import Topics
+from rim_camera_ros.bags import DEFAULT_NAMESPACE, Topics
 from rim_camera_ros.calibrate.run import Request, calibrate
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.calibrate.watch import Reducer
@@ -166,6 +166,8 @@ def _command_line(given: argparse.Namespace) -> list[str]:
     words += ["--seed", str(given.seed)] if given.seed else []
     for one in given.topic:
         words += ["--topic", one]
+    if given.namespace != DEFAULT_NAMESPACE:
+        words += ["--namespace", given.namespace]
     return words
 
 

@@ -69,7 +69,7 @@ def calibration_page(result: Calibration, *, title: str) -> str:
             html.section("What the recordings say of each effect", _effects(result)),
             html.section("Effects", _curves(result), _pattern(result)),
             html.section("Parameters", _parameters(result), _correlations(result)),
-            html.section("Residuals of held-out poses", *_residuals(result)),
+            html.section(f"Residuals of {_poses_of(_stated(result))}", *_residuals(result)),
             html.section("By a table instead of physics", _integral(result)),
             html.section("Noise", _noise(result)),
             html.section("Range of validity", _validity(result)),
@@ -85,6 +85,10 @@ def _mm(value: float) -> str:
 def _stated(result: Calibration) -> Accuracy:
     by_table = result.integral_accuracy
     return by_table if result.integral and by_table is not None else result.accuracy
+
+
+def _poses_of(one: Accuracy) -> str:
+    return "held-out poses" if one.held_out else "fitted poses"
 
 
 def _glance(result: Calibration) -> str:
@@ -105,7 +109,8 @@ def _glance(result: Calibration) -> str:
             )
         )
     solution = result.solution
-    items.append(html.Card(f"{solution.outliers}", f"of {solution.values} distances beyond 4 sigma"))
+    if not result.integral:
+        items.append(html.Card(f"{solution.outliers}", f"of {solution.values} distances beyond 4 sigma"))
     return html.cards(items)
 
 
@@ -251,7 +256,7 @@ def _residuals(result: Calibration) -> list[str]:
                 ],
                 "mm",
             ),
-            "Over the array, mean of the held-out poses. Each picture has its own scale.",
+            f"Over the array, mean of the {_poses_of(one)}. Each picture has its own scale.",
         )
     )
     low, high = np.quantile(one.samples["distance"], [0.002, 0.998])
@@ -278,7 +283,7 @@ def _integral(result: Calibration) -> str:
         "offset per pixel, from the same poses. It knows neither amplitude nor angle, setting or time."
     )
     used = " The camera file holds the table." if result.integral else ""
-    headings = ["held-out poses", "RMS error", "systematic"]
+    headings = [_poses_of(table), "RMS error", "systematic"]
     return html.paragraph(words + used) + html.table(headings, rows, numbers=(1, 2))
 
 

@@ -71,9 +71,12 @@ def accuracy_text(result: Calibration) -> str:
             )
         )
     chi_square = result.chi_square
-    if chi_square is not None:
+    # those of the effects, which the table replaces
+    if chi_square is not None and not result.integral:
         lines.append(("chi-square per value", f"{chi_square:.3f} (1: down to the noise)"))
-    lines.append(("beyond 4 sigma", f"{result.solution.outliers} of {result.solution.values} distances"))
+    if not result.integral:
+        outliers = f"{result.solution.outliers} of {result.solution.values} distances"
+        lines.append(("beyond 4 sigma", outliers))
     if result.noise is not None:
         what = "confirmed" if result.noise.confirmed else "fitted"
         own = result.noise.noise

@@ -9,6 +9,7 @@ import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -284,3 +285,32 @@ def test_a_picture_that_fails_loses_no_calibration(
     assert status == 0
     assert "no report was written: ValueError: no such colour" in error
     assert load_camera(folder / "without.yaml").covariance is not None
+
+
+def test_a_table_alone_states_its_own_errors(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The effects that it replaces are told as left out, and nothing of their fit stands beside it."""
+    status, out, error = run(capsys, *arguments(folder, "--effects", "integral_table", out="table.yaml"))
+    assert status == 0, error
+    found = load_camera(folder / "table.yaml")
+    assert "cyclic_error" not in found.effects
+    accuracy = found.provenance["accuracy"]
+    assert not {"chi_square_per_value", "outliers", "values"} & set(accuracy)
+    first = (folder / "table.yaml").read_text().splitlines()[1]
+    assert f"{accuracy['rms_m'] * 1e3:.2f} mm RMS" in first
+    assert "the table stands in the place of all effects" in found.provenance["left_out"]["cyclic_error"]
+    assert "chi-square" not in out
+    assert "beyond 4 sigma" not in out
+
+
+def test_a_curve_that_the_file_has_is_fitted_again(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`empirical` without covariates takes the file's; another one is said to take its place."""
+    first = arguments(folder, "--effects", "empirical:distance", out="curve.yaml")
+    assert run(capsys, *first)[0] == 0
+    files = ["--camera", folder / "curve.yaml", "--scene", folder / "scene.yaml"]
+    again = ["calibrate", folder / "bag", *files, "--effects"]
+    status, _, error = run(capsys, *again, "empirical", "--out", folder / "again.yaml")
+    assert (status, error) == (0, "")
+    effect: Any = load_camera(folder / "again.yaml").effects["empirical"]
+    assert effect.covariates == ("distance",)
+    _, _, error = run(capsys, *again, "empirical:amplitude", "--out", folder / "other.yaml")
+    assert "empirical: the file's table of distance gave way to one of amplitude" in error
