@@ -183,7 +183,7 @@ class Camera:
                 f"it was recorded at a modulation frequency of {frequency / 1e6:g} MHz, the camera file says "
                 f"{own / 1e6:g} MHz",
                 place="frame_info",
-                remedy="calibrate each modulation frequency by itself",
+                remedy="give the camera file of that frequency: each is calibrated by itself",
             )
 
     @property

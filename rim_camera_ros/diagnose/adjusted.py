@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -128,11 +128,14 @@ def _varying(
     return float(np.sqrt(np.mean(np.maximum(variance, 0.0))))
 
 
-def parameters_matter(camera: Camera, result: Result) -> bool:
-    """Return whether freeing the known terms gains on held-out poses beyond the threshold."""
+def parameters_matter(camera: Camera, result: Result, adjusted: Sequence[Adjusted]) -> bool:
+    """Return whether freeing the known terms, of which some moved, gains on held-out poses.
+
+    A wrong radiometric gain matters by itself: fits of poses take up a power that is wrong in all of them, so
+    that no likelihood tells it.
+    """
     fitted = result.explorations[-1].fit
-    if any(one.effect == "radiometry" for one in adjusted_terms(camera, fitted)):
-        # fits of poses take up a power that is wrong in all of them: no likelihood tells it
+    if any(one.effect == "radiometry" for one in adjusted):
         return True
     if total_change(camera, fitted) < LEAST_TOTAL:
         return False

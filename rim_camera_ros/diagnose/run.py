@@ -318,7 +318,7 @@ def _verdict(
     moved_in = baseline.fit if verdict == "consistent" else fitted
     adjusted = adjusted_terms(camera, moved_in if unknown is None else unknown.fit)
     if verdict == "consistent":
-        if adjusted and not variance.pixels_vary_together and parameters_matter(camera, result):
+        if adjusted and not variance.pixels_vary_together and parameters_matter(camera, result, adjusted):
             verdict = "wrong_parameters"
             where = of_change(fitted, camera)
         else:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+
+from rim_camera_ros.cli import main
 
 CAMERA = """
 format: rim_camera/1
@@ -35,3 +39,9 @@ def scene_text() -> str:
             f"poses: {{wall: {pose}}}}}"
         )
     return "\n".join(lines) + "\n"
+
+
+def run(*words: Any, **options: Any) -> None:
+    """Run a command, which must succeed; ``options`` by their names without dashes."""
+    given = [word for name, value in options.items() for word in (f"--{name}", value)]
+    assert main([*map(str, (*words, *given)), "--quiet"]) == 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +11,9 @@ import pytest
 from rim_camera_ros.bags import Recording
 from rim_camera_ros.calibrate.stations import reduce_recording
 from rim_camera_ros.camera_file import load_camera
-from rim_camera_ros.cli import main
 from rim_camera_ros.scene import load_scene, see
 
-from .helpers import AMBIGUITY, CAMERA, CYCLIC, scene_text
+from .helpers import AMBIGUITY, CAMERA, CYCLIC, run, scene_text
 
 
 @pytest.fixture(scope="module")
@@ -28,11 +26,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run("simulate", path / "scene.yaml", camera=path / "true.yaml", out=path / "bag")
     run("diagnose", path / "bag", camera=path / "known.yaml", scene=path / "scene.yaml", out=path / "out")
     return path
-
-
-def run(*words: Any, **options: Any) -> None:
-    given = [word for name, value in options.items() for word in (f"--{name}", value)]
-    assert main([*map(str, (*words, *given)), "--quiet"]) == 0
 
 
 def difference(folder: Path, name: str) -> np.ndarray:

@@ -16,14 +16,13 @@ from rim_camera_ros.calibrate import coarser
 from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, load_camera
-from rim_camera_ros.cli import main
 from rim_camera_ros.diagnose.noise_verdict import with_variance
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.parameters import NestedList
 
-from .helpers import CAMERA, CYCLIC, scene_text
+from .helpers import CAMERA, CYCLIC, run, scene_text
 
 
 @dataclass(frozen=True)
@@ -38,11 +37,6 @@ class Files:
     @property
     def missing(self) -> list[str]:
         return [one["effect"] for one in self.report["missing"]]
-
-
-def run(*words: Any, **options: Any) -> None:
-    given = [word for name, value in options.items() for word in (f"--{name}", value)]
-    assert main([*map(str, (*words, *given)), "--quiet"]) == 0
 
 
 def diagnosed(
