@@ -43,7 +43,7 @@ Array = NDArray[Any]
 
 GEOMETRY = ("camera_constant", "lens_distortion")
 _INTEGRAL = "integral_table"
-_REPLACED = "left out: the table stands in the place of all effects"
+_REPLACED = "the table stands in the place of all effects"
 #: Pixels of the sensor from which on sums per pixel are kept in single precision.
 _MANY_PIXELS = 20_000
 #: Common variation of frames beyond which something changes all pixels from frame to frame.
