@@ -87,7 +87,10 @@ def change_of_forms(
         for block in blocks:
             for regressor, (column, _) in zip(block.regressors, block.columns(prediction), strict=True):
                 total += values.get(regressor.label, 0.0) * np.nan_to_num(column)
-        return total
+        # factors of light and distance leave their range beside edges, where nothing was fitted
+        used = np.abs(total[prediction.used])
+        most = float(used.max()) if used.size else 0.0
+        return np.clip(total, -most, most)
 
     return change
 
@@ -165,6 +168,9 @@ def _changes(prediction: Prediction, name: str, factors: Array) -> Iterator[Colu
         for factor in (np.ones(1), *factors[:2]):
             # from row to row at another time, as with a rolling shutter
             yield later * factor, more * factor
+    if name == "saturation_bleed":
+        for fading in _beside_saturated(prediction):
+            yield fading, None
     if name not in _OF_IMAGE:
         return
     for share in _SPREADS:
@@ -173,6 +179,31 @@ def _changes(prediction: Prediction, name: str, factors: Array) -> Iterator[Colu
             yield gaussian_filter1d(distance, width, axis=axis, mode="nearest") - distance, None
             if amplitude is not None:
                 yield nothing, gaussian_filter1d(amplitude, width, axis=axis, mode="nearest") - amplitude
+
+
+def _beside_saturated(prediction: Prediction) -> list[Array]:
+    """Return what fades with the gap to the nearest saturated pixel of the row, and of the column, (H, W).
+
+    Of either side apart: a column that is read out downwards need not spread upwards.
+    """
+    saturated = prediction.context.saturated
+    if saturated is None or not saturated.any():
+        return [np.zeros(prediction.distance.shape)] * (4 * len(_SPREADS))
+    found = []
+    for axis in (0, 1):
+        for turn in (1, -1):
+            gap = np.flip(_gap(np.flip(saturated, axis), axis), axis) if turn < 0 else _gap(saturated, axis)
+            for share in _SPREADS:
+                fading = np.exp(-gap / (share * saturated.shape[1]))
+                found.append(np.where(saturated, 0.0, fading))
+    return found
+
+
+def _gap(marked: NDArray[np.bool_], axis: int) -> Array:
+    """Return pixels since the last marked one along an axis, infinite before the first."""
+    place = np.arange(marked.shape[axis], dtype=float).reshape((-1, 1) if axis == 0 else (1, -1))
+    last = np.maximum.accumulate(np.where(marked, place, -np.inf), axis=axis)
+    return np.asarray(place - last)
 
 
 def _later(prediction: Prediction) -> Column:

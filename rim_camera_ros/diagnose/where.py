@@ -15,6 +15,7 @@ from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.calibrate.sizes import SAME_SIZE, contribution, moved_by_light
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.between_surfaces import measured_between
 from rim_camera_ros.diagnose.smooth import values_of
 from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.effects.covariates import COVARIATES
@@ -52,7 +53,8 @@ def of_terms(
     """Locate the contribution of effects of the fitted camera; ``origin`` has the geometry before.
 
     Effects on the amplitude count by the distances that move with it, where the camera's do, else by the
-    amplitude itself. ``rest`` is what the effects do beyond their forms: changes (H, W) of the distance in m.
+    amplitude itself; mixed pixels by what pixels measure between surfaces. ``rest`` is what the effects do
+    beyond their forms: changes (H, W) of the distance in m.
     """
     moves = any(
         "amplitude" in one.depends_on()
@@ -68,6 +70,8 @@ def of_terms(
                 distance = distance + moved_by_light(one, name)
                 continue
             moved = contribution(one, name, origin)
+            if name == "mixed_pixels":
+                moved = measured_between(one, moved, fitted.pattern, fitted.nuisances)
             if name in OF_AMPLITUDE:
                 # noise is circular in the complex plane: so much of the amplitude is worth that many metres
                 light = light + moved / SAME_SIZE * one.context.ambiguity / (2 * np.pi)
@@ -155,7 +159,8 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
         sigma = _sigma(one)
         # what effects do also beside edges, which the fit leaves out
         valid = one.view.geometry.hit & (one.station.count > 0) & np.isfinite(image) & (sigma > 0)
-        valid &= np.isfinite(sigma)
+        # a pixel that saturates in some frames only is neither beside the light nor in it
+        valid &= np.isfinite(sigma) & (one.station.saturated == 0)
         if not valid.any():
             continue
         total[valid] += (image[valid] / sigma[valid]) ** 2

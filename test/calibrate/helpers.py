@@ -71,7 +71,7 @@ def record(
             exposure = Exposure(
                 stamp=stamp + k * 40_000_000,
                 settings=settings,
-                poses={"board": true},
+                poses={**board.fixed_poses(), "board": true},
                 station=station,
                 pose_stamp=stamp,
             )

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate.adjustment import fit
+from rim_camera_ros.calibrate.blocks import Block, Regressor
 from rim_camera_ros.calibrate.exploration import explored, further_equations
 from rim_camera_ros.calibrate.forms import change_of_forms, form_blocks
 from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
@@ -26,9 +27,11 @@ from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.emission_pattern import EmissionPattern
+from rim_camera_ros.effects.saturation_bleed import SaturationBleed
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.noise import Noise
 
+from ..blind.score import intersection_over_union, region
 from ..calibrate.helpers import camera, record, scene
 
 STRAY = Scattering((Kernel(0.06, (7.0, 9.0)),))
@@ -148,6 +151,66 @@ def test_what_an_effect_does_beyond_its_form_belongs_to_its_place(tmp_path: Path
     assert (
         change_of_forms(fitted.camera, ["scattering"], (), {})(next(fitted.forward.predictions())).max() == 0
     )
+
+
+def test_what_bleeds_fades_with_the_gap_to_the_light(tmp_path: Path) -> None:
+    """The form says as much in the whole column; the truth fades within 5 px, below the light alone."""
+    truth, board = camera(tmp_path, SaturationBleed(column=0.012)), scene(tmp_path)
+    truth = replace(truth, sensor=replace(truth.sensor, saturation=2500.0))
+    data = record(truth, board, poses=24, seed=4)
+    forward = Forward(data, board, truth)
+    forward.estimate_amplitudes()
+
+    def fading(one: Any) -> np.ndarray:
+        saturated = one.station.saturated > 0
+        found = np.zeros(saturated.shape)
+        for v, u in np.argwhere(saturated):
+            found[v:, u] = np.exp(-np.arange(len(found) - v) / 5.0)
+        return np.where(saturated, 0.0, 0.06 * found)
+
+    def said(one: Any) -> np.ndarray:
+        saturated = one.station.saturated > 0
+        return np.asarray(0.012 * (saturated.any(axis=0) & ~saturated))
+
+    moved = [
+        replace(p.station, distance=p.station.distance + fading(p) - said(p)) for p in forward.predictions()
+    ]
+    data = replace(data, stations=moved)
+    problem, folds = Problem(data, board), folds_of(data)
+    fitted = fit(problem, truth, fold_of=folds)
+    forms = form_blocks(fitted, ["saturation_bleed"], [])
+    step = explored(further_equations(fitted, forms, folds, problem), [], forms=forms, replicates=0)
+    rest = change_of_forms(fitted.camera, ["saturation_bleed"], step.forms, step.beside.values())
+    found = [
+        of_terms(fitted, ["saturation_bleed"], truth, rest=one).pixels.astype(float) for one in (None, rest)
+    ]
+    wanted = np.zeros(truth.shape)
+    count = np.zeros(truth.shape)
+    for one in fitted.forward.predictions():
+        seen = (one.station.count > 0) & (one.station.saturated == 0) & one.view.geometry.hit
+        wanted[seen] += (fading(one) / sigma(truth, one.amplitude))[seen] ** 2
+        count += seen
+    wanted /= np.maximum(count, 1)
+    overlap = [intersection_over_union(region(one), region(wanted)) for one in found]
+    assert overlap[0] < 0.6
+    assert overlap[1] > 0.85
+
+
+def test_changes_of_a_form_stay_within_those_that_were_fitted(tmp_path: Path) -> None:
+    """A pixel that nobody uses, thrice as far as any other, is moved no more than the others are."""
+    truth, board = camera(tmp_path, STRAY), scene(tmp_path)
+    forward = Forward(record(truth, board, poses=4, frames=2, seed=4), board, truth)
+    forward.estimate_amplitudes()
+    column = np.ones(truth.shape)
+    block = Block(
+        (Regressor("form.scattering.0", "form", 1.0),),
+        lambda one: [(0.001 * column * one.delivered.distance**2, None)],
+    )
+    one = next(iter(forward.predictions()))
+    one.used[7, 11] = False
+    one.delivered.distance[7, 11] *= 3.0
+    change = change_of_forms(truth, ["scattering"], [block], {"form.scattering.0": 1.0})(one)
+    assert change[7, 11] == pytest.approx(0.001 * np.nanmax(one.delivered.distance[one.used]) ** 2)
 
 
 def test_a_camera_without_noise_has_that_of_its_counts(tmp_path: Path) -> None:

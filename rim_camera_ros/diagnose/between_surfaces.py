@@ -1,0 +1,93 @@
+"""What mixed pixels do, as measured: which pixels measure a distance between two surfaces, and by how far.
+
+A blur of what the centres of pixels see misses which pixels an edge crosses; the measurement itself shows
+it (Kahlmann 2007, sec. 3.3.10, fig. 3.58).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.residuals import after_nuisances
+from rim_camera_ros.effects.covariates import EDGE_STEP
+
+Array = NDArray[Any]
+
+#: Standard deviations from every surface beyond which a distance lies between them.
+_SIGNIFICANT = 2.0
+#: So far from every surface [m] a distance tells which of them fills more of the pixel; nearer to one, slopes
+#: and errors of poses do as much.
+_TELLING = 0.02
+#: Share of the ambiguity range up to which the phases of two surfaces have an order.
+_ORDERED = 0.45
+
+
+def measured_between(
+    prediction: Prediction, moved: Array, pattern: Array, nuisances: Mapping[str, float]
+) -> Array:
+    """Return what mixed pixels do to the distances of a station [m], (H, W), signed.
+
+    ``moved`` (H, W) [m] is what the effect of the camera does, which holds where no pixel measures
+    between the nearest and the farthest surface beside it; ``pattern`` (H, W) [m] and ``nuisances`` are
+    those of the fit. A pixel that measures one of its surfaces is not mixed, whichever of them its centre
+    should see: the poses may be a tenth of a pixel off. Without the noise's own share, and where less light
+    than predicted was measured, as a part of the noise that this light has.
+    """
+    geometry, station = prediction.view.geometry, prediction.station
+    own = np.where(geometry.hit, geometry.distance, np.nan)
+    light = np.where(geometry.hit, prediction.before["mixed_pixels"].amplitude, 0.0)
+    near, light_of_near = _neighbours(own, light, nearest=True)
+    far, light_of_far = _neighbours(own, light, nearest=False)
+    rest, _ = after_nuisances(prediction, pattern, nuisances)
+    measured = own + rest + moved
+    noisier = _noise_by_light(prediction)
+    with np.errstate(invalid="ignore"):
+        sigma = prediction.sigma * noisier
+        off = np.minimum(np.abs(measured - own), np.minimum(measured - near, far - measured))
+        mixed = (far - near > EDGE_STEP) & (off > _SIGNIFICANT * sigma) & (station.count > 0)
+        # phasors add: the light of each surface times the sine of the phase to the other, by shares
+        wave = 2 * np.pi / prediction.context.ambiguity
+        more_near = light_of_far * np.sin(wave * (far - measured)) > light_of_near * np.sin(
+            wave * (measured - near)
+        )
+        expects_near = np.abs(own - near) < np.abs(own - far)
+        surface = np.where(more_near == expects_near, own, np.where(more_near, near, far))
+        telling = (off > _TELLING) & (far - near < _ORDERED * prediction.context.ambiguity)
+        amount = np.where(telling, np.abs(measured - surface), off)
+        amount = np.sqrt(np.maximum(amount**2 - sigma**2, 0.0)) / noisier
+        return np.asarray(np.where(mixed, np.copysign(amount, measured - surface), moved))
+
+
+def _neighbours(distance: Array, light: Array, *, nearest: bool) -> tuple[Array, Array]:
+    """Return the nearest or the farthest distance [m] of each pixel and its eight neighbours, and its light.
+
+    Infinite, with no light, where none of them sees a surface.
+    """
+    nothing = np.inf if nearest else -np.inf
+    around = [
+        np.lib.stride_tricks.sliding_window_view(np.pad(one, 1, constant_values=fill), (3, 3))
+        for one, fill in ((np.nan_to_num(distance, nan=nothing), nothing), (light, 0.0))
+    ]
+    distances, lights = (one.reshape(*distance.shape, 9) for one in around)
+    chosen = distances.argmin(axis=-1) if nearest else distances.argmax(axis=-1)
+    at = chosen[..., None]
+    return np.take_along_axis(distances, at, -1)[..., 0], np.take_along_axis(lights, at, -1)[..., 0]
+
+
+def _noise_by_light(prediction: Prediction) -> Array:
+    """Return how many times noisier than predicted the measured light is, (H, W), at least 1."""
+    camera = prediction.context.camera
+    predicted = prediction.model_amplitude
+    with np.errstate(invalid="ignore", divide="ignore"):
+        measured = predicted * prediction.station.amplitude / prediction.model_reading
+        sigmas = [
+            camera.noise.sigma_distance(np.maximum(one, 1.0), background=camera.background)
+            for one in (measured, predicted)
+        ]
+        ratio = sigmas[0] / sigmas[1]
+    return np.asarray(np.fmax(np.nan_to_num(ratio, nan=1.0, posinf=1.0), 1.0))
