@@ -15,14 +15,14 @@ from rim_camera_ros.calibrate.sizes import contribution
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
-from rim_camera_ros.diagnose.between_surfaces import measured_between
+from rim_camera_ros.calibrate.between_surfaces import measured_between
 from rim_camera_ros.diagnose.where import of_terms
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.optics import Optics
 from rim_camera_ros.scene import Scene, load_scene, see
 
 from ..blind.score import intersection_over_union, region
-from ..calibrate.helpers import camera, record
+from .helpers import camera, record
 
 SCENE = """
 format: rim_scene/1
