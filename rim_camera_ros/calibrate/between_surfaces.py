@@ -7,11 +7,11 @@ it (Kahlmann 2007, sec. 3.3.10, fig. 3.58).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.problem import Fit
@@ -29,39 +29,48 @@ _TELLING = 0.02
 _ORDERED = 0.45
 
 
-#: Pixels count as certainly mixed so far from every surface, in standard deviations and in m, beside steps of
-#: more than so many m.
-_CERTAIN, _FAR_OFF, _STEP = 5.0, 0.03, 0.2
+#: Pixels count as certainly mixed so far from every surface, in standard deviations, in m and as a share of
+#: the step, beside steps of more than so many m.
+_CERTAIN, _FAR_OFF, _FAR_WITHIN, _STEP = 5.0, 0.03, 0.1, 0.2
+#: Pixels within so many of a step, but not beside it, of which less than this part of the share beside it may
+#: lie between surfaces: else it is stray light.
+_RING, _FADING = 3, 0.3
 #: Share of the pixels beside steps that are certainly mixed, from which nothing but mixed pixels explains
-#: them (in simulated recordings at most 0.3 % without, beside strong stray light; 0.5 to 20 % with them), and
-#: the least number of them.
-MANY_SHARE, MANY = 0.01, 30
+#: them, and the least number of them. In simulated recordings up to 0.2 % are without mixed pixels, 2.6 % with
+#: stray light of 5 % over 3 px that is not yet fitted, and 2 to 12 % with footprints of 0.3 to 1 px.
+MANY_SHARE, MANY = 0.03, 30
 
 
 def many_between(fitted: Fit) -> bool:
     """Return whether more pixels measure between two surfaces than errors of poses or other effects do.
 
-    Errors of poses let a pixel measure the other surface, noise and stray light move it by little; a
-    distance amid a step of `_STEP` takes the light of both. Frames whose distances differ by more than
-    their noise do not count, and a moving camera tells nothing.
+    Errors of poses let a pixel measure the other surface, noise moves it by little; a distance amid a step
+    takes the light of both. Stray light does so farther from the step, too. Frames whose distances differ by
+    more than their noise do not count, and a moving camera tells nothing.
     """
     if fitted.scene.camera_motion.moves:
         return False
-    beside = mixed = 0
+    beside, mixed = np.zeros(2), np.zeros(2)
     for one in fitted.forward.predictions(slopes=False):
-        places = _Places.of(one)
+        own, _ = _seen(one)
         rest, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
-        measured = places.own + rest
+        measured = own + rest
         station = one.station
         with np.errstate(invalid="ignore"):
             spread = np.sqrt(np.nan_to_num(station.distance_variance) / np.maximum(station.count, 1))
             sigma = np.maximum(one.sigma * _noise_by_light(one), spread)
-            step = (places.far - places.near > _STEP) & np.isfinite(measured)
-            step &= (station.count == station.frames) & (station.saturated == 0)
-            off = places.off(measured)
-            mixed += int((step & (off > np.maximum(_CERTAIN * sigma, _FAR_OFF))).sum())
-        beside += int(step.sum())
-    return mixed >= MANY and mixed >= MANY_SHARE * beside
+            free = (station.count == station.frames) & (station.saturated == 0) & np.isfinite(measured)
+            for ring, reach in enumerate((1, _RING)):
+                near, far = (_extreme(own, reach, nearest=nearest) for nearest in (True, False))
+                step = (far - near > _STEP) & free
+                least = np.maximum(_FAR_WITHIN * np.where(step, far - near, 0.0), _FAR_OFF)
+                off = _off(measured, own, near, far)
+                mixed[ring] += int((step & (off > np.maximum(_CERTAIN * sigma, least))).sum())
+                beside[ring] += int(step.sum())
+                # the ring alone
+                free &= ~step
+    share = mixed / np.maximum(beside, 1)
+    return bool(mixed[0] >= MANY and share[0] >= MANY_SHARE and share[1] < _FADING * share[0])
 
 
 def measured_between(
@@ -75,18 +84,19 @@ def measured_between(
     should see: the poses may be a tenth of a pixel off. Without the noise's own share, and where less light
     than predicted was measured, as a part of the noise that this light has.
     """
-    places = _Places.of(prediction)
-    own, near, far = places.own, places.near, places.far
+    own, light = _seen(prediction)
+    near, light_of_near = _neighbours(own, light, nearest=True)
+    far, light_of_far = _neighbours(own, light, nearest=False)
     rest, _ = after_nuisances(prediction, pattern, nuisances)
     measured = own + rest + moved
     noisier = _noise_by_light(prediction)
     with np.errstate(invalid="ignore"):
         sigma = prediction.sigma * noisier
-        off = places.off(measured)
+        off = _off(measured, own, near, far)
         mixed = (far - near > EDGE_STEP) & (off > _SIGNIFICANT * sigma) & (prediction.station.count > 0)
         # phasors add: the light of each surface times the sine of the phase to the other, by shares
         wave = 2 * np.pi / prediction.context.ambiguity
-        more_near = places.light_of_far * np.sin(wave * (far - measured)) > places.light_of_near * np.sin(
+        more_near = light_of_far * np.sin(wave * (far - measured)) > light_of_near * np.sin(
             wave * (measured - near)
         )
         expects_near = np.abs(own - near) < np.abs(own - far)
@@ -97,32 +107,23 @@ def measured_between(
         return np.asarray(np.where(mixed, np.copysign(amount, measured - surface), moved))
 
 
-@dataclass(frozen=True)
-class _Places:
-    """Distances [m] of each pixel's own surface, and of the nearest and the farthest of its neighbours and
-    itself, with their light; (H, W) each.
-    """
+def _seen(prediction: Prediction) -> tuple[Array, Array]:
+    """Return the distance [m] of each pixel's surface, NaN where there is none, and its light, (H, W)."""
+    geometry = prediction.view.geometry
+    before = prediction.before.get("mixed_pixels", prediction.delivered)
+    return np.where(geometry.hit, geometry.distance, np.nan), np.where(geometry.hit, before.amplitude, 0.0)
 
-    own: Array
-    near: Array
-    far: Array
-    light_of_near: Array
-    light_of_far: Array
 
-    @classmethod
-    def of(cls, prediction: Prediction) -> _Places:
-        geometry = prediction.view.geometry
-        own = np.where(geometry.hit, geometry.distance, np.nan)
-        before = prediction.before.get("mixed_pixels", prediction.delivered)
-        light = np.where(geometry.hit, before.amplitude, 0.0)
-        near, light_of_near = _neighbours(own, light, nearest=True)
-        far, light_of_far = _neighbours(own, light, nearest=False)
-        return cls(own, near, far, light_of_near, light_of_far)
+def _off(measured: Array, own: Array, near: Array, far: Array) -> Array:
+    """Return how far a distance lies from all surfaces [m], negative where not between them."""
+    return np.asarray(np.minimum(np.abs(measured - own), np.minimum(measured - near, far - measured)))
 
-    def off(self, measured: Array) -> Array:
-        """Return how far a distance lies from all surfaces [m], negative where not between them."""
-        between = np.minimum(measured - self.near, self.far - measured)
-        return np.asarray(np.minimum(np.abs(measured - self.own), between))
+
+def _extreme(distance: Array, reach: int, *, nearest: bool) -> Array:
+    """Return the nearest or the farthest distance within some pixels; infinite where there is no surface."""
+    if nearest:
+        return np.asarray(minimum_filter(np.nan_to_num(distance, nan=np.inf), 2 * reach + 1))
+    return np.asarray(maximum_filter(np.nan_to_num(distance, nan=-np.inf), 2 * reach + 1))
 
 
 def _neighbours(distance: Array, light: Array, *, nearest: bool) -> tuple[Array, Array]:
