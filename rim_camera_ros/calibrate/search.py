@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from rim_camera_ros.calibrate.between_surfaces import many_between
 from rim_camera_ros.calibrate.candidate import Candidate, Facts
 from rim_camera_ros.calibrate.elsewhere import quiet_pixels, shows_elsewhere
 from rim_camera_ros.calibrate.exploration import Exploration, explore, explored, further_equations
@@ -193,9 +192,8 @@ class Search:
     def look_beside_edges(self) -> int | None:
         """Look for mixed pixels in pixels beside edges, which are left out while other effects are sought.
 
-        There a footprint no wider than a pixel shows, and everything else shows no better; or so many pixels
-        measure between two surfaces that nothing else could be the reason. Returns the number of the first
-        exploration of those pixels, None where mixed pixels are not found in them.
+        There a footprint no wider than a pixel shows, and everything else shows no better. Returns the number
+        of the first exploration of those pixels, None where mixed pixels are not found in them.
         """
         own = [one for one in self.variants if one.effect == "mixed_pixels"]
         fitted = self.step.fit
@@ -206,12 +204,10 @@ class Search:
             return None
         self.say("pixels beside edges")
         problem = replace(self.problem, masks=masks)
-        certain = many_between(fitted)
         for iterations, replicates, share in ((0, 0, _AT_FIRST_SIGHT), (_ITERATIONS, 200, 1.0)):
             beside = self._fitted(problem, fitted.camera, self.step, own, replicates, iterations)
             number = beside.best()["mixed_pixels"]
-            least = 0.0 if certain else share * needed(beside, number, self.found)
-            if beside.gains[number] <= least:
+            if beside.gains[number] <= share * needed(beside, number, self.found):
                 return None
         names = [one.effect for one in self.found]
         step = self._explored(beside.fit, names, self.step, problem)
@@ -219,7 +215,7 @@ class Search:
         away, self.problem = self.problem, problem
         count = len(self.found)
         number = step.best()["mixed_pixels"]
-        self._try((number,), number, certain=certain)
+        self._try((number,), number)
         if len(self.found) > count:
             kept[-1].forget()
             return len(kept)
@@ -236,14 +232,11 @@ class Search:
     def _needed(self, numbers: Sequence[int]) -> float:
         return max(needed(self.step, k, self.found) for k in numbers)
 
-    def _try(self, numbers: tuple[int, ...], leader: int, *, certain: bool = False) -> None:
-        """Fit candidates and what rivals them; the best joins, where it gains and moves enough.
-
-        What is ``certain`` has no rival, and joins where it gains at all.
-        """
-        trial, close = (self._trial(numbers), []) if certain else self._best_trial(numbers, leader)
+    def _try(self, numbers: tuple[int, ...], leader: int) -> None:
+        """Fit candidates and what rivals them; the best joins, where it gains and moves enough."""
+        trial, close = self._best_trial(numbers, leader)
         fitted = trial.fitted
-        need = 0.0 if certain else self._needed(self.step.best_of(trial.effects))
+        need = self._needed(self.step.best_of(trial.effects))
         gain = fitted.scores.log_likelihood() - self.step.scores.log_likelihood()
         again = self._without(trial.effects, fitted, gain)
         if again is not None:
@@ -254,7 +247,7 @@ class Search:
                 self.settled.add(len(self.found))
                 self._replace_step(again.fit, self.step)
                 return
-        why = self._why_not(trial, gain, need, certain=certain)
+        why = self._why_not(trial, gain, need)
         if why is not None:
             # what looked like it is something else: perhaps the next in line
             self.failed |= {self._effect(k): why for k in numbers}
@@ -273,11 +266,10 @@ class Search:
         self.step.forget()
         self.explorations.append(final)
 
-    def _why_not(self, trial: Trial, gain: float, need: float, *, certain: bool) -> str | None:
+    def _why_not(self, trial: Trial, gain: float, need: float) -> str | None:
         after = trial.fitted
         size = effect_size(after.fit, trial.effects, self.camera)
-        small = not certain and size < least_size(after, trial.effects, self.found)
-        if gain <= need or small:
+        if gain <= need or size < least_size(after, trial.effects, self.found):
             return ONCE_FITTED
         drifts = [name for name in trial.effects if name in OF_TIME] if self.found else []
         return None if all(self._follows_time(trial, name) for name in drifts) else NOT_IN_TIME

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.between_surfaces import measured_between
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.calibrate.sizes import SAME_SIZE, contribution, moved_by_light
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.between_surfaces import measured_between
 from rim_camera_ros.diagnose.smooth import values_of
 from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.effects.covariates import COVARIATES

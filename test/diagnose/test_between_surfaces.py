@@ -10,20 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.between_surfaces import many_between, measured_between
 from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
 from rim_camera_ros.calibrate.sizes import contribution
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.diagnose.between_surfaces import measured_between
 from rim_camera_ros.diagnose.where import of_terms
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
-from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.optics import Optics
-from rim_camera_ros.scene import CameraMotion, Scene, load_scene, see
+from rim_camera_ros.scene import Scene, load_scene, see
 
 from ..blind.score import intersection_over_union, region
-from .helpers import camera, record
+from ..calibrate.helpers import camera, record
 
 SCENE = """
 format: rim_scene/1
@@ -129,34 +128,3 @@ def test_a_pixel_that_sees_the_other_surface_is_not_mixed(
     noisier = sigmas[1] / sigmas[0]
     without_noise = np.sqrt((0.3 * step) ** 2 - (one.sigma[row, column] * noisier) ** 2)
     assert dim == pytest.approx(without_noise / noisier, rel=1e-3)
-
-
-def test_many_between_is_told_from_other_surfaces_and_stray_light(
-    recorded: tuple[Dataset, Scene, Camera, list[np.ndarray]], tmp_path: Path
-) -> None:
-    data, scene, told, moved = recorded
-    plain = with_effects(told, {})
-
-    def many(dataset: Dataset, model: Camera = plain) -> bool:
-        forward = Forward(dataset, scene, model)
-        forward.amplitude_model = AmplitudeModel({}, 0.05)
-        return many_between(
-            SimpleNamespace(  # type: ignore[arg-type]
-                forward=forward, camera=model, scene=scene, pattern=np.zeros(model.shape), nuisances={}
-            )
-        )
-
-    assert many(data)
-    sharp = [replace(one, distance=one.distance - by) for one, by in zip(data.stations, moved, strict=True)]
-    assert not many(replace(data, stations=sharp))
-    # the edges told a whole pixel off
-    off = [replace(one, distance=one.distance[:, [0, *range(43)]]) for one in sharp]
-    assert not many(replace(data, stations=off))
-    # frames that see now one surface, now the other
-    torn = [replace(one, distance_variance=np.full(told.shape, 1.0, np.float32)) for one in data.stations]
-    assert not many(replace(data, stations=torn))
-    stray = with_effects(told, {"scattering": Scattering((Kernel(0.05, (3.0, 3.0)),))})
-    assert not many(record(stray, scene, poses=14, frames=4, seed=3))
-    moving = replace(scene, camera_motion=CameraMotion(linear=(0.1, 0.0, 0.0)))
-    forward = Forward(data, scene, plain)
-    assert not many_between(SimpleNamespace(forward=forward, scene=moving))  # type: ignore[arg-type]
