@@ -64,6 +64,8 @@ def where(result: Diagnosis, found: Evidence) -> list[str]:
             )
             caption += f"; of its variance follow {listed}"
         caption += ". "
+        if any(one.effect == "mixed_pixels" for one in result.missing):
+            caption += "Mixed pixels count as they measure, between the surfaces beside them. "
     caption += (
         "Differences of distances between recording and simulation: RMS over the poses in standard "
         "deviations of a pose's mean; noise alone: 1. Grey: never compared."

@@ -170,6 +170,14 @@ def test_page_tells_rivals_and_what_to_record(case: Case) -> None:
     assert "<li>for distance_scale: a wall</li>" in content
 
 
+def test_page_says_that_mixed_pixels_count_as_they_measure(case: Case) -> None:
+    first = case.missing.missing[0]
+    mixed = replace(case.missing, missing=[first, replace(first, effect="mixed_pixels")])
+    told = "Mixed pixels count as they measure"
+    assert told in rendered(mixed)
+    assert told not in rendered(case.missing)
+
+
 def test_page_without_repeated_frames_says_so(case: Case) -> None:
     variance = replace(case.consistent.variance, repeated=False, bins=())
     shown = text_of(rendered(replace(case.consistent, variance=variance)))
