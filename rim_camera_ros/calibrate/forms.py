@@ -189,13 +189,13 @@ def _beside_saturated(prediction: Prediction) -> list[Array]:
     saturated = prediction.context.saturated
     if saturated is None or not saturated.any():
         return [np.zeros(prediction.distance.shape)] * (4 * len(_SPREADS))
+    width = saturated.shape[1]
     found = []
     for axis in (0, 1):
-        for turn in (1, -1):
-            gap = np.flip(_gap(np.flip(saturated, axis), axis), axis) if turn < 0 else _gap(saturated, axis)
-            for share in _SPREADS:
-                fading = np.exp(-gap / (share * saturated.shape[1]))
-                found.append(np.where(saturated, 0.0, fading))
+        after = _gap(saturated, axis)
+        before = np.flip(_gap(np.flip(saturated, axis), axis), axis)
+        for gap in (after, before):
+            found += [np.where(saturated, 0.0, np.exp(-gap / (share * width))) for share in _SPREADS]
     return found
 
 

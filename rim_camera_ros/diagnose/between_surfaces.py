@@ -59,12 +59,14 @@ def measured_between(
             wave * (measured - near)
         )
         expects_near = np.abs(own - near) < np.abs(own - far)
-        surface = np.where(more_near == expects_near, own, np.where(more_near, near, far))
+        fuller = np.where(more_near == expects_near, own, np.where(more_near, near, far))
+        nearer = np.where(measured - near < far - measured, near, far)
+        closest = np.where(np.abs(measured - own) <= np.abs(measured - nearer), own, nearer)
         telling = (off > _TELLING) & (far - near < _ORDERED * prediction.context.ambiguity)
-        whole = np.minimum(np.abs(measured - surface), _MOST * off)
-        amount = np.where(telling, whole, off)
+        change = measured - np.where(telling, fuller, closest)
+        amount = np.minimum(np.abs(change), _MOST * off)
         amount = np.sqrt(np.maximum(amount**2 - sigma**2, 0.0)) / noisier
-        return np.asarray(np.where(mixed, np.copysign(amount, measured - surface), moved))
+        return np.asarray(np.where(mixed, np.copysign(amount, change), moved))
 
 
 def _neighbours(distance: Array, light: Array, *, nearest: bool) -> tuple[Array, Array]:

@@ -107,7 +107,7 @@ def test_a_pixel_that_sees_the_other_surface_is_not_mixed(
     one = next(iter(forward.predictions()))
     board = one.view.geometry.surface == 1
     row, column = np.argwhere(board[:, :-1] & ~board[:, 1:])[5]
-    behind = one.view.geometry.distance[row, column + 1]
+    behind = one.view.geometry.distance[row - 1 : row + 2, column - 1 : column + 2].max()
     nothing = np.zeros(told.shape)
     own = one.view.geometry.distance
     results = {}
@@ -120,6 +120,18 @@ def test_a_pixel_that_sees_the_other_surface_is_not_mixed(
     assert step > 0.8
     assert results[0.0] == results[1.0] == 0.0
     assert results[0.3] == pytest.approx(0.3 * step, rel=0.01)
+    # near one of them it is moved away from that one, and by what the noise does not explain, also where so
+    # bright a board would mean that the wall fills most of the pixel
+    light = one.before["mixed_pixels"].amplitude
+    light[board] *= 1000.0
+    sigma = one.sigma[row, column]
+    one.sigma[row, column] = 0.003
+    for residual, expected in ((0.015, 1.0), (step - 0.015, -1.0), (step - 0.005, 0.0)):
+        one.residual[row, column] = residual
+        found = measured_between(one, nothing, nothing, {})[row, column]
+        assert found == pytest.approx(expected * np.sqrt(0.015**2 - 0.003**2), rel=1e-3)
+    one.sigma[row, column] = sigma
+    light[board] /= 1000.0
     # in less light than predicted it is so much less beside its noise
     one.residual[row, column] = 0.3 * step
     one.station.amplitude[row, column] *= 0.5

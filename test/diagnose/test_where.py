@@ -16,9 +16,10 @@ from rim_camera_ros.calibrate.exploration import explored, further_equations
 from rim_camera_ros.calibrate.forms import change_of_forms, form_blocks
 from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
 from rim_camera_ros.calibrate.light_curves import RESPONSE, LightCurves
-from rim_camera_ros.calibrate.problem import Problem
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import change_by
+from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.diagnose.where import of_residuals, of_terms
@@ -30,6 +31,7 @@ from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.effects.saturation_bleed import SaturationBleed
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.noise import Noise
+from rim_camera_ros.scene import Scene
 
 from ..blind.score import intersection_over_union, region
 from ..calibrate.helpers import camera, record, scene
@@ -61,6 +63,17 @@ def expected(forward: Forward, moved: Any) -> tuple[np.ndarray, np.ndarray]:
         total[valid] += (moved(one) / sigma(forward.camera, one.amplitude))[valid] ** 2
         count[valid] += 1
     return np.divide(total, count, out=total, where=count > 0), count > 0
+
+
+def located(data: Dataset, board: Scene, told: Camera, name: str) -> tuple[Fit, np.ndarray, np.ndarray]:
+    """A fit, and where an effect is by its form alone and with the changes of its form."""
+    problem, folds = Problem(data, board), folds_of(data)
+    fitted = fit(problem, told, fold_of=folds)
+    forms = form_blocks(fitted, [name], [])
+    step = explored(further_equations(fitted, forms, folds, problem), [], forms=forms, replicates=0)
+    rest = change_of_forms(fitted.camera, [name], step.forms, step.beside.values())
+    plain, with_rest = (of_terms(fitted, [name], told, rest=one).pixels for one in (None, rest))
+    return fitted, plain, with_rest
 
 
 def test_a_distance_term_counts_by_the_distance(tmp_path: Path) -> None:
@@ -136,13 +149,7 @@ def test_what_an_effect_does_beyond_its_form_belongs_to_its_place(tmp_path: Path
 
     moved = [replace(p.station, distance=p.station.distance + across(p)) for p in forward.predictions()]
     data = replace(data, stations=moved)
-    problem, folds = Problem(data, board), folds_of(data)
-    fitted = fit(problem, truth, fold_of=folds)
-    forms = form_blocks(fitted, ["scattering"], [])
-    step = explored(further_equations(fitted, forms, folds, problem), [], forms=forms, replicates=0)
-    rest = change_of_forms(fitted.camera, ["scattering"], step.forms, step.beside.values())
-    plain = of_terms(fitted, ["scattering"], truth).pixels
-    with_rest = of_terms(fitted, ["scattering"], truth, rest=rest).pixels
+    fitted, plain, with_rest = located(data, board, truth, "scattering")
     told = [change_by(p, "scattering")[0] + across(p) for p in forward.predictions()]
     numbers = iter(told)
     wanted, seen = expected(forward, lambda one: np.nan_to_num(next(numbers)))
@@ -176,14 +183,7 @@ def test_what_bleeds_fades_with_the_gap_to_the_light(tmp_path: Path) -> None:
         replace(p.station, distance=p.station.distance + fading(p) - said(p)) for p in forward.predictions()
     ]
     data = replace(data, stations=moved)
-    problem, folds = Problem(data, board), folds_of(data)
-    fitted = fit(problem, truth, fold_of=folds)
-    forms = form_blocks(fitted, ["saturation_bleed"], [])
-    step = explored(further_equations(fitted, forms, folds, problem), [], forms=forms, replicates=0)
-    rest = change_of_forms(fitted.camera, ["saturation_bleed"], step.forms, step.beside.values())
-    found = [
-        of_terms(fitted, ["saturation_bleed"], truth, rest=one).pixels.astype(float) for one in (None, rest)
-    ]
+    fitted, *found = located(data, board, truth, "saturation_bleed")
     wanted = np.zeros(truth.shape)
     count = np.zeros(truth.shape)
     for one in fitted.forward.predictions():
