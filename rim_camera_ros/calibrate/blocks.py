@@ -17,6 +17,7 @@ from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset
 from rim_camera_ros.effects.base import Effect, row_name
 from rim_camera_ros.effects.cyclic_error import CyclicError
 from rim_camera_ros.effects.incidence_angle import IncidenceAngle
+from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.scattering import Scattering
 from rim_camera_ros.effects.warm_up_drift import WarmUpDrift
 from rim_camera_ros.optics import pixel_rays
@@ -207,6 +208,8 @@ def present_priors(effect: Effect, camera: Camera) -> dict[str, float]:
         if effect.ghost is not None:
             priors["ghost.weight"] = max(effect.ghost.weight, 0.003)
         return priors
+    if isinstance(effect, MixedPixels) and effect.footprint is not None and effect.blur == 0.0:
+        return {"footprint": 0.3} if effect.share is None else {"footprint": 0.3, "share": 0.3}
     return dict(effect.priors())
 
 

@@ -14,9 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import fit
+from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, Exploration
+from rim_camera_ros.calibrate.forms import form_blocks
+from rim_camera_ros.calibrate.needs import own_covariates
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.selection import Scores
+from rim_camera_ros.calibrate.shuffled_times import follows_time
 from rim_camera_ros.calibrate.sizes import change_by
 
 Array = NDArray[Any]
@@ -88,3 +92,31 @@ def quiet_pixels(fitted: Fit, names: Sequence[str]) -> list[tuple[Array, Array]]
         kept += int(distance.sum())
         masks.append((distance, light))
     return masks if kept >= _LEAST_LEFT * max(used, 1) else None
+
+
+def follows_time_elsewhere(
+    fitted: Fit,
+    name: str,
+    problem: Problem,
+    folds: Mapping[tuple[int, int], int],
+    *,
+    found: Sequence[str],
+    drifts: Sequence[Candidate],
+    curves: Sequence[Candidate],
+    variants: Sequence[Candidate],
+    seed: int,
+) -> bool:
+    """Return whether a drift ``name`` of a fit follows time, as `follows_time`, where others do not act.
+
+    These are the effects ``found`` before it, whose form is never quite the true one: beside it stand
+    ``curves`` of what they depend on, and changes of their forms by their ``variants``. ``drifts`` are its
+    own candidates.
+    """
+    # such a form leaves what changes with its own covariates, and these with time
+    effects = [fitted.camera.effects[one] for one in found if one in fitted.camera.effects]
+    covariates = {covariate for one in effects for covariate in own_covariates(one)}
+    own = [one.block for one in curves if one.variant in covariates]
+    beside = [*own, *form_blocks(fitted, found, variants)]
+    masks = quiet_pixels(fitted, [one.name for one in effects])
+    there = problem if masks is None else replace(problem, masks=masks)
+    return follows_time(fitted, name, drifts, folds, there, beside=beside, seed=seed)

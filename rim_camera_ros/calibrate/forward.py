@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from rim_camera_ros.calibrate.light_curves import LightCurves
 from rim_camera_ros.calibrate.prediction import KEPT, Prediction, Shift
 from rim_camera_ros.calibrate.stations import Dataset, Station
-from rim_camera_ros.calibrate.views import View, Views
+from rim_camera_ros.calibrate.views import NEAR, Margins, View, Views
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import registry
 from rim_camera_ros.effects.base import ComplexEffect, Context, DistanceTerm, Effect, Signal, from_phasor
@@ -24,7 +24,7 @@ from rim_camera_ros.effects.multipath import TOLERANCE
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.noise import sigma_amplitude
 from rim_camera_ros.phasor import to_phasor, wrap_residual
-from rim_camera_ros.scene import Geometry, Scene
+from rim_camera_ros.scene import Geometry, Scene, see
 
 Array = NDArray[Any]
 
@@ -60,7 +60,7 @@ class Forward:
     this one's prediction at the start, with the variances of its own noise. ``variance_factors`` by recording
     and placement multiply the variances of a pose's distances. ``light_curves`` change the light beside the
     camera file's effects.
-    ``near_edges`` takes in pixels beside edges, where no masks are given.
+    ``margins`` of another kind take in pixels beside edges, where no masks are given.
     ``tick`` is called for each station and may raise to end the work; what is computed of every prediction
     may take so many ``threads``.
     """
@@ -72,7 +72,7 @@ class Forward:
         self.amplitude_model = AmplitudeModel()
         self.masks: Sequence[tuple[Array, Array]] | None = None
         self.shifts: Sequence[Shift] | None = None
-        self.near_edges = False
+        self.margins: Margins | None = None
         self.variance_factors: Mapping[tuple[int, int], float] = {}
         self.light_curves: LightCurves | None = None
         self.tick: Callable[[], None] | None = None
@@ -168,13 +168,13 @@ class Forward:
         """Return the pixels of each station that are fitted: both channels, (H, W) each."""
         return [(one.used, one.amplitude_used) for one in self.predictions(slopes=False)]
 
-    def pixels_near_edges(self) -> list[tuple[Array, Array]]:
+    def pixels_near_edges(self, margins: Margins = NEAR) -> list[tuple[Array, Array]]:
         """Return the pixels that could be fitted if those beside edges were, as `pixels_used`."""
-        masks, self.masks, self.near_edges = self.masks, None, True
+        masks, self.masks, self.margins = self.masks, None, margins
         try:
             return self.pixels_used()
         finally:
-            self.masks, self.near_edges = masks, False
+            self.masks, self.margins = masks, None
 
     def _expanded(self, published: Array) -> Array:
         effect: Any = self.camera.effects.get("amplitude_nonlinearity")
@@ -207,8 +207,6 @@ class Forward:
         def geometry_at(seconds: float) -> tuple[Any, Any]:
             if not motion.moves or abs(seconds) < 1e-9:
                 return geometry, ideal
-            from rim_camera_ros.scene import see
-
             moved = {name: motion.carry(pose, seconds) for name, pose in view.poses.items()}
             there = see(self.scene, moved, camera.rays)
             return there, self._light(there, power)
@@ -225,6 +223,7 @@ class Forward:
             time=station.time,
             geometry=geometry,
             geometry_at=geometry_at,
+            footprint=lambda cells: self.views.footprint(view, cells, ambiguity=camera.sensor.ambiguity),
             moving=motion.moves,
             incidence=geometry.incidence,
             saturated=station.saturated > 0,
@@ -310,7 +309,7 @@ class Forward:
         variance = (variance + camera.sensor.lsb**2 / 12) / n
         single_variance = amplitude_variance * slope_published**2 + 1.0 / 12
         amplitude_variance = single_variance / n + (model.tau * model_reading) ** 2
-        clean = self.views.near_edges(view) if self.near_edges else view.clean
+        clean = view.clean if self.margins is None else self.views.clean(view, self.margins)
         used = clean & lit & (station.count > 0) & (station.saturated == 0)
         used &= np.isfinite(residual) & np.isfinite(variance) & (station.count * 2 > station.frames)
         threshold = max(camera.sensor.amplitude_threshold, camera.minimum_amplitude or 0.0)

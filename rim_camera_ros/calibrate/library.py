@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from rim_camera_ros.calibrate.blocks import (
     REFLECTANCE_PRIOR,
@@ -30,6 +29,7 @@ from rim_camera_ros.calibrate.blocks import (
 )
 from rim_camera_ros.calibrate.candidate import Candidate, Coefficients, Facts, added
 from rim_camera_ros.calibrate.light_curves import RESPONSE, SURFACES, LightCurves
+from rim_camera_ros.calibrate.mixed_candidates import blurred
 from rim_camera_ros.calibrate.prediction import Column, Prediction
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
@@ -42,14 +42,12 @@ from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.effects.emitter_offset import EmitterOffset
 from rim_camera_ros.effects.incidence_angle import IncidenceAngle
 from rim_camera_ros.effects.integration_time_offset import IntegrationTimeOffset
-from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.motion import Motion
 from rim_camera_ros.effects.multipath import Multipath
 from rim_camera_ros.effects.saturation_bleed import SaturationBleed
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.effects.warm_up_drift import Exponential, WarmUpDrift
 from rim_camera_ros.parameters import with_values
-from rim_camera_ros.phasor import to_phasor
 
 Array = NDArray[Any]
 
@@ -227,43 +225,8 @@ def _emission(camera: Camera, facts: Facts) -> list[Candidate]:
 
 def _mixed(camera: Camera, facts: Facts) -> list[Candidate]:
     if _large(camera):
-        return [_blurred(b) for b in (0.5, 1.0)]
-    return [_blurred(b) for b in (0.25, 0.35, 0.5, 0.65, 0.8, 1.0, 1.3, 1.7)]
-
-
-def _blurred(blur: float) -> Candidate:
-    """The change that a blur makes, scaled by a coefficient of prior 1 (its square root scales the blur)."""
-    effect = MixedPixels(blur=blur)
-    label = f"effects.mixed_pixels.blur@{blur:g} px"
-
-    def columns(prediction: Prediction) -> list[Column]:
-        signal = prediction.before_effect(effect.name)
-        phasor = to_phasor(signal.distance, signal.amplitude, prediction.context.ambiguity)
-        blurred = effect.apply(phasor, prediction.context)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            relative = np.where(phasor == 0, 0, blurred / phasor)
-            # large changes turn the phase by angles, not by ratios
-            change = np.where(relative == 0, 0, np.log(np.where(relative == 0, 1, relative)))
-        return [prediction.light_change(effect.name, change)]
-
-    block = Block((Regressor(label, effect.name, 1.0),), columns)
-
-    def build(camera: Camera, values: Coefficients) -> Camera:
-        share = float(np.clip(values[label], 1e-6, 4.0))
-        return added(camera, MixedPixels(blur=_blur_of_variance(share * _variance_of_blur(blur))))
-
-    return Candidate("mixed_pixels", f"{blur:g} px", block, build, positive=(label,))
-
-
-def _variance_of_blur(blur: float) -> float:
-    """Return the variance [px^2] of the sampled Gaussian, which for narrow ones is below blur^2."""
-    k = np.arange(-40, 41)
-    kernel = np.exp(-0.5 * (k / blur) ** 2)
-    return float(np.sum(kernel * k**2) / np.sum(kernel))
-
-
-def _blur_of_variance(variance: float) -> float:
-    return float(brentq(lambda blur: _variance_of_blur(blur) - variance, 0.12, 10.0, xtol=1e-4))
+        return [blurred(b) for b in (0.5, 1.0)]
+    return [blurred(b) for b in (0.25, 0.35, 0.5, 0.65, 0.8, 1.0, 1.3, 1.7)]
 
 
 def _bleed(camera: Camera, facts: Facts) -> list[Candidate]:

@@ -6,8 +6,10 @@ from collections.abc import Sequence, Set
 from dataclasses import dataclass, field
 
 from rim_camera_ros.calibrate.exploration import Exploration
+from rim_camera_ros.calibrate.mixed_candidates import is_footprint
 from rim_camera_ros.calibrate.sizes import effect_size
 from rim_camera_ros.effects.base import DistanceTerm, Effect
+from rim_camera_ros.effects.mixed_pixels import MixedPixels
 
 #: A further effect must gain this share of what the effects before it gained: more where it is of the kind
 #: of one of them, whose form is never quite the true one and leaves such a rest.
@@ -117,7 +119,9 @@ class Found:
 
 def least_size(step: Exploration, chosen: Sequence[str], found: Sequence[Found]) -> float:
     """Return how far further effects must move distances [m]: more beside others of their kind."""
-    found = _like(chosen, found)
+    mixed = step.fit.camera.effects.get("mixed_pixels")
+    crossed = isinstance(mixed, MixedPixels) and mixed.footprint is not None
+    found = _like(chosen, found, crossed=crossed)
     rivals = [
         one.effect
         for one in found
@@ -130,11 +134,14 @@ def least_size(step: Exploration, chosen: Sequence[str], found: Sequence[Found])
     return max([LEAST_SIZE, *(share * sizes[name] for name, share in shares.items())])
 
 
-def _like(chosen: Sequence[str], found: Sequence[Found]) -> list[Found]:
-    """Return those found whose form may leave a rest like what is chosen."""
+def _like(chosen: Sequence[str], found: Sequence[Found], *, crossed: bool) -> list[Found]:
+    """Return those found whose form may leave a rest like what is chosen.
+
+    ``crossed``: where mixed pixels are those alone that an edge crosses, no form does.
+    """
     if set(chosen) != {"mixed_pixels"}:
         return list(found)
-    return [one for one in found if one.effect in _AT_EDGES]
+    return [] if crossed else [one for one in found if one.effect in _AT_EDGES]
 
 
 def own_covariates(effect: Effect) -> frozenset[str]:
@@ -163,7 +170,7 @@ def needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
     distance more than one of amplitude or incidence after one, and a good part of one of distance.
     """
     effect = step.candidates[number].effect
-    found = _like([effect], found)
+    found = _like([effect], found, crossed=is_footprint(step.candidates[number]))
     share = LEAST_SHARE_OF_POSES if effect in OF_POSES else LEAST_SHARE
     need = share * sum(one.gain for one in found)
     for one in found:

@@ -4,24 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.stations import Station
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.footprint import Cells, FootprintLight, footprint_light
 from rim_camera_ros.frame import Pose
-from rim_camera_ros.scene import Geometry, Scene, ScenePose, Surface, rotation_matrix, see
+from rim_camera_ros.scene import Geometry, Scene, ScenePose, Surface, rotation_matrix, see, surface_seen
 
 Array = NDArray[Any]
 
-#: A pixel is left out whose ray passes this near to the outline of a surface, or to the edge of a tile [px].
-OUTLINE_MARGIN = 0.4
-TILE_MARGIN = 0.3
-#: ... and where pixels beside edges are looked at: as far as errors of poses move edges.
-NEAR_OUTLINE_MARGIN = 0.25
-NEAR_TILE_MARGIN = 0.12
+
+class Margins(NamedTuple):
+    """How near to the outline of a surface, and to the edge of a tile, rays may pass [px]."""
+
+    outline: float
+    tile: float
+
+
+#: Pixels whose rays pass nearer are left out.
+CLEAN = Margins(0.4, 0.3)
+#: ... where pixels beside edges are looked at: as far as errors of poses move edges.
+NEAR = Margins(0.25, 0.12)
+#: ... and where it shows that edges cross pixels: those that they cross show it best.
+CROSSED = Margins(0.1, 0.05)
+
 #: Geometries are kept up to this many bytes; beyond, they are computed again in each pass.
 _KEPT_BYTES = 400_000_000
 #: Bytes that a pixel of a view takes, by the arrays of its geometry and of the errors of a pose.
@@ -81,32 +91,45 @@ class Views:
         found = self._kept.get(key)
         if found is None:
             geometry = see(self.scene, poses, self.camera.rays)
-            found = View(geometry, self._clean(geometry, poses, OUTLINE_MARGIN, TILE_MARGIN), poses)
+            found = View(geometry, self._clean(geometry, poses, CLEAN), poses)
             found.pose_columns.extend(self._pose_columns(found))
             if len(self._kept) >= self._most:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[key] = found
         return found
 
-    def near_edges(self, view: View) -> NDArray[np.bool_]:
-        """Return the clean pixels (H, W) of a view, and those beside edges that errors hardly move."""
-        return self._clean(view.geometry, view.poses, NEAR_OUTLINE_MARGIN, NEAR_TILE_MARGIN)
+    def clean(self, view: View, margins: Margins) -> NDArray[np.bool_]:
+        """Return the pixels (H, W) of a view that are clean by other margins."""
+        return self._clean(view.geometry, view.poses, margins)
+
+    def footprint(self, view: View, cells: Cells, *, ambiguity: float) -> FootprintLight:
+        """Return the light around the centres of a view's pixels, for an ambiguity range [m]; it is kept."""
+        found: FootprintLight | None = view.memory.get(f"footprint {cells.number}")
+        if found is None:
+            found = footprint_light(
+                self.scene,
+                view.poses,
+                view.geometry,
+                self.camera.rays,
+                ambiguity=ambiguity,
+                cells=cells,
+            )
+            view.memory[f"footprint {cells.number}"] = found
+        return found
 
     def _rays_around(self, margin: float) -> list[Array]:
         if margin not in self._around:
             self._around[margin] = _rays_around(self.camera.rays, margin)
         return self._around[margin]
 
-    def _clean(
-        self, geometry: Geometry, poses: Mapping[str, Pose], outline: float, tile: float
-    ) -> NDArray[np.bool_]:
+    def _clean(self, geometry: Geometry, poses: Mapping[str, Pose], margins: Margins) -> NDArray[np.bool_]:
         clean = geometry.hit.copy()
         surfaces = self.scene.surfaces
         there = [one for one in surfaces if one.name in poses]
         uncertain = len(there) > 1 or there[0].type != "plane"
         if uncertain:
-            for rays in self._rays_around(outline):
-                clean &= see(self.scene, poses, rays).surface == geometry.surface
+            for rays in self._rays_around(margins.outline):
+                clean &= surface_seen(self.scene, poses, rays) == geometry.surface
         textured = [i for i, one in enumerate(surfaces) if one.texture is not None and one in there]
         for i in textured:
             texture = surfaces[i].texture
@@ -114,7 +137,7 @@ class Views:
             pose = poses[surfaces[i].name]
             rotation = rotation_matrix(pose.orientation)
             mine = geometry.surface == i
-            for rays in self._rays_around(tile):
+            for rays in self._rays_around(margins.tile):
                 length = surfaces[i].lengths(pose, np.zeros(3), rays[mine])
                 met = np.isfinite(length)
                 local = (

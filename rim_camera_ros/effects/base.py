@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.footprint import Cells, FootprintLight
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.parameters import flatten
 from rim_camera_ros.phasor import nearest_period, phase_distance, to_phasor, wrap
@@ -61,11 +62,11 @@ class Signal:
 class Context:
     """What an effect may know beside the signal.
 
-    ``geometry`` and ``geometry_at(seconds)`` (the scene that much later, with its ideal amplitude) only in
-    simulation; ``moving`` says whether the camera moves meanwhile;
-    ``incidence`` [rad] (H, W) is true in simulation, estimated in correction; ``saturated`` (H, W)
-    marks saturated pixels; ``time`` [s] counts from the first frame; ``memory`` is kept from frame to
-    frame; ``notes`` collects what the user should be told.
+    ``geometry``, ``geometry_at(seconds)`` (the scene that much later, with its ideal amplitude) and
+    ``footprint(cells)`` (the light around the centres of the pixels) only in simulation; ``moving`` says
+    whether the camera moves meanwhile; ``incidence`` [rad] (H, W) is true in simulation, estimated in
+    correction; ``saturated`` (H, W) marks saturated pixels; ``time`` [s] counts from the first frame;
+    ``memory`` is kept from frame to frame; ``notes`` collects what the user should be told.
     """
 
     camera: Camera
@@ -74,6 +75,7 @@ class Context:
     time: float = 0.0
     geometry: Geometry | None = None
     geometry_at: Callable[[float], tuple[Geometry, Image]] | None = None
+    footprint: Callable[[Cells], FootprintLight] | None = None
     incidence: Image | None = None
     saturated: NDArray[np.bool_] | None = None
     moving: bool = False

@@ -9,6 +9,8 @@ import numpy as np
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import ComplexEffect, Context, Image, Undo
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.footprint import FINE, FootprintLight
 from rim_camera_ros.parameters import quantity
 
 #: Below this sigma in pixels a sampled Gaussian is one pixel, to the last digit.
@@ -17,7 +19,13 @@ _POINT = 0.02
 
 @dataclass(frozen=True)
 class MixedPixels(ComplexEffect):
-    """Gaussian blur of the complex image; at the sensor's edge the image is continued by reflection."""
+    """Gaussian blur of the complex image; at the sensor's edge the image is continued by reflection.
+
+    A blur of what the centres of pixels see gives each pixel beside an edge the same share of the other
+    surface. Where the optics are sharp, that share is none for most of them and up to a half for those that
+    the edge crosses: the light of the ``footprint``, a square about the pixel's centre, comes before the
+    blur. Only the simulation of a scene can tell it. Pixels whose centre sees nothing stay dark.
+    """
 
     name = "mixed_pixels"
     title = "two surfaces in one pixel"
@@ -26,8 +34,36 @@ class MixedPixels(ComplexEffect):
     undo: ClassVar[Undo] = "none"
 
     blur: float = quantity("px", "sigma of the Gaussian", minimum=0.0, maximum=20.0, typical=0.5)
+    footprint: float | None = quantity(
+        "px",
+        "side of the square whose light a pixel gathers, where that is told apart from a blur",
+        default=None,
+        minimum=0.0,
+        maximum=FINE.widest,
+        typical=0.8,
+    )
+    share: float | None = quantity(
+        "-",
+        "part of a pixel's light that it gathers from the footprint, the rest from its centre",
+        default=None,
+        minimum=0.0,
+        maximum=1.0,
+        typical=0.2,
+    )
+
+    def __post_init__(self) -> None:
+        if self.share is not None and self.footprint is None:
+            raise ValueError("share is the part of a footprint: give footprint as well")
 
     def apply(self, phasor: Image, context: Context) -> Image:
+        if self.footprint is not None:
+            phasor = phasor * self._gathered(_light_around(context).ratio(self.footprint))
+        return self._blurred(phasor)
+
+    def _gathered(self, ratio: Image) -> Image:
+        return ratio if self.share is None else 1.0 + self.share * (ratio - 1.0)
+
+    def _blurred(self, phasor: Image) -> Image:
         if self.blur < _POINT:
             return phasor
         from scipy import ndimage  # takes a quarter of the time in which a node starts
@@ -40,8 +76,22 @@ class MixedPixels(ComplexEffect):
 
     def phasor_columns(self, phasor: Image, context: Context) -> dict[str, Image]:
         """By the heat equation, of the sampled kernel: d/d sigma of exp(-k^2 / 2 sigma^2) / sum."""
+        if self.footprint is None:
+            return {"blur": self._blur_column(phasor)}
+        light = _light_around(context)
+        ratio, wider = light.ratio(self.footprint), light.ratio_column(self.footprint)
+        share = 1.0 if self.share is None else self.share
+        columns = {
+            "blur": self._blur_column(phasor * self._gathered(ratio)),
+            "footprint": self._blurred(phasor * (share * wider)),
+        }
+        if self.share is not None:
+            columns["share"] = self._blurred(phasor * (ratio - 1.0))
+        return columns
+
+    def _blur_column(self, phasor: Image) -> Image:
         if self.blur < _POINT:
-            return {"blur": np.zeros_like(phasor)}
+            return np.zeros_like(phasor)
         from scipy import ndimage
 
         reach = int(8.0 * self.blur + 0.5)
@@ -57,9 +107,15 @@ class MixedPixels(ComplexEffect):
         for name in ("real", "imag"):
             part = getattr(phasor, name)
             setattr(result, name, filtered(part, slope, kernel) + filtered(part, kernel, slope))
-        return {"blur": result}
+        return result
 
     def sentence(self) -> str:
+        if self.footprint is not None and self.blur < _POINT:
+            part = "" if self.share is None else f"{100 * self.share:.2g} % of "
+            return (
+                f"mixed pixels: each pixel gathers {part}its light from a square of {self.footprint:.2g} px; "
+                "those that an edge crosses measure a distance between the two surfaces"
+            )
         return (
             f"mixed pixels: the light of each point is blurred over {self.blur:.2g} px (sigma); "
             "pixels at edges measure a distance between the two surfaces"
@@ -68,3 +124,9 @@ class MixedPixels(ComplexEffect):
     @classmethod
     def example(cls, camera: Camera) -> MixedPixels:
         return cls(blur=0.4)
+
+
+def _light_around(context: Context) -> FootprintLight:
+    if context.footprint is None:
+        raise InputError("mixed_pixels.footprint needs the scene's geometry", remedy="simulate a scene file")
+    return context.footprint(FINE)

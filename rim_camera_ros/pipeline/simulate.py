@@ -22,6 +22,7 @@ from rim_camera_ros.effects.reference_path import ReferencePath, mean_reading
 from rim_camera_ros.effects.scattering import Scattering
 from rim_camera_ros.effects.warm_up_drift import WarmUpDrift
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.footprint import Cells, FootprintLight, footprint_light
 from rim_camera_ros.frame import NANOSECONDS, Pose, RawFrame, Settings
 from rim_camera_ros.noise import sigma_amplitude
 from rim_camera_ros.phasor import Waveform, to_phasor, wrap, wrap_residual
@@ -141,6 +142,12 @@ class Simulation:
                 there = see(self.scene, moved, self.camera.rays)
             return there, self.ideal_amplitude(there, integration_time, power)
 
+        def footprint(cells: Cells) -> FootprintLight:
+            rays, ambiguity = self.camera.rays, self.camera.sensor.ambiguity
+            return footprint_light(
+                self.scene, exposure.poses, geometry, rays, ambiguity=ambiguity, cells=cells
+            )
+
         return Context(
             camera=self.camera,
             settings=settings,
@@ -148,6 +155,7 @@ class Simulation:
             time=(exposure.stamp - self._start) / NANOSECONDS,
             geometry=geometry,
             geometry_at=geometry_at,
+            footprint=footprint,
             moving=motion.moves,
             incidence=geometry.incidence,
             rng=self._rng,

@@ -13,7 +13,7 @@ from rim_camera_ros.camera_file import load_camera, with_effects
 from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.frame import Pose, RawFrame, Settings
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
-from rim_camera_ros.scene import Scene, load_scene, quaternion, rotation_matrix
+from rim_camera_ros.scene import Scene, load_scene, quaternion, rotation_matrix, see
 
 CAMERA = """
 format: rim_camera/1
@@ -92,3 +92,39 @@ def _poses(rng: np.random.Generator, wrong: float) -> tuple[Pose, Pose]:
     moved = position + error[0] * rotation[:, 2]
     told = Pose((float(position[0]), float(position[1]), float(position[2])), quaternion(rotation))
     return told, Pose((float(moved[0]), float(moved[1]), float(moved[2])), quaternion(small))
+
+
+def with_footprints(told: Camera, board: Scene, data: Dataset, width: float, seed: int) -> Dataset:
+    """The stations anew, one frame each, noise and all: light averaged over squares of ``width`` [px].
+
+    S = mean of gain T rho cos(incidence) / d^2 exp(i 2 pi d / L), by 9 x 9 rays a pixel.
+    """
+    rng = np.random.default_rng(seed)
+    down, across = np.gradient(told.rays, axis=0), np.gradient(told.rays, axis=1)
+    period = told.sensor.ambiguity
+    frames = []
+    for one in data.stations:
+        time = one.settings.integration_time
+        assert time is not None
+        image = np.zeros(told.shape, complex)
+        for dv, du in np.ndindex(9, 9):
+            rays = told.rays + width / 9 * ((dv - 4) * down + (du - 4) * across)
+            seen = see(board, board.poses_for(one.truth), rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+            light = told.radiometry.gain * time * seen.reflectivity * seen.cos_incidence / seen.distance**2
+            phasor = light * np.exp(2j * np.pi / period * seen.distance)
+            image += np.where(seen.hit, phasor, 0.0) / 81
+        amplitude, phase = np.abs(image), np.angle(image)
+        relative = 2 * np.pi / period * told.noise.sigma_distance(np.maximum(amplitude, 1.0))
+        noise = relative * rng.normal(size=(2, *told.shape))
+        turns = np.mod((phase + noise[0]) / (2 * np.pi), 1.0)
+        frames.append(
+            RawFrame(
+                stamp=one.stamp,
+                distance=np.round(turns * 65536).astype(np.uint16),
+                amplitude=np.round(amplitude * (1 + noise[1])).astype(np.uint16),
+                settings=one.settings,
+                truth=one.truth,
+                pose_stamps=dict.fromkeys(one.truth, one.stamp),
+            )
+        )
+    return Dataset(list(reduce_frames(frames, told)), ["simulated"], [], len(frames))

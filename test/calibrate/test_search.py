@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate import search as search_module
+from rim_camera_ros.calibrate import search_steps
 from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
@@ -28,11 +28,11 @@ from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.needs import Found, needed
 from rim_camera_ros.calibrate.outcome import Trial, as_good
 from rim_camera_ros.calibrate.problem import Problem
-from rim_camera_ros.calibrate.search import Search, search
+from rim_camera_ros.calibrate.search import search
+from rim_camera_ros.calibrate.search_steps import Search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import contribution, effect_size
-from rim_camera_ros.calibrate.stations import Dataset, reduce_frames
-from rim_camera_ros.camera import Camera
+from rim_camera_ros.calibrate.stations import reduce_frames
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
@@ -40,7 +40,7 @@ from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.motion import Motion
 from rim_camera_ros.effects.scattering import Ghost, Kernel, Scattering
 from rim_camera_ros.frame import Pose, RawFrame, Settings
-from rim_camera_ros.scene import Scene, see
+from rim_camera_ros.scene import Scene
 
 from .helpers import camera, record, scene
 
@@ -182,75 +182,6 @@ def test_mixed_pixels_count_by_their_amplitudes_where_one_surface_keeps_the_dist
     assert effect_size(fitted, ["mixed_pixels"], truth) > 0.004
 
 
-def with_footprints(told: Camera, board: Scene, data: Dataset, width: float, seed: int) -> Dataset:
-    """The stations anew, one frame each, noise and all: light averaged over squares of ``width`` [px].
-
-    S = mean of gain T rho cos(incidence) / d^2 exp(i 2 pi d / L), by 9 x 9 rays a pixel.
-    """
-    rng = np.random.default_rng(seed)
-    down, across = np.gradient(told.rays, axis=0), np.gradient(told.rays, axis=1)
-    period = told.sensor.ambiguity
-    frames = []
-    for one in data.stations:
-        time = one.settings.integration_time
-        assert time is not None
-        image = np.zeros(told.shape, complex)
-        for dv, du in np.ndindex(9, 9):
-            rays = told.rays + width / 9 * ((dv - 4) * down + (du - 4) * across)
-            seen = see(board, one.truth, rays / np.linalg.norm(rays, axis=-1, keepdims=True))
-            light = told.radiometry.gain * time * seen.reflectivity * seen.cos_incidence / seen.distance**2
-            phasor = light * np.exp(2j * np.pi / period * seen.distance)
-            image += np.where(seen.hit, phasor, 0.0) / 81
-        amplitude, phase = np.abs(image), np.angle(image)
-        relative = 2 * np.pi / period * told.noise.sigma_distance(np.maximum(amplitude, 1.0))
-        noise = relative * rng.normal(size=(2, *told.shape))
-        turns = np.mod((phase + noise[0]) / (2 * np.pi), 1.0)
-        frames.append(
-            RawFrame(
-                stamp=one.stamp,
-                distance=np.round(turns * 65536).astype(np.uint16),
-                amplitude=np.round(amplitude * (1 + noise[1])).astype(np.uint16),
-                settings=one.settings,
-                truth=one.truth,
-                pose_stamps={"board": one.stamp},
-            )
-        )
-    return Dataset(list(reduce_frames(frames, told)), ["simulated"], [], len(frames))
-
-
-@pytest.mark.parametrize(("width", "found"), [(0.0, []), (0.5, ["mixed_pixels"])])
-def test_a_footprint_of_a_pixel_is_found_beside_edges(tmp_path: Path, width: float, found: list[str]) -> None:
-    """Pixels within half a footprint of an edge are mixed, those within 0.3 px left out of all else."""
-    told, board = camera(tmp_path), scene(tmp_path)
-    # of finite size: at a horizon a footprint spans many tiles
-    board = Scene((replace(board.surfaces[0], type="rectangle", size=(1.55, 1.35)),))
-    data = with_footprints(told, board, record(told, board, poses=14, frames=1, seed=9), width, 4)
-    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
-    result = search(Problem(data, board), told, facts, effects=["mixed_pixels"])
-    assert [one.effect for one in result.found] == found
-    assert result.beside_edges == (1 if found else None)
-    # the fit goes on once the effect has joined
-    assert result.gained == pytest.approx(sum(one.gain for one in result.found), rel=1e-2)
-
-
-@pytest.mark.parametrize(("width", "found"), [(0.0, []), (0.5, ["mixed_pixels"])])
-def test_a_large_drift_does_not_hide_mixed_pixels(tmp_path: Path, width: float, found: list[str]) -> None:
-    """Mixed pixels move distances by 1.2 mm, the drift by 27 mm: its form leaves nothing at edges."""
-    told, board = camera(tmp_path), scene(tmp_path)
-    board = Scene((replace(board.surfaces[0], type="rectangle", size=(1.55, 1.35)),))
-    data = with_footprints(told, board, record(told, board, poses=14, frames=1, seed=9), width, 4)
-    for number, one in enumerate(data.stations):
-        uptime = 30.0 + 20.0 * one.pose
-        data.stations[number] = replace(
-            one,
-            settings=replace(one.settings, uptime=uptime),
-            distance=one.distance + 0.04 * np.exp(-uptime / 120.0),
-        )
-    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
-    result = search(Problem(data, board), told, facts)
-    assert [one.effect for one in result.found] == ["warm_up_drift", *found]
-
-
 def test_effects_as_good_as_the_best() -> None:
     """Each alone explains nine tenths of what the best does, or does not."""
     best: Any = SimpleNamespace(effects=["incidence_angle"], likelihood=1100.0)
@@ -268,9 +199,9 @@ def test_what_became_another_effect_is_no_rival_of_it(
     names, likelihoods = ["scattering", "mixed_pixels"], [95.0, 100.0]
     step: Any = SimpleNamespace(scores=SimpleNamespace(log_likelihood=lambda: 0.0))
     nothing: Any = None
-    monkeypatch.setattr(search_module, "near_rivals", lambda *_: [(1,)])
+    monkeypatch.setattr(search_steps, "near_rivals", lambda *_: [(1,)])
     monkeypatch.setattr(
-        search_module, "what_it_became", lambda _, choice, *__: became if choice == (0,) else None
+        search_steps, "what_it_became", lambda _, choice, *__: became if choice == (0,) else None
     )
     monkeypatch.setattr(
         Search, "_trial", lambda _, one: Trial([names[one[0]]], nothing, nothing, likelihoods[one[0]])
@@ -287,14 +218,20 @@ def test_what_became_another_effect_is_no_rival_of_it(
         ("motion", "mixed_pixels", 15.0),
         ("scattering", "mixed_pixels", 500.0),
         ("incidence_angle", "scattering", 15.0),
+        ("scattering", "footprint", 8.0),
     ],
 )
 def test_only_what_acts_at_edges_raises_what_mixed_pixels_must_gain(
     before: str, effect: str, asked: float
 ) -> None:
     """0.15 % of what was found gained, 5 % of one of its kind."""
+    variant = "0.5 px"
+    if effect == "footprint":
+        effect, variant = "mixed_pixels", "footprint 0.6 px"
     step: Any = SimpleNamespace(
-        candidates=[SimpleNamespace(effect=effect)], thresholds=np.full(1, 8.0), unexplained=0.0
+        candidates=[SimpleNamespace(effect=effect, variant=variant)],
+        thresholds=np.full(1, 8.0),
+        unexplained=0.0,
     )
     assert needed(step, 0, [Found(before, 10_000.0)]) == pytest.approx(asked)
 
@@ -365,8 +302,8 @@ def test_unmodulated_light_of_a_moving_camera_is_a_share_of_the_modulated(tmp_pa
 def test_a_drift_beside_other_effects_must_follow_time(
     monkeypatch: pytest.MonkeyPatch, follows: bool
 ) -> None:
-    monkeypatch.setattr("rim_camera_ros.calibrate.search.effect_size", lambda *_: 0.01)
-    monkeypatch.setattr("rim_camera_ros.calibrate.search.least_size", lambda *_: 0.0005)
+    monkeypatch.setattr("rim_camera_ros.calibrate.search_steps.effect_size", lambda *_: 0.01)
+    monkeypatch.setattr("rim_camera_ros.calibrate.search_steps.least_size", lambda *_: 0.0005)
     monkeypatch.setattr(Search, "_follows_time", lambda self, trial, name: follows)
     nothing: Any = None
     state = Search(nothing, nothing, [nothing], {}, found=[Found("cyclic_error", 900.0)])

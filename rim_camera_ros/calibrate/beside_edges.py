@@ -1,0 +1,103 @@
+"""Pixels beside edges, which a search leaves out until it looks for mixed pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from rim_camera_ros.calibrate.candidate import Candidate
+from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, Exploration
+from rim_camera_ros.calibrate.mixed_candidates import footprints, is_footprint
+from rim_camera_ros.calibrate.needs import Found, needed
+from rim_camera_ros.calibrate.pixels import more_pixels
+from rim_camera_ros.calibrate.problem import Fit, Problem
+from rim_camera_ros.calibrate.views import CROSSED
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import with_effects
+
+#: Share of what mixed pixels must gain that they gain before the other parameters are fitted.
+_AT_FIRST_SIGHT = 0.5
+_REPLICATES = 200
+
+
+class Fits(Protocol):
+    """A search's way to fit a camera to pixels, from the nuisances of a step, and to score candidates."""
+
+    def __call__(
+        self,
+        problem: Problem,
+        camera: Camera,
+        step: Exploration,
+        wanted: Sequence[Candidate],
+        /,
+        *,
+        replicates: int = ...,
+        iterations: int = ...,
+    ) -> Exploration: ...
+
+
+@dataclass(frozen=True)
+class Look:
+    """A fit of pixels beside edges, the problem with them, and the variants of mixed pixels to try there."""
+
+    problem: Problem
+    fitted: Exploration
+    variants: Sequence[Candidate]
+
+
+def beside_edges(problem: Problem, fitted: Fit) -> Problem:
+    """Return the problem with the pixels beside edges, the same where there are none."""
+    masks = fitted.forward.pixels_near_edges()
+    if problem.masks is not None and not more_pixels(masks, problem.masks):
+        return problem
+    return replace(problem, masks=masks)
+
+
+def promising(
+    problem: Problem,
+    step: Exploration,
+    found: Sequence[Found],
+    blurs: Sequence[Candidate],
+    fit: Fits,
+    *,
+    footprint: bool,
+) -> Look | None:
+    """Return a fit of pixels beside edges in which mixed pixels gain what they must; None: they do not.
+
+    The ``footprint`` of a pixel, unless it is left out, is looked for in those that edges cross. ``step`` is
+    the last exploration away from edges, ``found`` the effects found there.
+    """
+    camera = step.fit.camera
+    variants = [*blurs, *(footprints(at_first_sight=True) if footprint else [])]
+    first = fit(problem, camera, step, variants, iterations=0)
+    leader = _leader(first, found, _AT_FIRST_SIGHT)
+    if leader is None:
+        return None
+    if is_footprint(leader):
+        problem = replace(problem, masks=step.fit.forward.pixels_near_edges(CROSSED))
+    variants = [*blurs, *(footprints() if footprint else [])]
+    then = fit(problem, camera, step, variants, replicates=_REPLICATES)
+    return None if _leader(then, found, 1.0) is None else Look(problem, then, variants)
+
+
+def sharper(problem: Problem, step: Exploration, fit: Fits) -> tuple[Exploration, Exploration] | None:
+    """Return the fits of pixels beside edges by the blur of a step's camera and by a footprint instead of it.
+
+    None where the footprint fits no better.
+    """
+    camera = step.fit.camera
+    without = with_effects(camera, {n: one for n, one in camera.effects.items() if n != "mixed_pixels"})
+    first = fit(problem, without, step, footprints(), iterations=0)
+    number = first.best()["mixed_pixels"]
+    if first.gains[number] <= LEAST_THRESHOLD:
+        return None
+    blur, footprint = (fit(problem, one, step, ()) for one in (camera, first.camera_with([number])))
+    gain = footprint.scores.log_likelihood() - blur.scores.log_likelihood()
+    return (blur, footprint) if gain > LEAST_THRESHOLD else None
+
+
+def _leader(step: Exploration, found: Sequence[Found], share: float) -> Candidate | None:
+    """Return the best variant of mixed pixels where it gains a share of what it must."""
+    number = step.best()["mixed_pixels"]
+    return step.candidates[number] if step.gains[number] > share * needed(step, number, found) else None

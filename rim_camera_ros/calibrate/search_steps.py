@@ -1,0 +1,350 @@
+"""The steps of a forward search: leaders are fitted, the best joins, needless ones are dropped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from rim_camera_ros.calibrate.beside_edges import Look, beside_edges, promising, sharper
+from rim_camera_ros.calibrate.candidate import Candidate
+from rim_camera_ros.calibrate.elsewhere import follows_time_elsewhere, shows_elsewhere
+from rim_camera_ros.calibrate.exploration import Exploration, explore, explored, further_equations
+from rim_camera_ros.calibrate.forms import form_blocks
+from rim_camera_ros.calibrate.gauss_newton import keeps_amplitude_error
+from rim_camera_ros.calibrate.leaders import (
+    NOT_ELSEWHERE,
+    NOT_IN_TIME,
+    ONCE_FITTED,
+    leaders,
+    leading_variants,
+    near_rivals,
+    rivals,
+    what_it_became,
+)
+from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES
+from rim_camera_ros.calibrate.needs import OF_TIME, Found, least_size, needed
+from rim_camera_ros.calibrate.outcome import Trial, as_good
+from rim_camera_ros.calibrate.problem import Fit, Problem
+from rim_camera_ros.calibrate.sizes import effect_size
+from rim_camera_ros.calibrate.stations import level_of
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import with_effects
+
+#: Leaders that may prove wrong when they are fitted, until the search ends.
+_MOST_FAILURES = 2
+#: Fits that are tried for one effect.
+_MOST_TRIALS = 3
+#: Iterations of fits that add an effect, and shares of the sigmas at which they end.
+_ITERATIONS = 12
+_TOLERANCE = 0.15
+#: Gain of a fit over its linear forecast above which it is looked at what gained it.
+_BY_ITSELF = 2.0
+
+
+def silent(text: str) -> None:
+    """Say nothing."""
+    return
+
+
+@dataclass
+class Search:
+    """What was found so far, and what the next steps need to know.
+
+    ``explorations`` begin with that of the camera file; each effect found adds one. ``pool`` are all
+    candidates, ``variants`` those worth their columns at first. ``failed`` are leaders that proved wrong
+    since then, and why; ``settled`` the numbers of effects found at which the fit was repeated. ``may_look``
+    allows pixels beside edges; explorations from number ``beside_edges`` on take them in.
+    """
+
+    problem: Problem
+    camera: Camera
+    explorations: list[Exploration]
+    folds: Mapping[tuple[int, int], int]
+    further: Sequence[Candidate] = ()
+    pool: Sequence[Candidate] = ()
+    variants: Sequence[Candidate] = ()
+    seed: int = 0
+    say: Callable[[str], None] = silent
+    found: list[Found] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+    settled: set[int] = field(default_factory=set)
+    may_look: bool = True
+    beside_edges: int | None = None
+
+    @property
+    def step(self) -> Exploration:
+        """The last exploration: what the effects found leave."""
+        return self.explorations[-1]
+
+    def add(self, most: int) -> None:
+        """Add effects, ``most`` in all, until nothing gains enough or too many leaders proved wrong."""
+        while len(self.found) < most and len(self.failed) <= _MOST_FAILURES:
+            chosen = leaders(self.step, self.found, self.failed.keys())
+            if chosen is None:
+                return
+            numbers, leader = chosen
+            local = {self._effect(k) for k in numbers if not self._shows_elsewhere(k)}
+            if local:
+                self.failed |= dict.fromkeys(local, NOT_ELSEWHERE)
+            else:
+                self._try(numbers, leader)
+                if self.failed.get("mixed_pixels") == ONCE_FITTED:
+                    # perhaps of another form, which only the pixels beside edges tell
+                    self.look_beside_edges()
+
+    def drop_needless(self) -> None:
+        """Drop effects that gain too little beside those that joined after them.
+
+        An effect that stood in for others, found first, is needless once they are there. The last exploration
+        is replaced by one without them.
+        """
+        for one in list(self.found[:-1]):
+            if one.effect not in self.step.fit.camera.effects or len(self.found) < 2:
+                continue
+            others = [other for other in self.found if other is not one]
+            left = {name: e for name, e in self.step.fit.camera.effects.items() if name != one.effect}
+            without = self._fitted(self.problem, with_effects(self.step.fit.camera, left), self.step)
+            before = self.explorations[one.step]
+            gain = self.step.scores.log_likelihood() - without.scores.log_likelihood()
+            if gain > needed(before, before.best()[one.effect], others):
+                continue
+            self.found.remove(one)
+            self._replace_step(without.fit, before)
+            self._judge_first_anew()
+
+    def _judge_first_anew(self) -> None:
+        """Judge what became the first effect by what the camera file alone leaves."""
+        first, start = self.found[0], self.explorations[0]
+        by_others = sum(one.gain for one in self.found[1:])
+        gain = self.step.scores.log_likelihood() - start.scores.log_likelihood() - by_others
+        number = start.best().get(first.effect)
+        if number is None or first.step == 0:
+            return
+        gains, ties = rivals(start, first.effect, needed(start, number, []))
+        self.found[0] = Found(first.effect, max(gain, first.gain), gains, ties, step=0)
+
+    def look_beside_edges(self) -> None:
+        """Look for mixed pixels in pixels beside edges, which are left out while other effects are sought.
+
+        There a footprint no wider than a pixel shows, and everything else shows no better.
+        """
+        own = [one for one in self.variants if one.effect == "mixed_pixels"]
+        if not self.may_look or self.beside_edges is not None or not own:
+            return
+        problem = beside_edges(self.problem, self.step.fit)
+        if problem is self.problem:
+            return
+        self.say("pixels beside edges")
+        if "mixed_pixels" in self.step.fit.camera.effects:
+            self._sharpen(problem)
+            return
+        # the rest that one form leaves looks like the other
+        for with_footprints in (True, False):
+            look = promising(problem, self.step, self.found, own, self._fitted, footprint=with_footprints)
+            if look is None or self._joins(look):
+                return
+
+    def _joins(self, look: Look) -> bool:
+        """Try mixed pixels in pixels beside edges; say whether they joined."""
+        names = [one.effect for one in self.found]
+        step = self._explored(look.fitted.fit, names, self.step, look.problem, mixed=look.variants)
+        kept, self.explorations = self.explorations, [*self.explorations, step]
+        away, self.problem = self.problem, look.problem
+        number = step.best()["mixed_pixels"]
+        self._try((number,), number)
+        if len(self.found) > len(names):
+            kept[-1].forget()
+            self.beside_edges = len(kept)
+            return True
+        self.explorations, self.problem = kept, away
+        return False
+
+    def _sharpen(self, problem: Problem) -> None:
+        """Put a footprint in the place of a blur that was found, where it fits pixels beside edges better."""
+        fits = sharper(problem, self.step, self._fitted)
+        if fits is None:
+            return
+        blur, footprint = fits
+        names = [one.effect for one in self.found]
+        sharp = self._explored(footprint.fit, names, self.step, problem)
+        for one in (self.step, blur):
+            one.forget()
+        self.beside_edges = len(self.explorations)
+        self.explorations += [blur, sharp]
+        self.problem = problem
+
+    def _effect(self, number: int) -> str:
+        return self.step.candidates[number].effect
+
+    def _shows_elsewhere(self, number: int) -> bool:
+        names = [one.effect for one in self.found]
+        return shows_elsewhere(self.problem, self.step, number, names, self.folds)
+
+    def _needed(self, numbers: Sequence[int]) -> float:
+        return max(needed(self.step, k, self.found) for k in numbers)
+
+    def _try(self, numbers: tuple[int, ...], leader: int) -> None:
+        """Fit candidates and what rivals them; the best joins, where it gains and moves enough."""
+        trial, close = self._best_trial(numbers, leader)
+        fitted = trial.fitted
+        need = self._needed(self.step.best_of(trial.effects))
+        gain = fitted.scores.log_likelihood() - self.step.scores.log_likelihood()
+        again = self._without(trial.effects, fitted, gain)
+        if again is not None:
+            more = again.scores.log_likelihood() - self.step.scores.log_likelihood()
+            gain -= max(more, 0.0)
+            if gain <= need < more and len(self.found) not in self.settled:
+                # the fit before had not come to its end: look at what is left of it
+                self.settled.add(len(self.found))
+                self._replace_step(again.fit, self.step)
+                return
+        why = self._why_not(trial, gain, need)
+        if why is not None:
+            # what looked like it is something else: perhaps the next in line
+            self.failed |= {self._effect(k): why for k in numbers}
+            return
+        self.failed.clear()
+        for name in trial.effects:
+            gains, ties = rivals(self.step, name, need)
+            # of a first one, what joins it decides
+            ties += [other for other in close if self.found and other not in ties]
+            self.found.append(Found(name, gain, gains, ties, step=len(self.explorations) - 1))
+        self.problem = trial.problem
+        if not fitted.fit.converged or keeps_amplitude_error(self.step.fit.camera, fitted.fit.camera):
+            # or the next effect, whose fit goes on or estimates it anew, would gain what this one did
+            fitted = self._fitted(self.problem, fitted.fit.camera, fitted)
+        final = self._explored(fitted.fit, [one.effect for one in self.found], self.step, self.problem)
+        self.step.forget()
+        self.explorations.append(final)
+
+    def _why_not(self, trial: Trial, gain: float, need: float) -> str | None:
+        after = trial.fitted
+        size = effect_size(after.fit, trial.effects, self.camera)
+        if gain <= need or size < least_size(after, trial.effects, self.found):
+            return ONCE_FITTED
+        drifts = [name for name in trial.effects if name in OF_TIME] if self.found else []
+        return None if all(self._follows_time(trial, name) for name in drifts) else NOT_IN_TIME
+
+    def _follows_time(self, trial: Trial, name: str) -> bool:
+        return follows_time_elsewhere(
+            trial.fitted.fit,
+            name,
+            trial.problem,
+            self.folds,
+            found=[one.effect for one in self.found],
+            drifts=[one for one in self.pool if one.effect == name],
+            curves=self.further,
+            variants=self.variants,
+            seed=self.seed,
+        )
+
+    def _best_trial(self, numbers: tuple[int, ...], leader: int) -> tuple[Trial, list[str]]:
+        """Fit candidates and their near rivals non-linearly; return the best, and effects that are as good.
+
+        A pair must beat the leader alone by what a further effect must gain: linearly, one that bends the
+        light much looks worse than it is.
+        """
+        beside = near_rivals(self.step, numbers, leader, self.found, self.failed.keys())
+        choices = [numbers, *beside][:_MOST_TRIALS]
+        best: Trial | None = None
+        alone: dict[str, float] = {}
+        for choice in choices:
+            trial = self._trial(choice)
+            other = what_it_became(trial.fitted, choice, self.step, self.found, self.camera)
+            if other is not None:
+                if other not in choices:
+                    choices.append(other)
+                continue
+            if len(choice) == 1:
+                alone[trial.effects[0]] = trial.likelihood
+            if best is None or trial.likelihood > best.likelihood:
+                best = trial
+        assert best is not None
+        return best, as_good(alone, best, self.step.scores.log_likelihood())
+
+    def _trial(self, choice: tuple[int, ...]) -> Trial:
+        step = self.step
+        names = [self._effect(k) for k in choice]
+        self.say("fitting " + " and ".join(names))
+        geometry = tuple(dict.fromkeys([*self.problem.geometry, *(n for n in names if n in GEOMETRY)]))
+        reflectance = self.problem.reflectance or not OF_SURFACES.isdisjoint(names)
+        problem = replace(self.problem, geometry=geometry, reflectance=reflectance)
+        # first by itself: what loses need not be explored; rays from where they are, as a linear guess of
+        # them may put a texture's edges on other pixels
+        start = step.camera_with([k for k in choice if self._effect(k) not in GEOMETRY])
+        fitted = self._fitted(problem, start, step)
+        if "amplitude_nonlinearity" in names:
+            # its one parameter first: together with a free response it would not find the way
+            problem = replace(problem, response=level_of(problem.dataset))
+            views, camera = step.fit.forward.views, fitted.fit.camera
+            fitted = explore(problem, camera, [], self.folds, views=views, warm=fitted.fit, replicates=0)
+        likelihood = fitted.scores.log_likelihood()
+        if len(choice) == 2:
+            likelihood -= self._needed(choice)
+        return Trial(names, problem, fitted, likelihood)
+
+    def _without(self, effects: Sequence[str], after: Exploration, gain: float) -> Exploration | None:
+        """Return the fit without further effects from where that with them ended, where it gained much.
+
+        Perhaps it is the effects found before them that gained, whose fit had not come to its end.
+        """
+        step = self.step
+        if not self.found or gain <= _BY_ITSELF * step.joint(*step.best_of(effects)):
+            return None
+        left = {name: e for name, e in after.fit.camera.effects.items() if name not in effects}
+        return self._fitted(self.problem, with_effects(step.fit.camera, left), after)
+
+    def _fitted(
+        self,
+        problem: Problem,
+        camera: Camera,
+        step: Exploration,
+        wanted: Sequence[Candidate] = (),
+        replicates: int = 0,
+        iterations: int = _ITERATIONS,
+    ) -> Exploration:
+        """Return the fit of a camera that begins at the nuisances of a step, and scores candidates."""
+        return explore(
+            problem,
+            camera,
+            wanted,
+            self.folds,
+            views=step.fit.forward.views,
+            warm=step.fit,
+            seed=self.seed,
+            replicates=replicates,
+            iterations=iterations,
+            tolerance=_TOLERANCE,
+        )
+
+    def _replace_step(self, fitted: Fit, before: Exploration) -> None:
+        """Replace the last exploration by that of another fit, with the candidates of one before."""
+        names = [one.effect for one in self.found]
+        self.step.forget()
+        self.explorations[-1] = self._explored(fitted, names, before, self.problem)
+
+    def _explored(
+        self,
+        fitted: Fit,
+        present: Sequence[str],
+        before: Exploration,
+        problem: Problem,
+        *,
+        mixed: Sequence[Candidate] = (),
+    ) -> Exploration:
+        """Explore what a fit leaves, beside changes of the forms of the effects that were found.
+
+        Candidates are the leading ones of an exploration before, but those present.
+        """
+        left = [one for one in leading_variants(before) if one.effect not in present]
+        if mixed:
+            left = [*(one for one in left if one.effect != "mixed_pixels"), *mixed]
+        forms = form_blocks(fitted, present, self.variants)
+        blocks = [*(one.block for one in (*left, *self.further)), *forms]
+        return explored(
+            further_equations(fitted, blocks, self.folds, problem),
+            left,
+            further=self.further,
+            forms=forms,
+            seed=self.seed,
+        )
