@@ -24,6 +24,7 @@ from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.scattering import Ghost, Kernel, Scattering
+from rim_camera_ros.footprint import FINE
 from rim_camera_ros.parameters import ArrayFile
 
 Array = NDArray[Any]
@@ -157,7 +158,9 @@ def finer_number(path: str, value: float, step: int) -> float:
         return value * step + step // 2
     if path.startswith("effects.cyclic_error.gradient."):
         return value / step
-    by_pixels = path in ("optics.fx", "optics.fy") or path.startswith("effects.mixed_pixels.")
+    if path == "effects.mixed_pixels.footprint":
+        return min(value * step, FINE.widest)
+    by_pixels = path in ("optics.fx", "optics.fy", "effects.mixed_pixels.blur")
     if path.startswith("effects.scattering."):
         by_pixels = name != "weight"
     return value * step if by_pixels else value
@@ -185,7 +188,10 @@ def _scaled(effect: Effect, factor: float, step: int | None) -> Effect:
             ghost = Ghost(ghost.weight, (ghost.shift[0] * factor, ghost.shift[1] * factor))
         return Scattering(kernels=kernels, ghost=ghost)
     if isinstance(effect, MixedPixels):
-        return MixedPixels(blur=effect.blur * factor)
+        side = effect.footprint
+        # no wider than can be sampled: no pixel of the full grid is
+        side = None if side is None else min(side * factor, FINE.widest)
+        return replace(effect, blur=effect.blur * factor, footprint=side)
     if isinstance(effect, CyclicError):
         return replace(effect, gradient=(effect.gradient[0] / factor, effect.gradient[1] / factor))
     if isinstance(effect, Empirical):

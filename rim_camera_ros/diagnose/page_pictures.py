@@ -26,6 +26,10 @@ _AS_IF = (
 )
 
 
+#: Chi-square per value beyond which something is left.
+_LEFT = 1.1
+
+
 def curves(result: Diagnosis, found: Evidence) -> str:
     """Return residuals without and with what was found, over what it depends on."""
     if found.chi_before is None:
@@ -38,10 +42,18 @@ def curves(result: Diagnosis, found: Evidence) -> str:
         return ""
     caption = (
         "Means over classes of pixels; bars: 95 % (1.96 standard errors, by the scatter between poses). "
-        "Without the effect the differences follow its curve, with it nothing is left. Each effect is "
+        f"Without the effect the differences follow its curve, with it {_left(result)}. Each effect is "
         f"shown with all others in place, less its mean. {_AS_IF}"
     )
     return html.figure(telling(items), caption)
+
+
+def _left(result: Diagnosis) -> str:
+    """Return what is left with the effect, in words."""
+    after = result.accuracy.chi2_after
+    if not after > _LEFT:
+        return "nothing is left but noise"
+    return f"is left what its form does not say (chi-square per value {after:.3g})"
 
 
 def where(result: Diagnosis, found: Evidence) -> list[str]:

@@ -22,8 +22,8 @@ class MixedPixels(ComplexEffect):
     """Gaussian blur of the complex image; at the sensor's edge the image is continued by reflection.
 
     A blur of what the centres of pixels see gives each pixel beside an edge the same share of the other
-    surface. Where the optics are sharp, that share is none for most of them and up to a half for those that
-    the edge crosses: the light of the ``footprint``, a square about the pixel's centre, comes before the
+    surface. Where the optics are sharp, those that the edge crosses see up to a half of it, and their
+    neighbours none: a pixel gathers the light of its ``footprint``, a square about its centre, before any
     blur. Only the simulation of a scene can tell it. Pixels whose centre sees nothing stay dark.
     """
 

@@ -178,6 +178,14 @@ def test_page_says_that_mixed_pixels_count_as_they_measure(case: Case) -> None:
     assert told not in rendered(case.missing)
 
 
+@pytest.mark.parametrize(("left", "told"), [(1.02, "with it nothing is left but noise"), (1.67, "1.67)")])
+def test_page_says_what_is_left_beside_the_curve(case: Case, left: float, told: str) -> None:
+    result = replace(case.missing, accuracy=replace(case.missing.accuracy, chi2_after=left))
+    shown = text_of(rendered(result))
+    assert told in shown
+    assert ("what its form does not say (chi-square per value" in shown) is (left > 1.1)
+
+
 def test_page_without_repeated_frames_says_so(case: Case) -> None:
     variance = replace(case.consistent.variance, repeated=False, bins=())
     shown = text_of(rendered(replace(case.consistent, variance=variance)))

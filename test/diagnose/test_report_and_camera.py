@@ -20,6 +20,7 @@ from rim_camera_ros.diagnose.noise_verdict import with_variance
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.effects.empirical import Empirical
+from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.parameters import NestedList
 
 from .helpers import CAMERA, CYCLIC, run, scene_text
@@ -168,7 +169,18 @@ def test_numbers_in_pixels_of_both_grids() -> None:
     assert coarser.finer_number("effects.scattering.kernels.0.sigma.1", 3.0, 2) == 6.0
     assert coarser.finer_number("effects.scattering.kernels.0.weight", 0.03, 2) == 0.03
     assert coarser.finer_number("effects.mixed_pixels.blur", 0.5, 3) == 1.5
+    assert coarser.finer_number("effects.mixed_pixels.footprint", 0.3, 3) == pytest.approx(0.9)
+    assert coarser.finer_number("effects.mixed_pixels.share", 0.3, 3) == 0.3
     assert coarser.finer_number("effects.cyclic_error.gradient.0", 0.004, 2) == 0.002
+
+
+def test_a_footprint_is_the_same_on_both_grids(tmp_path: Path) -> None:
+    (tmp_path / "camera.yaml").write_text(CAMERA.replace("width: 24, height: 20", "width: 640, height: 480"))
+    camera = load_camera(tmp_path / "camera.yaml")
+    small = added(coarser.coarser_camera(camera, 4), MixedPixels(0.0, 0.2, 0.3))
+    full = coarser.finer_camera(small, camera, 4)
+    assert full.effects["mixed_pixels"] == MixedPixels(0.0, 0.8, 0.3)
+    assert coarser.coarser_camera(full, 4).effects == small.effects
 
 
 def test_a_table_over_rows_is_one_of_the_whole_sensor(tmp_path: Path) -> None:
