@@ -82,6 +82,7 @@ class Simulation:
         self._seen: dict[Any, Geometry] = {}
         self._start: int | None = None
         self._kept: _Kept | None = None
+        self._around: tuple[Geometry, FootprintLight] | None = None
 
     # --- scene ----------------------------------------------------------------------------------
 
@@ -143,10 +144,14 @@ class Simulation:
             return there, self.ideal_amplitude(there, integration_time, power)
 
         def footprint(cells: Cells) -> FootprintLight:
-            rays, ambiguity = self.camera.rays, self.camera.sensor.ambiguity
-            return footprint_light(
-                self.scene, exposure.poses, geometry, rays, ambiguity=ambiguity, cells=cells
-            )
+            kept = self._around
+            if kept is None or kept[0] is not geometry or kept[1].cells != cells:
+                length = self.camera.sensor.ambiguity
+                light = footprint_light(
+                    self.scene, exposure.poses, geometry, self.camera.rays, ambiguity=length, cells=cells
+                )
+                kept = self._around = (geometry, light)
+            return kept[1]
 
         return Context(
             camera=self.camera,
