@@ -8,7 +8,7 @@ from typing import Protocol
 
 from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, Exploration
-from rim_camera_ros.calibrate.mixed_candidates import footprints, is_footprint
+from rim_camera_ros.calibrate.mixed_candidates import footprint_of, footprints
 from rim_camera_ros.calibrate.needs import Found, needed
 from rim_camera_ros.calibrate.pixels import more_pixels
 from rim_camera_ros.calibrate.problem import Fit, Problem
@@ -19,6 +19,8 @@ from rim_camera_ros.camera_file import with_effects
 #: Share of what mixed pixels must gain that they gain before the other parameters are fitted.
 _AT_FIRST_SIGHT = 0.5
 _REPLICATES = 200
+#: Side [px] of footprints up to which only the pixels show them that an edge crosses amid.
+_NARROW = 0.4
 
 
 class Fits(Protocol):
@@ -65,8 +67,9 @@ def promising(
 ) -> Look | None:
     """Return a fit of pixels beside edges in which mixed pixels gain what they must; None: they do not.
 
-    The ``footprint`` of a pixel, unless it is left out, is looked for in those that edges cross. ``step`` is
-    the last exploration away from edges, ``found`` the effects found there.
+    The ``footprint`` of a pixel is looked for as well, unless it is left out; a narrow one in those that
+    edges cross amid, where errors of poses tell most. ``step`` is the last exploration away from edges,
+    ``found`` the effects found there.
     """
     camera = step.fit.camera
     variants = [*blurs, *(footprints(at_first_sight=True) if footprint else [])]
@@ -74,7 +77,8 @@ def promising(
     leader = _leader(first, found, _AT_FIRST_SIGHT)
     if leader is None:
         return None
-    if is_footprint(leader):
+    side = footprint_of(leader)
+    if side is not None and side <= _NARROW:
         problem = replace(problem, masks=step.fit.forward.pixels_near_edges(CROSSED))
     variants = [*blurs, *(footprints() if footprint else [])]
     then = fit(problem, camera, step, variants, replicates=_REPLICATES)

@@ -18,8 +18,8 @@ from rim_camera_ros.phasor import to_phasor
 
 Array = NDArray[Any]
 
-#: Share of the change by a footprint below which only that share of the light comes from it, and the least.
-_WHOLE, _LEAST_SHARE = 0.3, 0.001
+#: Share of its light that a pixel gathers from its footprint at least, where a fit begins.
+_LEAST_SHARE = 0.001
 #: How the variants begin that gather the light of a footprint.
 _FOOTPRINT = "footprint"
 
@@ -53,9 +53,11 @@ def footprints(*, at_first_sight: bool = False) -> list[Candidate]:
     return [_gathered(side, COARSE if at_first_sight else FINE) for side in sides]
 
 
-def is_footprint(candidate: Candidate) -> bool:
-    """Return whether a variant of mixed pixels is one of `footprints`."""
-    return candidate.effect == "mixed_pixels" and candidate.variant.startswith(_FOOTPRINT)
+def footprint_of(candidate: Candidate) -> float | None:
+    """Return the side [px] of a variant of mixed pixels that is one of `footprints`, else None."""
+    if candidate.effect != "mixed_pixels" or not candidate.variant.startswith(_FOOTPRINT):
+        return None
+    return float(candidate.variant.split()[1])
 
 
 def _gathered(side: float, cells: Cells) -> Candidate:
@@ -68,13 +70,8 @@ def _gathered(side: float, cells: Cells) -> Candidate:
         return [_mixing(prediction, context.footprint(cells).ratio(side))]
 
     def build(camera: Camera, values: Coefficients) -> Camera:
-        value = values[label]
-        if value < _WHOLE:
-            share = float(max(value, _LEAST_SHARE))
-            return added(camera, MixedPixels(blur=0.0, footprint=side, share=share))
-        # both the pixels that are crossed and the shares of the light grow with the side
-        own = side * float(np.sqrt(min(value, 4.0)))
-        return added(camera, MixedPixels(blur=0.0, footprint=min(own, FINE.widest)))
+        share = float(np.clip(values[label], _LEAST_SHARE, 1.0))
+        return added(camera, MixedPixels(blur=0.0, footprint=side, share=share))
 
     block = Block((Regressor(label, "mixed_pixels", 1.0),), columns)
     return Candidate("mixed_pixels", f"{_FOOTPRINT} {side:g} px", block, build, positive=(label,))

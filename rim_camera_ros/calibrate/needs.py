@@ -6,7 +6,7 @@ from collections.abc import Sequence, Set
 from dataclasses import dataclass, field
 
 from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.mixed_candidates import is_footprint
+from rim_camera_ros.calibrate.mixed_candidates import footprint_of
 from rim_camera_ros.calibrate.sizes import effect_size
 from rim_camera_ros.effects.base import DistanceTerm, Effect
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
@@ -170,7 +170,7 @@ def needed(step: Exploration, number: int, found: Sequence[Found]) -> float:
     distance more than one of amplitude or incidence after one, and a good part of one of distance.
     """
     effect = step.candidates[number].effect
-    found = _like([effect], found, crossed=is_footprint(step.candidates[number]))
+    found = _like([effect], found, crossed=footprint_of(step.candidates[number]) is not None)
     share = LEAST_SHARE_OF_POSES if effect in OF_POSES else LEAST_SHARE
     need = share * sum(one.gain for one in found)
     for one in found:

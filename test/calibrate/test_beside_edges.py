@@ -73,7 +73,10 @@ def test_the_footprint_of_a_pixel_is_found_by_the_pixels_that_edges_cross(
     assert isinstance(mixed, MixedPixels)
     assert mixed.footprint == pytest.approx(width, abs=0.06)
     assert result.gained > result.found[0].gain
-    assert (mixed.blur, mixed.share) == (0.0, None)
+    assert mixed.blur == 0.0
+    # cells of a tenth of a pixel leave side and share some play; their product is the light that crosses
+    assert mixed.share is not None
+    assert mixed.share * mixed.footprint == pytest.approx(width, abs=0.04)
 
 
 def test_a_footprint_beside_stray_light(tmp_path: Path) -> None:
