@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.frame import Pose
-from rim_camera_ros.scene import Geometry, Scene, light_seen
+from rim_camera_ros.scene import Geometry, Scene, first_met, rotation_matrix
 
 Array = NDArray[Any]
 
@@ -128,3 +128,30 @@ def _beside_edges(geometry: Geometry) -> Array:
         around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
         result |= around.min(axis=(-2, -1)) != around.max(axis=(-2, -1))
     return result
+
+
+def light_seen(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> tuple[Array, Array]:
+    """Return distance [m] and reflectivity * cos(incidence) [-] of what rays (..., 3) meet, as `see` does.
+
+    NaN and 0 where they meet nothing.
+    """
+    directions = rays.reshape(-1, 3)
+    index, distance = first_met(scene, poses, directions)
+    power = np.zeros(len(directions))
+    for i, surface in enumerate(scene.surfaces):
+        mine = np.flatnonzero(index == i)
+        if not mine.size:
+            continue
+        own, pose = directions[mine], poses[surface.name]
+        rotation, centre = rotation_matrix(pose.orientation), np.array(pose.position)
+        reflectivity: Array | float = surface.reflectivity
+        normal = rotation[:, 2]
+        if surface.type == "sphere":
+            assert surface.radius is not None
+            normal = (distance[mine, None] * own - centre) / surface.radius
+        if surface.texture is not None:
+            local = distance[mine, None] * (own @ rotation[:, :2]) - centre @ rotation[:, :2]
+            reflectivity = surface.texture.reflectivity(local[:, 0], local[:, 1])
+        cosine = np.einsum("nk,nk->n", own, normal) if normal.ndim > 1 else own @ normal
+        power[mine] = reflectivity * np.abs(cosine)
+    return distance.reshape(rays.shape[:-1]), power.reshape(rays.shape[:-1])

@@ -240,7 +240,7 @@ def see(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> Geometry:
     """
     shape = rays.shape[:2]
     directions = rays.reshape(-1, 3)
-    index, distance = _first_met(scene, poses, directions)
+    index, distance = first_met(scene, poses, directions)
     points = distance[:, None] * directions
     normals = np.full_like(points, np.nan)
     reflectivity = np.full(len(directions), np.nan)
@@ -274,37 +274,10 @@ def see(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> Geometry:
 
 def surface_seen(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> NDArray[np.int16]:
     """Return the index of the surface that each of the rays (..., 3) meets, as `see` does."""
-    return _first_met(scene, poses, rays.reshape(-1, 3))[0].reshape(rays.shape[:-1])
+    return first_met(scene, poses, rays.reshape(-1, 3))[0].reshape(rays.shape[:-1])
 
 
-def light_seen(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> tuple[Array, Array]:
-    """Return distance [m] and reflectivity * cos(incidence) [-] of what rays (..., 3) meet, as `see` does.
-
-    NaN and 0 where they meet nothing.
-    """
-    directions = rays.reshape(-1, 3)
-    index, distance = _first_met(scene, poses, directions)
-    power = np.zeros(len(directions))
-    for i, surface in enumerate(scene.surfaces):
-        mine = np.flatnonzero(index == i)
-        if not mine.size:
-            continue
-        own, pose = directions[mine], poses[surface.name]
-        rotation, centre = rotation_matrix(pose.orientation), np.array(pose.position)
-        reflectivity: Array | float = surface.reflectivity
-        normal = rotation[:, 2]
-        if surface.type == "sphere":
-            assert surface.radius is not None
-            normal = (distance[mine, None] * own - centre) / surface.radius
-        if surface.texture is not None:
-            local = distance[mine, None] * (own @ rotation[:, :2]) - centre @ rotation[:, :2]
-            reflectivity = surface.texture.reflectivity(local[:, 0], local[:, 1])
-        cosine = np.einsum("nk,nk->n", own, normal) if normal.ndim > 1 else own @ normal
-        power[mine] = reflectivity * np.abs(cosine)
-    return distance.reshape(rays.shape[:-1]), power.reshape(rays.shape[:-1])
-
-
-def _first_met(scene: Scene, poses: Mapping[str, Pose], directions: Array) -> tuple[NDArray[np.int16], Array]:
+def first_met(scene: Scene, poses: Mapping[str, Pose], directions: Array) -> tuple[NDArray[np.int16], Array]:
     """Return the index of the nearest surface along each ray (N, 3), -1 where there is none, and how far."""
     origin = np.zeros(3)
     nearest = np.full(len(directions), np.inf)

@@ -15,10 +15,10 @@ from rim_camera_ros.camera_file import load_camera, save_camera, with_effects
 from rim_camera_ros.effects.base import Context
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.errors import InputError
-from rim_camera_ros.footprint import COARSE, FINE, Cells, FootprintLight
+from rim_camera_ros.footprint import COARSE, FINE, Cells, FootprintLight, light_seen
 from rim_camera_ros.frame import RawFrame, Settings
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
-from rim_camera_ros.scene import Scene, ScenePose, Surface, light_seen, see, surface_seen
+from rim_camera_ros.scene import Scene, ScenePose, Surface, see, surface_seen
 
 F, CX, CY = 400.0, 14.3, 10.6
 L = 299792458.0 / 40e6
