@@ -18,6 +18,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.smooth import values_of
 from rim_camera_ros.effects.covariates import SCALAR
 from rim_camera_ros.effects.empirical import Empirical
+from rim_camera_ros.errors import RimError
 from rim_camera_ros.parameters import NestedList
 
 Array = NDArray[Any]
@@ -202,9 +203,16 @@ _FORMS: dict[str, Callable[[Array], Array]] = {
 def closed_form(name: str, x: Array, y: Array, sigma: Array) -> str:
     """Return the sparse formula in metres that describes a curve best, by orthogonal matching pursuit.
 
-    Terms are added while they lower the Bayesian information criterion.
+    Terms are added while they lower the Bayesian information criterion. Raises `RimError` where scikit-learn
+    is missing.
     """
-    from sklearn.linear_model import OrthogonalMatchingPursuit
+    try:
+        from sklearn.linear_model import OrthogonalMatchingPursuit
+    except ImportError:
+        raise RimError(
+            "scikit-learn is not installed, the curve of unknown physics has no formula",
+            remedy="sudo apt install python3-sklearn, or pip install 'rim_camera_ros[diagnosis]'",
+        ) from None
 
     weight = 1.0 / np.maximum(sigma, 1e-6)
     usable = {}

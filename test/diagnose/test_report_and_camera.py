@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,9 +19,11 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, load_camera
 from rim_camera_ros.diagnose.noise_verdict import with_variance
 from rim_camera_ros.diagnose.result import Missing
+from rim_camera_ros.diagnose.unknown import closed_form
 from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
+from rim_camera_ros.errors import RimError
 from rim_camera_ros.parameters import NestedList
 
 from .helpers import CAMERA, CYCLIC, run, scene_text
@@ -172,6 +175,13 @@ def test_numbers_in_pixels_of_both_grids() -> None:
     assert coarser.finer_number("effects.mixed_pixels.footprint", 0.3, 3) == pytest.approx(0.9)
     assert coarser.finer_number("effects.mixed_pixels.share", 0.3, 3) == 0.3
     assert coarser.finer_number("effects.cyclic_error.gradient.0", 0.004, 2) == 0.002
+
+
+def test_a_formula_without_its_library_is_one_line_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "sklearn.linear_model", None)
+    x = np.linspace(1.0, 3.0, 12)
+    with pytest.raises(RimError, match=r"scikit-learn is not installed.*python3-sklearn"):
+        closed_form("distance", x, 0.01 * x, np.full(12, 0.001))
 
 
 def test_a_footprint_is_the_same_on_both_grids(tmp_path: Path) -> None:
