@@ -1,7 +1,8 @@
 """The light that pixels gather over an area, sampled in the scene more finely than the pixels.
 
 Only pixels beside an edge of a surface or of its brightness are sampled: elsewhere the light at the centre
-stands for that of the area (what it misses is of the second order in the size of a pixel).
+stands for that of the area (what it misses is of the second order in the size of a pixel). Mixed pixels:
+Kahlmann 2007, sec. 3.3.10, fig. 3.58.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.frame import Pose
-from rim_camera_ros.scene import Geometry, Scene, first_met, rotation_matrix
+from rim_camera_ros.scene import Geometry, Scene, beside_edges, see
 
 Array = NDArray[Any]
 
@@ -98,60 +99,23 @@ def footprint_light(
 
     ``ambiguity`` is the ambiguity range [m].
     """
-    pixels = np.flatnonzero(_beside_edges(geometry) & geometry.hit)
+    pixels = np.flatnonzero(beside_edges(geometry, 1) & geometry.hit)
     steps = cells.side * (np.arange(cells.number) - cells.number // 2)
     down, across = (np.gradient(rays, axis=axis).reshape(-1, 1, 1, 3)[pixels] for axis in (0, 1))
     moved = rays.reshape(-1, 1, 1, 3)[pixels] + steps[:, None, None] * down + steps[:, None] * across
     moved /= np.sqrt(np.einsum("nijk,nijk->nij", moved, moved))[..., None]
-    wave = 2 * np.pi / ambiguity
-
-    def light(distance: Array, power: Array) -> Array:
-        # where nothing is seen the power is 0
-        distance = np.nan_to_num(distance, nan=1.0)
-        return np.asarray(power / distance**2 * np.exp(1j * wave * distance))
-
-    around = light(*light_seen(scene, poses, moved))
-    power = (geometry.reflectivity * geometry.cos_incidence).ravel()[pixels]
-    centre = light(geometry.distance.ravel()[pixels], power)
+    shape = moved.shape[:3]
+    seen = see(scene, poses, moved.reshape(shape[0], -1, 3))
+    around = _light(seen, ambiguity).reshape(shape)
+    centre = _light(geometry, ambiguity).ravel()[pixels]
     dark = centre == 0
     relative = around / np.where(dark, 1.0, centre)[:, None, None]
     relative[dark] = 1.0
     return FootprintLight(rays.shape[:2], pixels, relative.astype(np.complex64), cells)
 
 
-def _beside_edges(geometry: Geometry) -> Array:
-    """Return the pixels (H, W) beside which another surface, another brightness or nothing is seen."""
-    bright = np.where(geometry.hit, geometry.reflectivity, -1.0)
-    result = np.zeros(geometry.surface.shape, bool)
-    for image in (bright, geometry.surface):
-        padded = np.pad(image, 1, mode="edge")
-        around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
-        result |= around.min(axis=(-2, -1)) != around.max(axis=(-2, -1))
-    return result
-
-
-def light_seen(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> tuple[Array, Array]:
-    """Return distance [m] and reflectivity * cos(incidence) [-] of what rays (..., 3) meet, as `see` does.
-
-    NaN and 0 where they meet nothing.
-    """
-    directions = rays.reshape(-1, 3)
-    index, distance = first_met(scene, poses, directions)
-    power = np.zeros(len(directions))
-    for i, surface in enumerate(scene.surfaces):
-        mine = np.flatnonzero(index == i)
-        if not mine.size:
-            continue
-        own, pose = directions[mine], poses[surface.name]
-        rotation, centre = rotation_matrix(pose.orientation), np.array(pose.position)
-        reflectivity: Array | float = surface.reflectivity
-        normal = rotation[:, 2]
-        if surface.type == "sphere":
-            assert surface.radius is not None
-            normal = (distance[mine, None] * own - centre) / surface.radius
-        if surface.texture is not None:
-            local = distance[mine, None] * (own @ rotation[:, :2]) - centre @ rotation[:, :2]
-            reflectivity = surface.texture.reflectivity(local[:, 0], local[:, 1])
-        cosine = np.einsum("nk,nk->n", own, normal) if normal.ndim > 1 else own @ normal
-        power[mine] = reflectivity * np.abs(cosine)
-    return distance.reshape(rays.shape[:-1]), power.reshape(rays.shape[:-1])
+def _light(seen: Geometry, ambiguity: float) -> Array:
+    """Return reflectivity cos(incidence) / d^2 exp(i 2 pi d / L), complex [1/m^2]; 0 for nothing."""
+    distance = np.where(seen.hit, seen.distance, 1.0)
+    power = np.where(seen.hit, seen.reflectivity * seen.cos_incidence, 0.0)
+    return np.asarray(power / distance**2 * np.exp(2j * np.pi / ambiguity * distance))

@@ -240,7 +240,7 @@ def see(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> Geometry:
     """
     shape = rays.shape[:2]
     directions = rays.reshape(-1, 3)
-    index, distance = first_met(scene, poses, directions)
+    index, distance = _first_met(scene, poses, directions)
     points = distance[:, None] * directions
     normals = np.full_like(points, np.nan)
     reflectivity = np.full(len(directions), np.nan)
@@ -272,12 +272,24 @@ def see(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> Geometry:
     )
 
 
+def beside_edges(geometry: Geometry, margin: int) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) within ``margin`` [px] of another surface, another brightness, or nothing."""
+    from scipy.ndimage import maximum_filter, minimum_filter  # takes a good part of a node's start
+
+    size = 2 * margin + 1
+    bright = np.where(geometry.hit, geometry.reflectivity, -1.0)
+    surface = geometry.surface
+    same = minimum_filter(bright, size) == maximum_filter(bright, size)
+    same &= minimum_filter(surface, size) == maximum_filter(surface, size)
+    return np.asarray(~same)
+
+
 def surface_seen(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> NDArray[np.int16]:
     """Return the index of the surface that each of the rays (..., 3) meets, as `see` does."""
-    return first_met(scene, poses, rays.reshape(-1, 3))[0].reshape(rays.shape[:-1])
+    return _first_met(scene, poses, rays.reshape(-1, 3))[0].reshape(rays.shape[:-1])
 
 
-def first_met(scene: Scene, poses: Mapping[str, Pose], directions: Array) -> tuple[NDArray[np.int16], Array]:
+def _first_met(scene: Scene, poses: Mapping[str, Pose], directions: Array) -> tuple[NDArray[np.int16], Array]:
     """Return the index of the nearest surface along each ray (N, 3), -1 where there is none, and how far."""
     origin = np.zeros(3)
     nearest = np.full(len(directions), np.inf)

@@ -48,7 +48,7 @@ class Look:
     variants: Sequence[Candidate]
 
 
-def beside_edges(problem: Problem, fitted: Fit) -> Problem:
+def with_edges(problem: Problem, fitted: Fit) -> Problem:
     """Return the problem with the pixels beside edges, the same where there are none."""
     masks = fitted.forward.pixels_near_edges()
     if problem.masks is not None and not more_pixels(masks, problem.masks):

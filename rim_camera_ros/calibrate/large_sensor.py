@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.coarser import coarser_camera, coarser_dataset, finer_camera
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.pixels import BESIDE, WIDEST, beside_edges, usable_pixels
+from rim_camera_ros.calibrate.pixels import BESIDE, WIDEST, usable_pixels
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT, after_nuisances
 from rim_camera_ros.calibrate.solution import Solution, with_pattern
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera, Validity
 from rim_camera_ros.camera_file import with_effects
-from rim_camera_ros.scene import Scene, see
+from rim_camera_ros.scene import Scene, beside_edges, see
 
 Array = NDArray[Any]
 

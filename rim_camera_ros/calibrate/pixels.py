@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT, after_nuisances
 from rim_camera_ros.effects.reference_path import ReferencePath
-from rim_camera_ros.scene import Geometry
+from rim_camera_ros.scene import beside_edges
 
 Array = NDArray[Any]
 Masks = list[tuple[Array, Array]]
@@ -69,16 +68,6 @@ def usable_pixels(forward: Forward) -> tuple[Masks, int]:
             used = used & ~wild
         masks.append((used, one.amplitude_used & used))
     return masks, gross
-
-
-def beside_edges(geometry: Geometry, margin: int = BESIDE) -> NDArray[np.bool_]:
-    """Return the pixels (H, W) within ``margin`` [px] of another surface, another brightness, or nothing."""
-    size = 2 * margin + 1
-    bright = np.where(geometry.hit, geometry.reflectivity, -1.0)
-    surface = geometry.surface
-    same = minimum_filter(bright, size) == maximum_filter(bright, size)
-    same &= minimum_filter(surface, size) == maximum_filter(surface, size)
-    return np.asarray(~same)
 
 
 def beside_in_view(prediction: Prediction, margin: int) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from rim_camera_ros.calibrate.beside_edges import Look, beside_edges, promising, sharper
+from rim_camera_ros.calibrate.beside_edges import Look, promising, sharper, with_edges
 from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.elsewhere import follows_time_elsewhere, shows_elsewhere
 from rim_camera_ros.calibrate.exploration import Exploration, explore, explored, further_equations
@@ -131,7 +131,7 @@ class Search:
         own = [one for one in self.variants if one.effect == "mixed_pixels"]
         if not self.may_look or self.beside_edges is not None or not own:
             return
-        problem = beside_edges(self.problem, self.step.fit)
+        problem = with_edges(self.problem, self.step.fit)
         if problem is self.problem:
             return
         self.say("pixels beside edges")

@@ -20,14 +20,12 @@ _PLAIN = 0.2
 _MOST_POSES = 8
 #: Chi-square per value of a pose, and errors in sigmas of its instrument, that are shown as disagreeing.
 _BAD_CHI, _BAD_ERROR = 4.0, 8.0
+#: Chi-square per value beyond which something is left.
+_LEFT = 1.1
 _AS_IF = (
     "The errors of the poses are those that the better simulation finds: without it they would hide part "
     "of the difference."
 )
-
-
-#: Chi-square per value beyond which something is left.
-_LEFT = 1.1
 
 
 def curves(result: Diagnosis, found: Evidence) -> str:

@@ -110,11 +110,12 @@ class MixedPixels(ComplexEffect):
         return result
 
     def sentence(self) -> str:
-        if self.footprint is not None and self.blur < _POINT:
+        if self.footprint is not None:
             part = "" if self.share is None else f"{100 * self.share:.2g} % of "
+            blurred = "" if self.blur < _POINT else f", blurred over {self.blur:.2g} px (sigma)"
             return (
-                f"mixed pixels: each pixel gathers {part}its light from a square of {self.footprint:.2g} px; "
-                "those that an edge crosses measure a distance between the two surfaces"
+                f"mixed pixels: each pixel gathers {part}its light from a square of {self.footprint:.2g} px"
+                f"{blurred}; those that an edge crosses measure a distance between the two surfaces"
             )
         return (
             f"mixed pixels: the light of each point is blurred over {self.blur:.2g} px (sigma); "

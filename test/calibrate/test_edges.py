@@ -9,12 +9,12 @@ import numpy as np
 
 from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.pixels import beside_edges, usable_pixels, without_edges
+from rim_camera_ros.calibrate.pixels import usable_pixels, without_edges
 from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.distance_scale import DistanceScale
-from rim_camera_ros.scene import Scene, load_scene, see
+from rim_camera_ros.scene import Scene, beside_edges, load_scene, see
 
 from .helpers import camera, record
 

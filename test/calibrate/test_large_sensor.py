@@ -13,7 +13,7 @@ from rim_camera_ros.calibrate import coarser
 from rim_camera_ros.calibrate.coarser import coarseness_of
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.large_sensor import LargeSensor
-from rim_camera_ros.calibrate.pixels import beside_edges
+from rim_camera_ros.calibrate.pixels import BESIDE
 from rim_camera_ros.calibrate.run import Calibration, Request, calibrate
 from rim_camera_ros.camera import Camera, Validity
 from rim_camera_ros.camera_file import with_effects
@@ -22,7 +22,7 @@ from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.parameters import ArrayFile
-from rim_camera_ros.scene import see
+from rim_camera_ros.scene import beside_edges, see
 
 from .bags import frames, write
 from .helpers import camera, record, scene
@@ -125,4 +125,4 @@ def test_edges_are_those_of_the_full_grid(tmp_path: Path) -> None:
         beside = large.beside_edges(prediction, margin)
         np.testing.assert_array_equal(beside, beside_edges(geometry, margin)[1::3, 1::3])
     # on the coarser grid itself the margin would be three times as wide
-    assert large.beside_edges(prediction).sum() < beside_edges(prediction.view.geometry).sum()
+    assert large.beside_edges(prediction).sum() < beside_edges(prediction.view.geometry, BESIDE).sum()
