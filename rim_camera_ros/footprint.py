@@ -105,7 +105,7 @@ def footprint_light(
     moved = rays.reshape(-1, 1, 1, 3)[pixels] + steps[:, None, None] * down + steps[:, None] * across
     moved /= np.sqrt(np.einsum("nijk,nijk->nij", moved, moved))[..., None]
     shape = moved.shape[:3]
-    seen = see(scene, poses, moved.reshape(shape[0], -1, 3))
+    seen = see(scene, poses, moved.reshape(shape[0], shape[1] * shape[2], 3))
     around = _light(seen, ambiguity).reshape(shape)
     centre = _light(geometry, ambiguity).ravel()[pixels]
     dark = centre == 0

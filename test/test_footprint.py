@@ -65,6 +65,14 @@ def phasor(reflectivity: float, distance: float) -> complex:
     return complex(reflectivity / distance**2 * np.exp(2j * np.pi * distance / L))
 
 
+def test_without_an_edge_the_light_is_that_of_the_centre() -> None:
+    """Of a pose before one wall no pixel is sampled; a sweep of poses has some of these."""
+    light = light_of(Scene(halves(12.25).surfaces[1:]))
+    assert light.pixels.size == 0
+    np.testing.assert_array_equal(light.ratio(0.7), np.ones((22, 30)))
+    np.testing.assert_array_equal(light.ratio_column(0.7), np.zeros((22, 30)))
+
+
 @pytest.mark.parametrize("side", [0.5, 0.7, 1.0, 1.3])
 @pytest.mark.parametrize("edge", [12.05, 12.25, 12.35, 11.75])
 def test_the_share_of_the_other_surface_is_that_of_the_area(side: float, edge: float) -> None:
