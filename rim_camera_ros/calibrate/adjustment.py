@@ -23,6 +23,7 @@ def fit(
     tolerance: float = TOLERANCE,
     views: Views | None = None,
     warm: Fit | None = None,
+    near: bool = False,
     progress: Progress | None = None,
 ) -> Fit:
     """Adjust a camera's parameters to the data.
@@ -30,11 +31,15 @@ def fit(
     Steps end when no parameter moves by more than ``tolerance`` of its sigma. ``further`` blocks of
     regressors stand beside the parameters in the final equations without being fitted (candidates).
     ``warm`` is a fit of the same data whose pattern, errors and powers are started from; with no
-    ``iterations`` the result is its own solution with the equations of the further blocks.
+    ``iterations`` the result is its own solution with the equations of the further blocks. ``near`` says that
+    the camera is near the solution in effects that are new as well: their widths move at once, and a step
+    that makes things a little worse is followed by another before it is taken back.
 
     Raises `RimError` where it does not converge to a finite solution, `InputError` without usable data.
     """
-    work = GaussNewton(problem, camera, iterations=iterations, tolerance=tolerance, views=views, warm=warm)
+    work = GaussNewton(
+        problem, camera, iterations=iterations, tolerance=tolerance, views=views, warm=warm, near=near
+    )
     best: Fit | None = None
     for count in range(iterations + 2):
         final = count >= iterations or work.ended

@@ -145,9 +145,13 @@ def explore(
     replicates: int = 200,
     iterations: int = 8,
     tolerance: float = TOLERANCE,
+    near: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Exploration:
-    """Fit the camera to ``tolerance`` of each sigma and score all candidates at the solution."""
+    """Fit the camera to ``tolerance`` of each sigma and score all candidates at the solution.
+
+    Other parameters as in `adjustment.fit`.
+    """
     blocks: list[Block] = [one.block for one in (*found, *further)]
     fitted = fit(
         problem,
@@ -158,6 +162,7 @@ def explore(
         warm=warm,
         iterations=iterations,
         tolerance=tolerance,
+        near=near,
         progress=progress,
     )
     return explored(fitted, found, further=further, seed=seed, replicates=replicates)

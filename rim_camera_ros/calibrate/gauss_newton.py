@@ -48,6 +48,8 @@ _HOLD = 1e9
 #: step. The step after it is damped alike, and so many times less once one is good at its first try.
 _DAMPING = (0.01, 0.1, 1.0, np.inf)
 _LESS_DAMPED = 10.0
+#: Share of the forecast gain of a step by which the objective may become worse once, near the solution.
+_OVER_THE_BEND = 0.1
 #: Step of a parameter in units of its sigma, and change of chi-square between two iterations (for that
 #: tolerance), below which the adjustment has converged.
 TOLERANCE = 0.05
@@ -100,6 +102,7 @@ class GaussNewton:
         tolerance: float,
         views: Views | None,
         warm: Fit | None,
+        near: bool = False,
     ) -> None:
         self._problem, self._start = problem, start
         self._iterations, self._tolerance = iterations, tolerance
@@ -117,14 +120,17 @@ class GaussNewton:
         self._tau = 0.0
         self._settled = _SETTLED
         self._new: frozenset[str] = frozenset()
+        self._near = near
         if warm is not None:
-            self._new = frozenset(start.effects.keys() - warm.camera.effects.keys())
+            if not near:
+                self._new = frozenset(start.effects.keys() - warm.camera.effects.keys())
             if warm.forward.amplitude_model.gains:
                 self._begin_at(warm)
         # the way
         self._solved: Solved | None = None
         self._objective, self._square = np.inf, np.inf
         self._tried, self._damping = 0, 0.0
+        self._return: Solved | None = None
         self._last_step: dict[str, float] = {}
         self._converged = self._exhausted = self._stuck = False
 
@@ -239,13 +245,18 @@ class GaussNewton:
     def went_too_far(self, here: Linearised, count: int) -> bool:
         """Return whether the last step made things worse, and a shorter one may be tried."""
         worse = self._warm and here.objective > self._objective + _LEVEL
-        return (
-            worse and self._tried < len(_DAMPING) and count <= self._iterations and self._solved is not None
-        )
+        if not worse or self._tried >= len(_DAMPING) or count > self._iterations or self._solved is None:
+            return False
+        if not self._near or self._tried or self._return is not None or count >= self._iterations:
+            return True
+        # across the bend of a valley the next step may be the good one: short steps would follow the bend
+        return here.objective > self._objective + _OVER_THE_BEND * self._solved.forecast
 
     def shorten(self, *, final: bool) -> None:
         """Take a shorter step from where the last one began, or none where no more may be tried."""
         assert self._solved is not None
+        if self._return is not None:
+            self._solved, self._return = self._return, None
         self._tried = len(_DAMPING) if final else self._tried + 1
         self._damping = max(_DAMPING[self._tried - 1], self._damping * _LESS_DAMPED)
         self._solved = replace(self._solved, damping=self._damping)
@@ -263,7 +274,11 @@ class GaussNewton:
         """Stay where the last step led."""
         if self._tried == 0:
             self._damping = self._damping / _LESS_DAMPED if self._damping > _DAMPING[0] else 0.0
-        self._objective, self._tried = here.objective, 0
+        self._tried = 0
+        if here.objective > self._objective + _LEVEL and self._near:
+            self._return = self._solved
+            return
+        self._objective, self._return = here.objective, None
 
     def advance(self, here: Linearised, count: int) -> None:
         """Take the next step, and judge whether it is one.

@@ -9,6 +9,7 @@ from rim_camera_ros.calibrate.beside_edges import Look, promising, sharper, with
 from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.elsewhere import follows_time_elsewhere, shows_elsewhere
 from rim_camera_ros.calibrate.exploration import Exploration, explore, explored, further_equations
+from rim_camera_ros.calibrate.few_poses import at_stations, few_stations, left_behind
 from rim_camera_ros.calibrate.forms import form_blocks
 from rim_camera_ros.calibrate.gauss_newton import keeps_amplitude_error
 from rim_camera_ros.calibrate.leaders import (
@@ -37,6 +38,8 @@ _MOST_TRIALS = 3
 #: Iterations of fits that add an effect, and shares of the sigmas at which they end.
 _ITERATIONS = 12
 _TOLERANCE = 0.15
+#: Share of what the best gains within which others may be as good.
+_NEARLY = 0.15
 #: Gain of a fit over its linear forecast above which it is looked at what gained it.
 _BY_ITSELF = 2.0
 
@@ -245,11 +248,11 @@ class Search:
         light much looks worse than it is.
         """
         beside = near_rivals(self.step, numbers, leader, self.found, self.failed.keys())
-        choices = [numbers, *beside][:_MOST_TRIALS]
+        choices, starts = self._ahead([numbers, *beside][:_MOST_TRIALS])
         best: Trial | None = None
         alone: dict[str, float] = {}
         for choice in choices:
-            trial = self._trial(choice)
+            trial = self._trial(choice, start=starts.get(choice))
             other = what_it_became(trial.fitted, choice, self.step, self.found, self.camera)
             if other is not None:
                 if other not in choices:
@@ -262,17 +265,51 @@ class Search:
         assert best is not None
         return best, as_good(alone, best, self.step.scores.log_likelihood())
 
-    def _trial(self, choice: tuple[int, ...]) -> Trial:
+    def _ahead(
+        self, choices: Sequence[tuple[int, ...]]
+    ) -> tuple[list[tuple[int, ...]], dict[tuple[int, ...], Camera]]:
+        """Fit choices to a few poses where there are many values; return who may win, and where fits begin.
+
+        Rays are not moved by a few poses, and what follows the time of the poses needs them all.
+        """
+        few = few_stations(self.problem, seed=self.seed)
+        if few is None:
+            return list(choices), {}
+        able = [
+            choice
+            for choice in choices
+            if not any(self._effect(k) in GEOMETRY or self._effect(k) in OF_TIME for k in choice)
+        ]
+        trials = {choice: self._trial(choice, few=few) for choice in able}
+        lost: set[tuple[int, ...]] = set()
+        if all(len(choice) == 1 for choice in choices):
+            # beside effects found before, those nearly as good as the best are told
+            gain = max((self.step.joint(*choice) for choice in able), default=0.0) if self.found else 0.0
+            least = _NEARLY * gain * len(few) / len(self.problem.dataset.stations)
+            by_fold = {choice: one.fitted.scores.log_likelihoods() for choice, one in trials.items()}
+            lost = left_behind(by_fold, least=least)
+        starts = {choice: one.fitted.fit.camera for choice, one in trials.items()}
+        return [choice for choice in choices if choice not in lost], starts
+
+    def _trial(
+        self, choice: tuple[int, ...], *, few: Sequence[int] | None = None, start: Camera | None = None
+    ) -> Trial:
+        """Fit candidates from a guess or a better start, to the stations ``few`` alone if they are given."""
         step = self.step
         names = [self._effect(k) for k in choice]
-        self.say("fitting " + " and ".join(names))
+        self.say("fitting " + " and ".join(names) + (" to a few poses" if few is not None else ""))
         geometry = tuple(dict.fromkeys([*self.problem.geometry, *(n for n in names if n in GEOMETRY)]))
         reflectance = self.problem.reflectance or not OF_SURFACES.isdisjoint(names)
         problem = replace(self.problem, geometry=geometry, reflectance=reflectance)
+        if few is not None:
+            problem = at_stations(problem, few)
         # first by itself: what loses need not be explored; rays from where they are, as a linear guess of
         # them may put a texture's edges on other pixels
-        start = step.camera_with([k for k in choice if self._effect(k) not in GEOMETRY])
-        fitted = self._fitted(problem, start, step)
+        guess = step.camera_with([k for k in choice if self._effect(k) not in GEOMETRY])
+        fitted = self._fitted(problem, guess if start is None else start, step, near=start is not None)
+        if few is not None:
+            # they cost little: the nearer they come to their end, the fewer steps remain with all poses
+            fitted = self._fitted(problem, fitted.fit.camera, fitted, near=True)
         if "amplitude_nonlinearity" in names:
             # its one parameter first: together with a free response it would not find the way
             problem = replace(problem, response=level_of(problem.dataset))
@@ -302,6 +339,8 @@ class Search:
         wanted: Sequence[Candidate] = (),
         replicates: int = 0,
         iterations: int = _ITERATIONS,
+        *,
+        near: bool = False,
     ) -> Exploration:
         """Return the fit of a camera that begins at the nuisances of a step, and scores candidates."""
         return explore(
@@ -315,6 +354,7 @@ class Search:
             replicates=replicates,
             iterations=iterations,
             tolerance=_TOLERANCE,
+            near=near,
         )
 
     def _replace_step(self, fitted: Fit, before: Exploration) -> None:

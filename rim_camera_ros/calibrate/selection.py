@@ -87,11 +87,21 @@ class Scores:
 
         Comparable between fits of the same pixels at different parameters.
         """
-        total = float(self.held_out(extra))
-        for one in self.trained or []:
-            total -= 0.5 * float(self.full.square - one.square) / self.temper
-            total -= self.full.log_norm - one.log_norm
-        return total
+        if not self.trained:
+            return float(self.held_out(extra))
+        return sum(self.log_likelihoods(extra))
+
+    def log_likelihoods(self, extra: Iterable[int] = ()) -> list[float]:
+        """Return what each fold adds to `log_likelihood`, given the others."""
+        columns = self.columns(extra)
+        everything = float(self._evidence(self.full, columns))
+        return [
+            everything
+            - float(self._evidence(one, columns))
+            - 0.5 * float(self.full.square - one.square) / self.temper
+            - (self.full.log_norm - one.log_norm)
+            for one in self.trained
+        ]
 
     def gain(self, extra: Iterable[int]) -> Any:
         """Return the gain of a set over the base alone, in nats."""

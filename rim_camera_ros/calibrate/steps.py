@@ -76,6 +76,11 @@ class Solved:
         return step
 
     @property
+    def forecast(self) -> float:
+        """By how much the step should lower the objective."""
+        return float(2 * self.right @ self.step - self.step @ self.matrix @ self.step)
+
+    @property
     def changes(self) -> dict[str, float]:
         """The step by label."""
         return dict(zip(self.labels, self.step.tolist(), strict=True))

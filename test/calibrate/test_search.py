@@ -204,8 +204,9 @@ def test_what_became_another_effect_is_no_rival_of_it(
         search_steps, "what_it_became", lambda _, choice, *__: became if choice == (0,) else None
     )
     monkeypatch.setattr(
-        Search, "_trial", lambda _, one: Trial([names[one[0]]], nothing, nothing, likelihoods[one[0]])
+        Search, "_trial", lambda _, one, **__: Trial([names[one[0]]], nothing, nothing, likelihoods[one[0]])
     )
+    monkeypatch.setattr(search_steps, "few_stations", lambda *_, **__: None)
     best, others = Search(nothing, nothing, [step], {})._best_trial((0,), 0)
     assert (best.effects, others) == (["mixed_pixels"], close)
 
