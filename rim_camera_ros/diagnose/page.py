@@ -192,11 +192,16 @@ def _missing(result: Diagnosis) -> list[str]:
         parts.append(html.bullets(result.next_recording.split("; ")))
     if result.smooth_rest is not None and result.verdict == "missing_physics":
         name, gain = result.smooth_rest
+        share = (
+            f", {100 * gain / result.gained:.2g} % of what the effects named gain"
+            if result.gained > 0
+            else ""
+        )
         parts.append(
             html.paragraph(
-                f"Beyond that, a smooth function of {name.replace('_', ' ')} still gains {gain:,.0f} nats: "
-                "small, but more than chance. The form of the effect may differ a little from the "
-                "vocabulary's."
+                f"Beyond that, a smooth function of {name.replace('_', ' ')} still gains {gain:,.0f} nats"
+                f"{share}; chance does not. The form of what is named differs from the vocabulary's, or "
+                "something else is left out."
             )
         )
     if _improved(result) and not result.accuracy.notes():

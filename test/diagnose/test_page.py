@@ -75,6 +75,15 @@ def rendered(result: Diagnosis) -> str:
 # --- the whole page ---------------------------------------------------------------------------------
 
 
+def test_what_a_smooth_function_still_gains_is_told_beside_what_is_named(case: Case) -> None:
+    """41 nats beside 1,640 are 2.5 %; 900 would be 55 %, which nobody should call small."""
+    for gain, share in ((41.0, "2.5 %"), (900.0, "55 %")):
+        result = replace(case.missing, smooth_rest=("column_row", gain), gained=1640.0)
+        sentence = f"a smooth function of column row still gains {gain:.0f} nats, {share} of what the effects"
+        assert sentence in text_of(rendered(result))
+    assert "still gains" not in text_of(rendered(replace(case.missing, smooth_rest=None)))
+
+
 def test_page_tells_the_numbers_of_the_report(case: Case) -> None:
     content = case.page
     shown = text_of(content)
