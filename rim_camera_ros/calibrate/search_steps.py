@@ -288,7 +288,12 @@ class Search:
             least = _NEARLY * gain * len(few) / len(self.problem.dataset.stations)
             by_fold = {choice: one.fitted.scores.log_likelihoods() for choice, one in trials.items()}
             lost = left_behind(by_fold, least=least)
-        starts = {choice: one.fitted.fit.camera for choice, one in trials.items()}
+        starts = {
+            # they cost little: the nearer they come to their end, the fewer steps remain with all poses
+            choice: self._fitted(one.problem, one.fitted.fit.camera, one.fitted, near=True).fit.camera
+            for choice, one in trials.items()
+            if choice not in lost
+        }
         return [choice for choice in choices if choice not in lost], starts
 
     def _trial(
@@ -307,9 +312,6 @@ class Search:
         # them may put a texture's edges on other pixels
         guess = step.camera_with([k for k in choice if self._effect(k) not in GEOMETRY])
         fitted = self._fitted(problem, guess if start is None else start, step, near=start is not None)
-        if few is not None:
-            # they cost little: the nearer they come to their end, the fewer steps remain with all poses
-            fitted = self._fitted(problem, fitted.fit.camera, fitted, near=True)
         if "amplitude_nonlinearity" in names:
             # its one parameter first: together with a free response it would not find the way
             problem = replace(problem, response=level_of(problem.dataset))
