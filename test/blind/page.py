@@ -43,7 +43,7 @@ _COMMENT = """\
 <!-- Written by `make proof` from the results of the run and from proof/history.md; changes here are lost. -->
 """
 
-#: What people say of a run: what was seen before it, what came after; Markdown.
+#: What people say of a run (Markdown): what it was; from its first heading on what came before and after.
 HISTORY = "history.md"
 
 
@@ -52,7 +52,7 @@ def write_page(
 ) -> Path:
     """Write `proof.md`, and the pictures and the ledger into `proof/` beside it; return the page's path.
 
-    What people say of the run, in `proof/history.md`, becomes part of the page.
+    What people say of the run, in `proof/history.md`, becomes part of the page: its sections the last ones.
     """
     pictures = folder / "proof"
     pictures.mkdir(parents=True, exist_ok=True)
@@ -78,11 +78,12 @@ def page(
     history: str = "",
 ) -> str:
     """The page's text."""
+    about, heading, sections = history.partition("\n## ")
     parts = [
         "# Proof: does `rim diagnose` name the right physics?",
         _COMMENT,
         _about(results, command),
-        history,
+        about,
         "## What was reached",
         _table(
             ["measure", "demanded", "measured (95 % interval)", "met"],
@@ -112,6 +113,7 @@ def page(
         _trouble(results, not_run),
         "## Misses",
         _misses(found.misses),
+        heading + sections,
     ]
     return "\n\n".join(part.strip() for part in parts if part) + "\n"
 

@@ -351,9 +351,11 @@ def test_page_tells_all_of_it(tmp_path):
 
 def test_page_keeps_what_people_say_of_the_run(tmp_path):
     (tmp_path / "proof").mkdir()
-    (tmp_path / "proof" / "history.md").write_text("Seven cases were seen before.\n")
+    said = "Seven cases were seen before.\n\n## After the run\n\nNothing.\n"
+    (tmp_path / "proof" / "history.md").write_text(said)
     text = write_page([result()], tmp_path, ledger=tmp_path / "none", command="x").read_text()
     assert "\n\nSeven cases were seen before.\n\n## What was reached" in text
+    assert text.endswith("\n\n## After the run\n\nNothing.\n")
 
 
 def test_page_warns_of_other_forms(tmp_path):
