@@ -33,18 +33,24 @@ _BLOCK = 4096
 
 @dataclass
 class NormalEquations:
-    """All folds; ``regressors`` in the order of the columns; ``threads`` that work on them may take."""
+    """All folds; ``regressors`` in the order of the columns; ``threads`` that work on them may take.
+
+    The folds do not change any more once one of them was reduced: what was is kept.
+    """
 
     regressors: list[Regressor]
     folds: list[Fold] = field(default_factory=list)
     shape: tuple[int, int] = (0, 0)
     pattern_prior: float = PATTERN_PRIOR
     threads: int = 1
+    _reduced: dict[int | None, Reduced] = field(default_factory=dict, repr=False, compare=False)
 
     def reduced(self, leave_out: int | None = None) -> Reduced:
         """Return the equations of the regressors alone, of all folds but one; nuisances are eliminated."""
-        kept = [fold for i, fold in enumerate(self.folds) if i != leave_out]
-        return reduce_folds(kept, len(self.regressors), self.pattern_prior)
+        if leave_out not in self._reduced:
+            kept = [fold for i, fold in enumerate(self.folds) if i != leave_out]
+            self._reduced[leave_out] = reduce_folds(kept, len(self.regressors), self.pattern_prior)
+        return self._reduced[leave_out]
 
 
 @dataclass
@@ -53,7 +59,8 @@ class Reduced:
 
     ``gram`` (K, K) and ``right`` (K,) or (K, R); ``square`` y' V^-1 y; ``log_norm`` half the log
     determinant of V; ``rows`` observations. ``recover`` gives nuisances and pattern for
-    given regressor values.
+    given regressor values; ``sides`` the right-hand sides (K, R) of replicates of each fold in the place of
+    its observations: sides (M - 1, R) and sums per pixel (P, R).
     """
 
     gram: Array
@@ -62,6 +69,7 @@ class Reduced:
     rows: int
     log_norm: float
     recover: Callable[[Array], tuple[dict[str, float], Array]]
+    sides: Callable[[Sequence[tuple[Array, Array]]], Array]
 
 
 def _stacked(folds: Sequence[Fold], count: int) -> tuple[Array, Array, list[tuple[str, float, float]]]:
@@ -124,25 +132,11 @@ def _stacked_replicates(
     return right, np.asarray(sum(pixel for _, pixel in replicates))
 
 
-def reduce_folds(
-    folds: Sequence[Fold],
-    count: int,
-    pattern_prior: float,
-    *,
-    replicates: Sequence[tuple[Array, Array]] | None = None,
-) -> Reduced:
-    """Eliminate pattern and nuisances from the sum of some folds.
-
-    ``replicates`` of each fold, right-hand sides (M - 1, R) and sums per pixel (P, R), take the place of the
-    observations.
-    """
+def reduce_folds(folds: Sequence[Fold], count: int, pattern_prior: float) -> Reduced:
+    """Eliminate pattern and nuisances from the sum of some folds."""
     full, weight, nuisances = _stacked(folds, count)
     scale = 1.0 / (weight + pattern_prior**-2)
-    if replicates is not None:
-        drawn, summed = _stacked_replicates(folds, count, replicates)
     for rows, block in pixel_blocks(folds, count):
-        if replicates is not None:
-            drawn -= block[:, :-1].T @ (summed[rows] * scale[rows, None].astype(summed.dtype))
         block *= np.sqrt(scale[rows])[:, None].astype(block.dtype)
         full -= block.T @ block
     inner = slice(count, count + len(nuisances))
@@ -162,11 +156,6 @@ def reduce_folds(
     else:
         solved = cross
         reduced = full[np.ix_(keep, keep)]
-    right = reduced[:-1, -1]
-    if replicates is not None:
-        right = drawn[:count]
-        if nuisances:
-            right = right - cross[:, :-1].T @ linalg.cho_solve(factor, drawn[count:], check_finite=False)
 
     # the sums per pixel are put together anew when they are asked for: kept, they would fill the memory
     def recover(values: Array) -> tuple[dict[str, float], Array]:
@@ -176,13 +165,23 @@ def reduce_folds(
         pattern = total / (sum(fold.weight for fold in folds) + pattern_prior**-2)
         return {name: float(e) for (name, _, _), e in zip(nuisances, found, strict=True)}, pattern
 
+    def sides(replicates: Sequence[tuple[Array, Array]]) -> Array:
+        drawn, summed = _stacked_replicates(folds, count, replicates)
+        for rows, block in pixel_blocks(folds, count):
+            drawn -= block[:, :-1].T @ (summed[rows] * scale[rows, None].astype(summed.dtype))
+        if not nuisances:
+            return drawn[:count]
+        errors = linalg.cho_solve(factor, drawn[count:], check_finite=False)
+        return np.asarray(drawn[:count] - cross[:, :-1].T @ errors)
+
     return Reduced(
         gram=(reduced[:-1, :-1] + reduced[:-1, :-1].T) / 2,
-        right=right,
+        right=reduced[:-1, -1],
         square=reduced[-1, -1],
         rows=sum(fold.rows for fold in folds),
         log_norm=log_norm,
         recover=recover,
+        sides=sides,
     )
 
 

@@ -7,7 +7,7 @@ a replicate of noise, pose errors and powers costs a few products instead of a s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from rim_camera_ros.calibrate.fold_sums import Fold
-from rim_camera_ros.calibrate.normal_equations import NormalEquations, pixel_blocks, reduce_folds
+from rim_camera_ros.calibrate.normal_equations import NormalEquations, Reduced, pixel_blocks
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.threads import in_order
 
@@ -54,16 +54,11 @@ def null_scores(
     scores.base = np.array(sorted(base), int)
     scores.prior = np.array([one.prior for one in equations.regressors])
     scores.temper = temper
-    count = len(equations.regressors)
 
-    def reduced(leave_out: int | None) -> Any:
-        kept = [i for i in range(len(equations.folds)) if i != leave_out]
-        return reduce_folds(
-            [equations.folds[i] for i in kept],
-            count,
-            equations.pattern_prior,
-            replicates=[(draws[i].right, draws[i].pixel) for i in kept],
-        )
+    def reduced(leave_out: int | None) -> Reduced:
+        kept = [one for i, one in enumerate(draws) if i != leave_out]
+        observed = equations.reduced(leave_out)
+        return replace(observed, right=observed.sides([(one.right, one.pixel) for one in kept]))
 
     folds = range(len(equations.folds)) if len(equations.folds) > 1 else ()
     scores.full, *scores.trained = in_order(reduced, (None, *folds), threads=equations.threads)
