@@ -12,6 +12,7 @@ from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects.base import Effect
+from rim_camera_ros.effects.scattering import Scattering
 
 Coefficients = Mapping[str, float]
 
@@ -71,3 +72,11 @@ class Facts:
 def added(camera: Camera, effect: Effect) -> Camera:
     """Return the camera with one effect more, in the order along the light."""
     return with_effects(camera, {**camera.effects, effect.name: effect})
+
+
+def without_idle_halos(camera: Camera) -> Camera:
+    """Return the camera without halos of stray light that were fitted with no light; itself without such."""
+    effect = camera.effects.get("scattering")
+    if not isinstance(effect, Scattering) or (lean := effect.without_idle_halos()) == effect:
+        return camera
+    return added(camera, lean)

@@ -54,9 +54,9 @@ def at_stations(problem: Problem, numbers: Sequence[int]) -> Problem:
 
 
 def left_behind[Key: Hashable](likelihoods: Mapping[Key, Sequence[float]], *, least: float = 0.0) -> set[Key]:
-    """Return which fits are worse than the best in every fold of poses, and by more than chance in all.
+    """Return which fits are worse than the best in every fold of poses, and by more than 30 nats in sum.
 
-    ``likelihoods`` of each fit in nats by fold; ``least`` [nats] is by how much they must be worse at least.
+    ``likelihoods`` of each fit in nats by fold; ``least`` [nats], if it is more, takes the place of the 30.
     """
     if not likelihoods:
         return set()

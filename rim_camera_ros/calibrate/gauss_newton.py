@@ -288,7 +288,7 @@ class GaussNewton:
         if not np.all(np.isfinite(here.step)):
             raise RimError("the adjustment found no finite solution", remedy="check scene and camera file")
         assert self._gains is not None
-        most = longest_steps(here.labels, self._offsets, self._numbers)
+        most = longest_steps(here.labels, self._offsets, self._numbers, self._start.shape)
         self._solved = Solved(
             here.reduced,
             here.labels,

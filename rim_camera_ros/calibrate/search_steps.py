@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from rim_camera_ros.calibrate.beside_edges import Look, promising, sharper, with_edges
-from rim_camera_ros.calibrate.candidate import Candidate
+from rim_camera_ros.calibrate.candidate import Candidate, without_idle_halos
 from rim_camera_ros.calibrate.elsewhere import follows_time_elsewhere, shows_elsewhere
 from rim_camera_ros.calibrate.exploration import Exploration, explore, explored, further_equations
 from rim_camera_ros.calibrate.few_poses import at_stations, few_stations, left_behind
@@ -213,9 +213,11 @@ class Search:
             ties += [other for other in close if self.found and other not in ties]
             self.found.append(Found(name, gain, gains, ties, step=len(self.explorations) - 1))
         self.problem = trial.problem
-        if not fitted.fit.converged or keeps_amplitude_error(self.step.fit.camera, fitted.fit.camera):
+        camera, lean = fitted.fit.camera, without_idle_halos(fitted.fit.camera)
+        ended = lean is camera and fitted.fit.converged
+        if not ended or keeps_amplitude_error(self.step.fit.camera, camera):
             # or the next effect, whose fit goes on or estimates it anew, would gain what this one did
-            fitted = self._fitted(self.problem, fitted.fit.camera, fitted)
+            fitted = self._fitted(self.problem, lean, fitted)
         final = self._explored(fitted.fit, [one.effect for one in self.found], self.step, self.problem)
         self.step.forget()
         self.explorations.append(final)

@@ -24,8 +24,10 @@ from rim_camera_ros.scene import Scene, ScenePose, quaternion, rotation_matrix
 Array = NDArray[Any]
 
 GAIN = "radiometry.gain"
-#: Relative change of a width or a lag in one step.
+#: Relative change of a width or a lag in one step, and change of a phase from rim to rim of the array [rad].
 _SHAPE_STEP = 0.25
+_TURN_STEP = 1.0
+_TURNS = {"effects.cyclic_error.gradient.0": 1, "effects.cyclic_error.gradient.1": 0}
 _OPTICAL = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
 #: Share of a station's values below whose amplitude a pole of a term may lie.
 _DARKEST = 0.01
@@ -110,13 +112,24 @@ def stepped(
 ) -> tuple[Camera, dict[str, float]]:
     """Take a step, or so much of it as leads to a possible camera.
 
-    Raises `InputError` where not even a thousandth does.
+    Amplitude and phase of a sinusoid go where their phasor does: by themselves a step through amplitude 0
+    would turn its sign, and phases of a small one would leave for good. The sign stays that of the camera
+    file, the phase within half a period of its. Raises `InputError` where not even a thousandth does.
     """
     share = 1.0
     while True:
         moved = dict(offsets)
         for path, change in changes.items():
             moved[path] = moved.get(path, 0.0) + share * change
+        for path in changes:
+            phase = path.removesuffix("amplitude") + "phase"
+            if ".harmonics." in path and path != phase and phase in changes:
+                begun = numbers[path] + offsets.get(path, 0.0)
+                phasor = begun + share * (changes[path] + 1j * begun * changes[phase])
+                phasor *= float(np.copysign(1.0, numbers[path]))
+                turned = offsets.get(phase, 0.0) + float(np.angle(phasor))
+                moved[path] = float(np.copysign(abs(phasor), numbers[path])) - numbers[path]
+                moved[phase] = (turned + np.pi) % (2 * np.pi) - np.pi
         try:
             return _moved(start, moved, lows, highs, numbers), moved
         except (InputError, ValueError):
@@ -125,14 +138,23 @@ def stepped(
                 raise
 
 
-def longest_steps(labels: Sequence[str], offsets: Mapping[str, float], numbers: Mapping[str, float]) -> Array:
-    """Return how far parameters may go in one step: shapes by a quarter."""
-    return np.array(
-        [
-            _SHAPE_STEP * max(abs(numbers[path] + offsets.get(path, 0.0)), 1e-9) if of_shape(path) else np.inf
-            for path in labels
-        ]
-    )
+def longest_steps(
+    labels: Sequence[str],
+    offsets: Mapping[str, float],
+    numbers: Mapping[str, float],
+    shape: tuple[int, int],
+) -> Array:
+    """Return how far parameters may go in one step: shapes by a quarter, phases over the array by a radian.
+
+    ``shape`` (H, W) of the array.
+    """
+
+    def longest(path: str) -> float:
+        if of_shape(path):
+            return _SHAPE_STEP * max(abs(numbers[path] + offsets.get(path, 0.0)), 1e-9)
+        return _TURN_STEP / shape[_TURNS[path]] if path in _TURNS else np.inf
+
+    return np.array([longest(path) for path in labels])
 
 
 def power_factor(change: float) -> float:

@@ -12,6 +12,7 @@ from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.nulls import null_scores
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.selection import Scores
+from rim_camera_ros.calibrate.steps import bounds_of
 
 Array = NDArray[Any]
 
@@ -46,7 +47,8 @@ def intervals_of(
     """Return value and 95 % interval of each parameter.
 
     From a parametric bootstrap (replicates of noise, errors of poses and powers in the normal equations,
-    around the fit), widened where a jackknife over folds of poses, dealt or in blocks of time, says so.
+    around the fit), widened where a jackknife over folds of poses, dealt or in blocks of time, says so, and
+    cut at the parameter's bounds.
     """
     fitted, scores = step.fit, step.scores
     count = len(fitted.parameters)
@@ -70,8 +72,11 @@ def intervals_of(
             jackknife = _jackknife(one, count)
             spread = np.maximum(spread, np.where(jackknife > least * spread, jackknife, 0.0))
     gain = fitted.camera.radiometry.gain
+    lows, highs = bounds_of(fitted.camera)
     result = {}
     for i, (path, value) in enumerate(fitted.parameters.items()):
         width = 1.96 * spread[i] * (gain if path == "radiometry.gain" else 1.0)
-        result[path] = (value, value - width, value + width)
+        # beyond its bounds no parameter can be
+        low, high = lows.get(path, -np.inf), highs.get(path, np.inf)
+        result[path] = (value, max(value - width, min(value, low)), min(value + width, max(value, high)))
     return result

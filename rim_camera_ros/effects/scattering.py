@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -69,6 +69,13 @@ class Scattering(ComplexEffect):
     def total_weight(self) -> float:
         """Share of the light that does not arrive where it belongs."""
         return sum(k.weight for k in self.kernels) + (self.ghost.weight if self.ghost else 0.0)
+
+    def without_idle_halos(self) -> Scattering:
+        """Return the same without halos that spread no light, but for the last one."""
+        kernels = tuple(one for one in self.kernels if one.weight > 0)
+        if not kernels and self.ghost is None:
+            kernels = self.kernels[:1]
+        return replace(self, kernels=kernels)
 
     def operator(self, shape: tuple[int, int], dtype: Any = np.float64) -> Spreading:
         """Return the (cached) operator for one sensor size and precision."""

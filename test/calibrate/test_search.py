@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate import search_steps
-from rim_camera_ros.calibrate.candidate import Facts
+from rim_camera_ros.calibrate.candidate import Facts, without_idle_halos
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.gauss_newton import settled_after
@@ -101,6 +101,31 @@ def test_stray_light_within_its_pixel_is_two_surfaces_in_a_pixel(
         candidates={k: SimpleNamespace(effect=name) for k, name in effects.items()},
     )
     assert what_it_became(alone, (4,), step, [], fitted) == became
+
+
+def test_halos_without_light_are_left_out(tmp_path: Path) -> None:
+    halo, idle = Kernel(0.01, (5.0, 6.0)), Kernel(0.0, (33.0, 34.0))
+    told = camera(tmp_path, CYCLIC, Scattering((idle, halo, idle)))
+    lean = without_idle_halos(told)
+    assert lean.effects == {"scattering": Scattering((halo,)), "cyclic_error": CYCLIC}
+    assert without_idle_halos(lean) is lean
+    assert without_idle_halos(camera(tmp_path, CYCLIC)).effects == {"cyclic_error": CYCLIC}
+    ghost = Ghost(0.004, (7.0, -3.0))
+    assert Scattering((idle,), ghost).without_idle_halos() == Scattering((), ghost)
+    assert Scattering((idle, idle)).without_idle_halos() == Scattering((idle,))
+
+
+def test_stray_light_of_one_halo_is_found_as_such(tmp_path: Path) -> None:
+    """Candidates are pairs of halos: the second gets no light, and is not told."""
+    board, true = scene(tmp_path), Scattering((Kernel(0.03, (5.0, 6.0)),))
+    told = camera(tmp_path, CYCLIC)
+    problem = Problem(record(camera(tmp_path, true, CYCLIC), board, poses=9, seed=2), board)
+    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=told)
+    effect = search(problem, told, facts, effects=["scattering"], most=1).camera.effects["scattering"]
+    assert isinstance(effect, Scattering)
+    (kernel,) = effect.kernels
+    assert kernel.weight == pytest.approx(0.03, rel=0.03)
+    assert kernel.sigma == pytest.approx((5.0, 6.0), rel=0.05)
 
 
 def test_effects_that_would_gain_and_were_not_added_are_told_with_the_reason() -> None:

@@ -11,7 +11,9 @@ import pytest
 
 from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.problem import Problem
-from rim_camera_ros.calibrate.steps import Solved, longest_steps
+from rim_camera_ros.calibrate.steps import Solved, longest_steps, stepped
+from rim_camera_ros.camera_file import camera_numbers
+from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
 
 from .helpers import camera, record, scene
@@ -76,7 +78,54 @@ def test_damping_adds_a_share_of_the_diagonal(damping: float) -> None:
 def test_shapes_go_by_a_quarter_of_where_they_are() -> None:
     labels = ["effects.scattering.kernels.0.sigma.0", "effects.scattering.kernels.0.weight"]
     numbers = {labels[0]: 8.0, labels[1]: 0.02}
-    assert list(longest_steps(labels, {labels[0]: 4.0}, numbers)) == [3.0, np.inf]
+    assert list(longest_steps(labels, {labels[0]: 4.0}, numbers, (72, 88))) == [3.0, np.inf]
+
+
+def test_phases_over_the_array_go_by_a_radian() -> None:
+    labels = [f"effects.cyclic_error.gradient.{i}" for i in (0, 1)]
+    numbers = dict.fromkeys(labels, 0.0)
+    assert list(longest_steps(labels, {labels[0]: 0.3}, numbers, (72, 88))) == [1 / 88, 1 / 72]
+
+
+@pytest.mark.parametrize("size", [0.013, -0.013])
+@pytest.mark.parametrize(("along", "turn"), [(0.004, 0.2), (-0.02, 0.3), (-0.013, 2.0), (0.001, -9.0)])
+def test_a_sinusoid_goes_where_its_phasor_does(
+    tmp_path: Path, size: float, along: float, turn: float
+) -> None:
+    """In the plane of cosine and sine a step of the linear equations is a straight line."""
+    start = camera(tmp_path, CyclicError((Harmonic(4, size, 2.9), Harmonic(8, 0.002, -1.1))))
+    amplitude, phase = (f"effects.cyclic_error.harmonics.0.{one}" for one in ("amplitude", "phase"))
+    numbers = camera_numbers(start)
+    moved, offsets = stepped(
+        start, {phase: -0.25}, {amplitude: along * size / 0.013, phase: turn}, {}, {}, numbers
+    )
+    reached = camera_numbers(moved)
+    first = size * np.exp(1j * (2.9 - 0.25))
+    step = (along * size / 0.013 + 1j * size * turn) * np.exp(1j * (2.9 - 0.25))
+    assert reached[amplitude] * np.exp(1j * reached[phase]) == pytest.approx(first + step, abs=1e-12)
+    assert np.sign(reached[amplitude]) == np.sign(size)
+    assert abs(reached[phase] - 2.9) <= np.pi
+    assert offsets[phase] == pytest.approx(reached[phase] - 2.9)
+    assert {path for path in reached if reached[path] != numbers[path]} == {amplitude, phase}
+
+
+@pytest.mark.parametrize(
+    ("size", "phase", "gradient"),
+    [(0.001, -0.97, (0.0, 0.0)), (0.0003, 3.4, (0.01, -0.01)), (0.00001, -0.97, (0.004, 0.0))],
+)
+def test_a_small_sinusoid_of_another_phase_finds_its_own(
+    tmp_path: Path, size: float, phase: float, gradient: tuple[float, float]
+) -> None:
+    """Of 1 mm 90 degrees away, steps of the phase by itself ended at -12 mm and 41 rad."""
+    board = scene(tmp_path)
+    truth = CyclicError((Harmonic(4, 0.012, 0.6),), (0.002, -0.003))
+    problem = Problem(record(camera(tmp_path, truth), board, poses=18, seed=5), board)
+    found = fit(problem, camera(tmp_path, CyclicError((Harmonic(4, size, phase),), gradient)))
+    assert found.converged
+    first = {"harmonics.0.amplitude": 0.012, "harmonics.0.phase": 0.6}
+    for path, value in {**first, "gradient.0": 0.002, "gradient.1": -0.003}.items():
+        own = f"effects.cyclic_error.{path}"
+        assert found.parameters[own] == pytest.approx(value, abs=4 * found.sigma[own]), path
 
 
 def test_a_step_that_goes_too_far_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

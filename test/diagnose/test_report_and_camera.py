@@ -80,9 +80,14 @@ def agrees(found: Files) -> None:
         for path, value in one["to"].items():
             assert numbers[prefix + path] == pytest.approx(value, rel=1e-9), path
     for one in found.report["missing"]:
-        prefix = f"effects.{one['effect']}." if one["effect"] in found.improved.effects else "optics."
+        effect = found.improved.effects.get(one["effect"])
+        prefix = f"effects.{one['effect']}." if effect is not None else "optics."
+        possible = {} if effect is None else effect.bounds()
         for path, (low, high) in one["interval"].items():
             assert low <= numbers[prefix + path] <= high, path
+            least, most = possible.get(path, (-np.inf, np.inf))
+            assert least <= low, path
+            assert high <= most, path
 
 
 def test_a_wrong_focal_length_is_told_as_what_it_is(tmp_path: Path) -> None:
