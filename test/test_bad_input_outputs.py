@@ -91,6 +91,18 @@ def test_two_outputs_of_one_name(
     )  # fmt: skip
 
 
+def test_a_folder_that_may_not_be_written_to_is_told_before_the_work(
+    refused: Callable[..., None], tmp_path: Path, camera: Path, bag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def denied(**_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.NamedTemporaryFile", denied)
+    out = tmp_path / "out"
+    refused(r"out: cannot be written: Permission denied \(give a folder", "correct", bag, "--camera", camera, "--out", out)  # fmt: skip
+    assert not out.exists()
+
+
 def test_outputs_are_checked_before_the_work(
     refused: Callable[..., None], tmp_path: Path, camera: Path, bag: Path
 ) -> None:
@@ -116,6 +128,7 @@ def test_outputs_are_checked_before_the_work(
         "2",
     )
     refused(r"--frame: there is no frame -3", *start, "--ply", tmp_path / "x", "--frame", "-3")
+    refused(r"--frame: is the frame of --ply or --npz, and neither is given", *start, "--frame", "1")
 
 
 def test_only_a_recording_is_replaced(

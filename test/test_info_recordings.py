@@ -181,6 +181,18 @@ def test_settings_gaps_and_shares(
         assert part in text
 
 
+def test_frames_in_groups_are_none_that_are_missing(
+    capsys: Capture, facts: Callable[..., dict[str, Any]], tmp_path: Path
+) -> None:
+    """Three poses of three frames, a minute apart: at 25 Hz 2998 would fit between them."""
+    at = [t for start in (0, 1500, 3000) for t in (start, start + 1, start + 2)]
+    bag = write_bag(tmp_path / "bag", [raw_frame(10**9 + t * STEP) for t in at])
+    assert facts(bag)["missing_frames"] == 2 * 1497
+    text = run(capsys, "info", bag)[1]
+    assert "frames come in groups with pauses between them" in " ".join(text.split())
+    assert "are missing" not in text
+
+
 def test_a_camera_of_another_modulation_is_told(capsys: Capture, tmp_path: Path, camera: Path) -> None:
     bag = write_bag(tmp_path / "bag", [raw_frame(10**9, modulation_frequency=30e6)])
     status, out, _ = run(capsys, "info", bag, "--camera", camera)

@@ -41,7 +41,6 @@ class Facts:
     amplitude: float
     uptime: tuple[float, float] | None
     ambient: tuple[float, float] | None
-    duration: float
     saturated: bool
     moves: bool
     surfaces: int
@@ -62,7 +61,6 @@ class Facts:
             amplitude=float(np.median(bright)) if bright else 1.0,
             uptime=(min(known_up), max(known_up)) if len(known_up) == len(uptimes) and known_up else None,
             ambient=(min(known_ambient), max(known_ambient)) if known_ambient else None,
-            duration=max((one.time for one in dataset.stations), default=0.0),
             saturated=any(bool(one.saturated.any()) for one in dataset.stations),
             moves=moves,
             surfaces=surfaces,

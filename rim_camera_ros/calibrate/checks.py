@@ -18,7 +18,7 @@ from rim_camera_ros.calibrate.stations import Dataset, check_frame, of_known_exp
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Intrinsics, RawFrame
-from rim_camera_ros.scene import Scene, see
+from rim_camera_ros.scene import Scene, ScenePose, rotation_matrix, see
 
 Array = NDArray[Any]
 
@@ -34,6 +34,8 @@ WHOLE_SCENE = 0.8
 MOST_LEFT_OUT = 0.2
 #: Spread of the distances that a pixel sees over the poses [m], below which they are all the same.
 LEAST_DEPTH = 0.05
+#: Changes of a surface's recorded pose up to which it may be said to be still: [m], and of its normal [rad].
+_STILL_METRES, _STILL_RADIANS = 0.02, 0.02
 #: Pixels of a surface from which on its distance in a pose counts, and poses that an error names.
 LEAST_PIXELS = 20
 _NAMED = 4
@@ -149,25 +151,28 @@ def require_scene(recordings: Sequence[RecordingFacts], scene: Scene | None) -> 
     return scene
 
 
-def with_known_poses(dataset: Dataset, scene: Scene) -> Dataset:
-    """Return the stations of which every surface's pose is known, with a note on the others."""
-    kept, lost = [], 0
-    for one in dataset.stations:
-        if all(name in one.truth for name in scene.needs_truth):
-            kept.append(one)
-        else:
-            lost += one.frames
-    notes = list(dataset.notes)
-    if lost:
-        missing = ", ".join(scene.needs_truth)
-        notes.append(f"left out: {lost} frames before the first pose of {missing}")
-    if not kept:
-        raise InputError(
-            "no frame has a pose of every surface",
-            file=dataset.files[0] if dataset.files else None,
-            remedy="poses must be stamped before the frames that they hold for",
-        )
-    return replace(dataset, stations=kept, notes=notes, frames=sum(one.frames for one in kept))
+def require_fixed_poses(dataset: Dataset, scene: Scene, path: str | PathLike[str] | None = None) -> None:
+    """Raise `InputError` where the recording holds different poses of a surface that the scene has still.
+
+    ``path`` of the recording, for the error.
+    """
+    if scene.camera_motion.moves:
+        return
+    for surface in scene.surfaces:
+        told = [one.truth[surface.name] for one in dataset.stations if surface.name in one.truth]
+        if not isinstance(surface.pose, ScenePose) or len(told) < 2:
+            continue
+        positions = np.array([one.position for one in told])
+        axes = np.array([rotation_matrix(one.orientation)[:, 2] for one in told])
+        moved, turned = (float(np.linalg.norm(one - one[0], axis=1).max()) for one in (positions, axes))
+        if moved > _STILL_METRES or turned > _STILL_RADIANS:
+            raise InputError(
+                f"the scene states one pose of '{surface.name}', the recording holds poses that differ by up "
+                f"to {moved:.2g} m and {np.degrees(turned):.2g} degrees",
+                file=path,
+                place=f"/ground_truth/{surface.name}/pose",
+                remedy="write pose: truth for it in the scene file, which takes the poses of the recording",
+            )
 
 
 def with_plausible_poses(dataset: Dataset, scene: Scene, camera: Camera, tick: Callable[[], None]) -> Dataset:

@@ -33,7 +33,7 @@ from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
 from rim_camera_ros.effects.base import DistanceTerm
-from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.errors import InputError, NoSolution
 
 Array = NDArray[Any]
 
@@ -48,6 +48,7 @@ _HOLD = 1e9
 #: step. The step after it is damped alike, and so many times less once one is good at its first try.
 _DAMPING = (0.01, 0.1, 1.0, np.inf)
 _LESS_DAMPED = 10.0
+_NO_SOLUTION = "the adjustment found no finite solution"
 #: Share of the forecast gain of a step by which the objective may become worse once, near the solution.
 _OVER_THE_BEND = 0.1
 #: Step of a parameter in units of its sigma, and change of chi-square between two iterations (for that
@@ -188,7 +189,7 @@ class GaussNewton:
     ) -> Linearised:
         """Return the equations at the point, with ``further`` regressors, and their solution without them.
 
-        Raises `InputError` without usable data.
+        Raises `InputError` without usable data, `NoSolution` where the equations have none.
         """
         problem = self._problem
         blocks = blocks_of(problem, self._camera, self._scene)
@@ -204,7 +205,7 @@ class GaussNewton:
             stray_light=problem.stray_light,
             pattern_prior=problem.pattern_prior,
         )
-        if not equations.folds or equations.folds[0].rows == 0:
+        if not any(fold.rows for fold in equations.folds):
             raise InputError(
                 "no pixel can be used: nothing of the recording agrees with scene and camera file",
                 remedy="check that the scene file describes the recording (rim info BAG lists its poses)",
@@ -222,7 +223,10 @@ class GaussNewton:
         right = reduced.right[own] - away / prior**2
         step, covariance = right, matrix
         if owned:  # scipy 1.11 solves no empty equations
-            factor = linalg.cho_factor(matrix)
+            try:
+                factor = linalg.cho_factor(matrix)
+            except (linalg.LinAlgError, ValueError):
+                raise NoSolution(_NO_SOLUTION, remedy="check scene and camera file") from None
             step, covariance = linalg.cho_solve(factor, right), linalg.cho_solve(factor, np.eye(owned))
         square = float(reduced.square) + float(np.sum((away / prior) ** 2))
         return Linearised(
@@ -283,10 +287,10 @@ class GaussNewton:
     def advance(self, here: Linearised, count: int) -> None:
         """Take the next step, and judge whether it is one.
 
-        Raises `RimError` where it is not finite.
+        Raises `NoSolution` where it is not finite.
         """
         if not np.all(np.isfinite(here.step)):
-            raise RimError("the adjustment found no finite solution", remedy="check scene and camera file")
+            raise NoSolution(_NO_SOLUTION, remedy="check scene and camera file")
         assert self._gains is not None
         most = longest_steps(here.labels, self._offsets, self._numbers, self._start.shape)
         self._solved = Solved(

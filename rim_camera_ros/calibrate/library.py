@@ -117,7 +117,7 @@ def _harmonics(orders: tuple[int, ...]) -> Candidate:
 def _amplitude(camera: Camera, facts: Facts) -> list[Candidate]:
     """A / (A - b) ~ a / A + a b / A^2, per integration time."""
     found = []
-    size = TERM_SIZE * facts.amplitude
+    size = TERM_SIZE * max(facts.amplitude, 1.0)
     for curved in (False, True):
         base = AmplitudeOffset(
             hyperbola=MappingProxyType({t: Hyperbola(1.0, 0.0) for t in facts.integration_times})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.leaders import Refused
@@ -62,6 +62,23 @@ class Result:
     def fit(self) -> Fit:
         """The fit of the final camera."""
         return self.explorations[-1].fit
+
+    def withdrawn(self) -> Result:
+        """Return the result as if nothing had been found."""
+        start = self.explorations[0]
+        problem = replace(
+            self.problem, masks=start.fit.forward.masks, geometry=(), reflectance=False, response=None
+        )
+        return replace(
+            self,
+            camera=start.fit.camera,
+            found=[],
+            explorations=[start],
+            log_likelihood=self.start_log_likelihood,
+            problem=problem,
+            refused=[],
+            beside_edges=None,
+        )
 
     @property
     def gained(self) -> float:

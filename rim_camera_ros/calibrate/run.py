@@ -141,7 +141,9 @@ def calibrate(
     total = sum(one.frames for one in recordings)
     reduce_all = reducer if reducer is not None else watch.reducer(total)
     datasets = reduce_all(request.recordings, camera, request.topics)
-    datasets = [checks.with_known_poses(one, scene) for one, scene in zip(datasets, scenes, strict=True)]
+    for one, own, recording in zip(datasets, scenes, recordings, strict=True):
+        one.with_poses(own, recording.path)
+        checks.require_fixed_poses(one, own, recording.path)
     scene, datasets = joined(scenes, datasets)
     dataset = merged(datasets)
     notes += dataset.notes

@@ -118,7 +118,7 @@ class Scores:
         matrix, right = self._scaled(reduced, columns)
         if not len(columns):
             return np.asarray(right)
-        return np.asarray(self.prior[columns] * linalg.solve(matrix, right, assume_a="pos"))
+        return np.asarray(self.prior[columns] * linalg.cho_solve(linalg.cho_factor(matrix), right))
 
     def covariance(self, columns: Array) -> Array:
         """Return the posterior covariance (K, K) of some regressors together."""

@@ -53,7 +53,7 @@ def follows_time(
     ``variants`` are its candidates in the library; ``beside`` are further regressors that stand beside it.
     True where there are too few poses to tell.
     """
-    poses = list(dict.fromkeys((one.recording, one.pose) for one in problem.dataset.stations))
+    poses = list(dict.fromkeys((one.recording, one.placed) for one in problem.dataset.stations))
     if len(poses) < _LEAST_POSES or not variants:
         return True
     shifts, shapes = _by_pose(fitted, name, variants, poses)
@@ -84,7 +84,7 @@ def _by_pose(
     shifts = np.zeros(len(poses))
     columns = [np.zeros((len(poses), len(one.block.regressors))) for one in variants]
     for prediction in fitted.forward.predictions(slopes=False):
-        at = numbers[prediction.station.recording, prediction.station.pose]
+        at = numbers[prediction.station.recording, prediction.station.placed]
         stations[at] += 1
         shifts[at] += float(np.mean(change_by(prediction, name)[0]))
         for one, values in zip(variants, columns, strict=True):
@@ -100,7 +100,7 @@ def _pose_block(poses: Sequence[tuple[int, int]]) -> Block:
 
     def columns(prediction: Prediction) -> list[Column]:
         zero, one = np.zeros(prediction.distance.shape), np.ones(prediction.distance.shape)
-        here = (prediction.station.recording, prediction.station.pose)
+        here = (prediction.station.recording, prediction.station.placed)
         return [(one if pose == here else zero, None) for pose in poses]
 
     names = (f"shift.{recording}.{pose}" for recording, pose in poses)

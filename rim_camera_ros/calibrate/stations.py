@@ -7,7 +7,7 @@ recording and camera and may run anywhere.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import Any
@@ -25,6 +25,8 @@ from rim_camera_ros.scene import Scene
 BLOCK_SECONDS = 5.0
 #: Blocks become longer where a recording would have more of them than this.
 MOST_BLOCKS = 400
+#: Frames of a station that tell what all pixels share.
+KEPT_FRAMES = 8
 #: Frames without settings at the beginning that may wait for the first with them.
 _MOST_WAITING = 64
 
@@ -40,9 +42,10 @@ class Station:
     ``amplitude_variance`` [counts^2] of single frames (NaN below two); ``count`` the valid frames of each
     pixel; ``saturated`` how many of its frames were saturated. ``pose`` numbers the poses of the recording,
     ``placement`` those that were told with other values than the one before (None: all); ``stamp`` [ns] and
-    ``time`` [s since the first frame] are the middle of the block. ``common`` is the frame-to-frame variation
-    that all pixels share and that is not in proportion to their light, as chi-square per degree of freedom
-    of the mean complex deviation (1: none; None for one frame).
+    ``time`` [s since the first frame] are the middle of the block, ``duration`` [s] is from its first frame
+    to its last. ``common`` is the frame-to-frame variation that all pixels share and that is not in
+    proportion to their light, as chi-square per degree of freedom of the mean complex deviation (1: none;
+    None for one frame).
     """
 
     recording: int
@@ -60,6 +63,7 @@ class Station:
     saturated: Array
     common: float | None = None
     placement: int | None = None
+    duration: float = 0.0
 
     @property
     def placed(self) -> int:
@@ -91,6 +95,10 @@ class Dataset:
         Raises `InputError` where no station has all poses.
         """
         needed = scene.needs_truth
+        if not self.stations:
+            raise InputError(
+                "holds no frame with settings", file=path, remedy="record frame_info beside the images"
+            )
         kept = [one for one in self.stations if all(name in one.truth for name in needed)]
         lost = sum(one.frames for one in self.stations) - sum(one.frames for one in kept)
         if not kept:
@@ -105,7 +113,13 @@ class Dataset:
             )
         if lost:
             self.notes.append(f"left out: {lost} frames before the first pose of every surface")
-        self.stations = kept
+        self.stations, self.frames = kept, self.frames - lost
+
+    def without(self, poses: Set[tuple[int, int]]) -> Dataset:
+        """Return the dataset without poses, given by the numbers of their recording and their own."""
+        kept = [one for one in self.stations if (one.recording, one.pose) not in poses]
+        lost = sum(one.frames for one in self.stations) - sum(one.frames for one in kept)
+        return replace(self, stations=kept, frames=self.frames - lost)
 
     @property
     def integration_times(self) -> list[float]:
@@ -169,7 +183,7 @@ class _Block:
         self._sums[1] += wide * wide
         self._sums[2] += amplitude
         self._sums[3] += amplitude * amplitude
-        if len(self._kept) < 8:
+        if len(self._kept) < KEPT_FRAMES:
             lsb = self._camera.sensor.lsb if self._counts else 1.0
             phase = value.astype(np.float32) * np.float32(2 * np.pi * lsb / self._camera.sensor.ambiguity)
             self._kept.append(np.where(valid, amplitude, 0) * np.exp(1j * phase).astype(np.complex64))
@@ -190,6 +204,7 @@ class _Block:
             recording=recording,
             pose=self.pose,
             placement=self.placement,
+            duration=(self._stamps[-1] - self._stamps[0]) / NANOSECONDS,
             frames=len(self._stamps),
             stamp=middle,
             time=(middle - start) / NANOSECONDS,

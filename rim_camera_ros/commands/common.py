@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 import textwrap
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -121,6 +122,13 @@ def check_outputs(outputs: Mapping[str, Path | None], inputs: Iterable[str | Pat
             raise InputError(
                 "its folder does not exist", file=path, remedy=f"make it: mkdir -p {path.parent}"
             )
+        try:
+            with tempfile.NamedTemporaryFile(dir=path.absolute().parent, prefix=".rim."):
+                pass
+        except OSError as error:
+            raise InputError(
+                f"cannot be written: {error.strerror}", file=path, remedy="give a folder you may write to"
+            ) from None
 
 
 def check_file(path: Path | None, *, force: bool) -> None:

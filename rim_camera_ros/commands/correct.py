@@ -86,6 +86,10 @@ def run(given: argparse.Namespace) -> int:
     without = [one.strip() for one in given.without.split(",") if one.strip()]
     correction = Correction(camera, without=without, minimum_amplitude=given.minimum_amplitude)
     single = given.ply is not None or given.npz is not None
+    if given.frame != 0 and not single:
+        raise InputError(
+            "is the frame of --ply or --npz, and neither is given", place="--frame", remedy="give --ply FILE"
+        )
     count, chosen = 0, None
     written: list[str] = []
     damaged: list[str] = []

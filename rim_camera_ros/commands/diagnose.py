@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from rim_camera_ros.calibrate.checks import require_fixed_poses
 from rim_camera_ros.calibrate.stations import Dataset, reduce_recording
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.commands.common import (
@@ -72,6 +73,10 @@ def run(given: argparse.Namespace) -> int:
     """Diagnose, and write the report."""
     if not 0 <= given.seed < 2**64:
         raise InputError(f"--seed {given.seed} is not a number from 0 to 2^64 - 1")
+    if given.against is not None and given.against.resolve() == given.bag.resolve():
+        raise InputError(
+            "is the recording itself", file=given.against, place="--against", remedy="give its simulation"
+        )
     inputs = [given.bag, given.against, find_camera(given.camera), find_scene(given.scene)]
     check_outputs({"--out": given.out}, inputs)
     folder = OutputFolder(given.out, own={MODEL, REPORT, PAGE, WHERE}, of="a diagnosis", mark=REPORT)
@@ -87,6 +92,9 @@ def run(given: argparse.Namespace) -> int:
         raise InputError(f"no report can be drawn: {error}", remedy=remedy) from None
     from rim_camera_ros.diagnose.report import write_report
     from rim_camera_ros.diagnose.run import diagnose
+    from rim_camera_ros.diagnose.unknown import require_formulas
+
+    require_formulas()
 
     with Stages(quiet=given.quiet) as stages:
         try:
@@ -128,6 +136,7 @@ def _stations(given: argparse.Namespace, path: Path, camera: Camera, scene: Scen
     with Progress("read", None, quiet=given.quiet) as progress:
         dataset = reduce_recording(path, camera, topics=topics_of(given), progress=progress.over)
     dataset.with_poses(scene, path)
+    require_fixed_poses(dataset, scene, path)
     poses = {one.pose for one in dataset.stations}
     unknown = sorted(set(given.without_poses) - poses)
     if unknown:
@@ -136,8 +145,9 @@ def _stations(given: argparse.Namespace, path: Path, camera: Camera, scene: Scen
             place="--without-poses",
             remedy=f"the recording's are numbered {min(poses)} to {max(poses)}" if poses else None,
         )
-    dataset.stations = [one for one in dataset.stations if one.pose not in given.without_poses]
     if given.without_poses:
+        keys = {(one.recording, one.pose) for one in dataset.stations}
+        dataset = dataset.without({key for key in keys if key[1] in given.without_poses})
         left_out = ", ".join(map(str, sorted(set(given.without_poses))))
         dataset.notes.append(f"poses left out as asked for: {left_out}")
     return dataset

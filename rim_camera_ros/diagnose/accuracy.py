@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.blocks import effect_block, present_priors
 from rim_camera_ros.calibrate.outcome import Result
-from rim_camera_ros.calibrate.problem import Fit, Problem
+from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera
@@ -25,6 +25,8 @@ _NO_BETTER = (
     "distances of held-out poses got worse although amplitudes got better: what is named stands for "
     "something else, do not use camera.yaml"
 )
+#: Chi-square per value of held-out poses from which on a model that makes distances worse is none at all.
+_GROSS = 50.0
 #: Factor on chi-square per value of held-out poses above which it is said that it rose.
 _RISEN = 1.05
 
@@ -41,6 +43,11 @@ class Accuracy:
     chi2_before: float
     chi2_after: float
     held_out: bool
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether a gross mismatch became worse: nothing that was fitted describes the recording."""
+        return self.held_out and self.chi2_before > _GROSS and self.rms_after > _WORSE * self.rms_before
 
     def notes(self) -> list[str]:
         """Return what speaks against the improved camera, in words."""
@@ -65,15 +72,8 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Any = None)
     """
     problem = result.problem
     views = result.fit.forward.views
-    frozen = Problem(
-        problem.dataset,
-        problem.scene,
-        effects=(),
-        gain=False,
-        robust=False,
-        masks=problem.masks,
-        shifts=problem.shifts,
-        threads=problem.threads,
+    frozen = replace(
+        problem, effects=(), geometry=(), gain=False, robust=False, reflectance=False, response=None
     )
     before = fit(frozen, camera, fold_of=result.folds, iterations=1, views=views)
     same_distances = model.effects == camera.effects and model.optics == camera.optics
@@ -82,19 +82,9 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Any = None)
     elif same_distances:
         after = fit(frozen, model, fold_of=result.folds, iterations=1, views=views)
     else:
-        own = Problem(
-            problem.dataset,
-            result.fit.scene,
-            effects=None,
-            gain=True,
-            geometry=problem.geometry if unknown is None else (),
-            reflectance=problem.reflectance and unknown is None,
-            response=problem.response if unknown is None else None,
-            robust=False,
-            masks=problem.masks,
-            shifts=problem.shifts,
-            threads=problem.threads,
-        )
+        own = replace(problem, scene=result.fit.scene, robust=False)
+        if unknown is not None:
+            own = replace(own, geometry=(), reflectance=False, response=None)
         warm = result.fit if result.fit.camera == model else None
         after = fit(own, model, fold_of=result.folds, iterations=2, views=views, warm=warm)
     rms_before, chi_before = _held_out(before, result.folds)

@@ -143,21 +143,21 @@ def describe(unknown: Rest, baseline: Exploration, result: Result, seed: int) ->
         fine = unknown.fine
         where = of_values(fitted, lambda one: fine_image(fine, one))
     curve = next(iter(where.curves.items()), None)
-    formula = None
+    formula, missed = None, 0.0
     magnitude = 0.0
     if unknown.fine is not None:
         magnitude = 2.0 * float(np.sqrt(np.mean(unknown.fine.slopes**2)))
     elif curve is not None:
         name, (x, y, sigma) = curve
-        formula = closed_form(name, x, y, sigma)
+        formula, missed = closed_form(name, x, y, sigma)
         magnitude = float(np.ptp(y) / 2)
     shown = " and ".join(unknown.covariates)
     sentence = (
         f"unknown physics: distances depend on {shown} in a way that no effect of the vocabulary explains, "
-        f"by about ±{magnitude * 1e3:.2g} mm"
+        f"by about ±{magnitude * 1e3:.3g} mm"
     )
     if formula is not None:
-        sentence += f"; described by {formula}"
+        sentence += f"; described by {formula}, which misses its curve by {missed * 1e3:.2g} mm (RMS)"
     missing = Missing(
         UNKNOWN,
         1.0,

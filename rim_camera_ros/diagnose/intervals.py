@@ -29,14 +29,17 @@ def _jackknife(scores: Scores, count: int) -> Array:
 
 
 def _by_time(problem: Problem, fitted: Fit) -> Scores | None:
-    """Return scores of blocks of poses that follow each other: they part where a form is not quite true."""
+    """Return scores of blocks of placements in order of time: they part where a form is not quite true."""
     times: dict[tuple[int, int], float] = {}
     for one in problem.dataset.stations:
-        times.setdefault((one.recording, one.pose), one.time)
+        times.setdefault((one.recording, one.placed), one.time)
     if len(times) < 2 * _BLOCKS:
         return None
     ordered = sorted(times, key=lambda key: (key[0], times[key]))
-    blocks = {key: i * _BLOCKS // len(ordered) for i, key in enumerate(ordered)}
+    number = {key: i * _BLOCKS // len(ordered) for i, key in enumerate(ordered)}
+    blocks = {
+        (one.recording, one.pose): number[one.recording, one.placed] for one in problem.dataset.stations
+    }
     again = fit(problem, fitted.camera, fold_of=blocks, views=fitted.forward.views, warm=fitted, iterations=0)
     return Scores(again.equations, range(len(again.parameters)))
 

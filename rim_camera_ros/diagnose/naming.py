@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.library import OF_SURFACES
@@ -21,6 +24,8 @@ from rim_camera_ros.diagnose.where import OF_AMPLITUDE
 from rim_camera_ros.effects import registry
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.base import Effect
+
+Array = NDArray[Any]
 
 #: Quantiles of a recording's amplitudes at which a response is told.
 _DARK_TO_BRIGHT = (0.05, 0.5, 0.95)
@@ -77,7 +82,7 @@ def missing_effect(
         }
     size = None if name in OF_AMPLITUDE else _size(fitted, name, origin)
     if size is not None:
-        sentence += f"; it moves distances by up to {size * 1e3:.3g} mm in this recording (99 % of them)"
+        sentence += f"; it moves distances by up to {size * 1e3:.3g} mm in this recording (99 % of them less)"
     return Missing(
         effect=name,
         probability=probability,
@@ -135,15 +140,27 @@ def ranking_of(baseline: Exploration, result: Result) -> list[Ranked]:
         gains[first.effect] = max(first.gain, gains.get(first.effect, first.gain))
         for one in result.found[1:]:
             gains.setdefault(one.effect, one.gain)
-    values = np.array([*gains.values(), 0.0])
-    weights = np.exp(values - values.max())
-    weights /= weights.sum()
     told = {effect: baseline.scores.identifiability(baseline.spans[k]) for effect, k in best.items()}
     ranking = [
         Ranked(name, float(weight), gain, *told.get(name, (None, None)))
-        for (name, gain), weight in zip(gains.items(), weights[:-1], strict=True)
+        for (name, gain), weight in zip(gains.items(), _probabilities(gains.values()), strict=True)
     ]
     return sorted(ranking, key=lambda one: -one.gain)
+
+
+def with_unknown(ranking: Sequence[Ranked], gain: float) -> list[Ranked]:
+    """Return the ranking with physics that is unknown among the effects, which gains so many nats."""
+    ranked = [*ranking, Ranked(UNKNOWN, 0.0, gain)]
+    weights = _probabilities([one.gain for one in ranked])
+    found = [replace(one, probability=float(p)) for one, p in zip(ranked, weights, strict=True)]
+    return sorted(found, key=lambda one: -one.gain)
+
+
+def _probabilities(gains: Collection[float]) -> Array:
+    """Return the softmax over gains [nats] and over none of them, without the last."""
+    values = np.array([*gains, 0.0])
+    weights = np.exp(values - values.max())
+    return np.asarray(weights[:-1] / weights.sum())
 
 
 def unseen_effects(step: Exploration) -> list[str]:

@@ -72,12 +72,14 @@ class Evidence:
     """Residuals of the simulation as it was (None: nothing changed) and of the better one.
 
     Maps (H, W): ``rms_*`` over the poses in sigmas of a pose's mean (1: noise), ``brightness_*`` mean
-    relative residual of the amplitude. Per station: ``times`` [s], ``poses``, ``chi_*`` per value,
+    relative residual of the amplitude. Per station: ``times`` [s], ``poses``, ``placements`` (numbers of
+    recording and placement), ``chi_*`` per value,
     ``strength`` [m] the RMS of what was found. ``changed`` are the effects that distances are taken apart by.
     """
 
     times: Array
     poses: Array
+    placements: list[tuple[int, int]]
     chi_before: Array | None
     chi_after: Array
     strength: Array | None
@@ -136,6 +138,7 @@ def evidence(result: Diagnosis) -> Evidence:
     return Evidence(
         times=np.array([one.time for one in kept]),
         poses=np.array([one.pose for one in kept]),
+        placements=[(one.recording, one.placed) for one in kept],
         chi_before=_chi(without) if moved else None,
         chi_after=_chi(after),
         strength=_strength(stations) if moved else None,

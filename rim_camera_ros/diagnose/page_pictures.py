@@ -10,6 +10,7 @@ from rim_camera_ros.diagnose import page_words as words
 from rim_camera_ros.diagnose.page_classes import region
 from rim_camera_ros.diagnose.page_evidence import Evidence
 from rim_camera_ros.diagnose.result import Diagnosis, Ranked
+from rim_camera_ros.diagnose.setup import errors_of_placements
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.info.text import several
 from rim_camera_ros.reports import html
@@ -125,12 +126,17 @@ def poses(result: Diagnosis, found: Evidence) -> list[str]:
     """Return how well each pose agrees, and a table of those that do not."""
     from rim_camera_ros.diagnose import page_figures as figures
 
-    errors = _worst_errors(found)
+    told = errors_of_placements(found.errors)
+    errors = {
+        int(pose): (size, name.removeprefix("pose.").replace(".", ", "))
+        for pose, placed in zip(found.poses, found.placements, strict=True)
+        for size, name in [told.get(placed, (0.0, "-"))]
+    }
     located = found.strength is not None and bool(result.missing)
     bad = [
         i
         for i, (pose, chi) in enumerate(zip(found.poses, found.chi_after, strict=True))
-        if chi > _BAD_CHI or errors.get(int(pose), (0.0, ""))[0] > _BAD_ERROR
+        if chi > _BAD_CHI or errors[int(pose)][0] > _BAD_ERROR
     ]
     picture = figures.poses(
         found.times,
@@ -147,11 +153,11 @@ def poses(result: Diagnosis, found: Evidence) -> list[str]:
         caption += " Shaded: times that hold 90 % of it."
     parts = [html.figure(picture, caption)]
     if bad:
-        size_of = {i: errors.get(int(found.poses[i]), (0.0, "-"))[0] for i in bad}
+        size_of = {i: errors[int(found.poses[i])][0] for i in bad}
         worst = sorted(bad, key=lambda i: max(float(found.chi_after[i]), size_of[i]), reverse=True)
         rows = []
         for i in worst[:_MOST_POSES]:
-            size, name = errors.get(int(found.poses[i]), (0.0, "-"))
+            size, name = errors[int(found.poses[i])]
             rows.append(
                 [
                     str(found.poses[i]),
@@ -172,7 +178,7 @@ def poses(result: Diagnosis, found: Evidence) -> list[str]:
             html.paragraph(f"{several(len(bad), 'pose')} of {len(found.poses)} do not agree with the others:")
         )
         parts.append(html.table(headings, rows, numbers=(0, 1, 2, 3)))
-    elif errors:
+    elif told:
         pose, (size, name) = max(errors.items(), key=lambda one: one[1][0])
         parts.append(
             html.paragraph(
@@ -181,16 +187,6 @@ def poses(result: Diagnosis, found: Evidence) -> list[str]:
             )
         )
     return parts
-
-
-def _worst_errors(found: Evidence) -> dict[int, tuple[float, str]]:
-    """Return the greatest error of each pose in sigmas of its instrument, with surface and direction."""
-    worst: dict[int, tuple[float, str]] = {}
-    for name, value in found.errors.items():
-        _, pose, rest = name.split(".", 2)
-        if rest != "gain" and abs(value) > worst.get(int(pose), (0.0, ""))[0]:
-            worst[int(pose)] = (abs(value), rest.removeprefix("pose.").replace(".", ", "))
-    return worst
 
 
 def _with_share(one: Ranked) -> str:

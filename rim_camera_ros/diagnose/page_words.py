@@ -15,6 +15,7 @@ from rim_camera_ros.diagnose.page_evidence import AXIS
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.effects import registry
+from rim_camera_ros.effects.base import row_name
 from rim_camera_ros.reports import html
 
 Array = NDArray[Any]
@@ -198,7 +199,7 @@ def described(camera: Camera, owner: str, path: str) -> tuple[str, str]:
             unit, meaning = (_member(text, int(part), len(value)) for text in (unit, meaning))
             value = value[int(part)]
         elif isinstance(value, Mapping):
-            settings = {f"{key:g}": inner for key, inner in value.items()}
+            settings = {row_name(key): inner for key, inner in value.items()}
             if part not in settings and parts:
                 part += f".{parts.pop(0)}"  # a setting of 0.5 ms
             value = settings.get(part)

@@ -57,7 +57,6 @@ class Diagnosis:
     ranking: list[Ranked]
     indistinguishable: list[list[str]]
     where: Where
-    before: Where
     accuracy: Accuracy
     variance: Variance
     camera: Camera

@@ -50,6 +50,7 @@ from rim_camera_ros.diagnose.naming import (
     notes_of_refused,
     ranking_of,
     unseen_effects,
+    with_unknown,
 )
 from rim_camera_ros.diagnose.noise_verdict import (
     OF_NOISE,
@@ -63,7 +64,7 @@ from rim_camera_ros.diagnose.setup import Setup, check_setup
 from rim_camera_ros.diagnose.smooth import axes_of, single_terms
 from rim_camera_ros.diagnose.variance import Variance, examine_variance
 from rim_camera_ros.diagnose.where import nowhere, of_change, of_noise, of_residuals, of_terms
-from rim_camera_ros.errors import RimError
+from rim_camera_ros.errors import NoSolution
 from rim_camera_ros.scene import Scene
 
 #: A term outside the vocabulary must gain this share more than the named ones to take their place.
@@ -78,6 +79,12 @@ _MOST_AGAIN = 2
 _ONE_POSE = (
     "only one pose: what depends on distance, amplitude or angle cannot be told from an offset of each "
     "pixel, so none of it is named, and nothing is held out; record 20 poses or more at different distances"
+)
+#: Poses below which what is named rests on little.
+_FEW_POSES = 6
+_OF_FEW_POSES = (
+    "only {} poses: what is named or not, and what is left of held-out poses, rests on little; record 20 or "
+    "more at different distances"
 )
 _NOT_MODELLED = (
     "camera.yaml does not hold the second camera: its frequency and its light at each pixel cannot be told"
@@ -151,6 +158,8 @@ def _diagnose(
     if one_pose:
         dataset = replace(dataset, notes=[*dataset.notes, _ONE_POSE])
         smooth = []
+    elif dataset.poses < _FEW_POSES:
+        dataset = replace(dataset, notes=[*dataset.notes, _OF_FEW_POSES.format(dataset.poses)])
     try:
         result = search(
             problem,
@@ -163,7 +172,7 @@ def _diagnose(
             views=forward.views,
             progress=say,
         )
-    except (RimError, np.linalg.LinAlgError):
+    except (NoSolution, np.linalg.LinAlgError):
         return _hopeless(problem, camera, variance, seed)
     baseline, final = result.explorations[0], result.explorations[-1]
     if alone:
@@ -186,7 +195,10 @@ def _diagnose(
     if unknown is not None and not by_itself and not only_noise(result, unknown, variance):
         beyond = not result.found or unknown.gain > BEYOND * result.found[0].gain
         if beyond and is_unknown(unknown, named, final, result):
-            described = describe(unknown, baseline, result, seed)
+            try:
+                described = describe(unknown, baseline, result, seed)
+            except (NoSolution, np.linalg.LinAlgError):
+                return _hopeless(problem, camera, variance, seed)
     setup = check_setup(
         final.fit if described is None else described.fit,
         explained=explained,
@@ -200,9 +212,9 @@ def _diagnose(
     by_background = only_background(result, unknown, variance, camera)
     if by_background or only_rectified_noise(result, variance):
         described = None
-        result = replace(result, camera=baseline.fit.camera, found=[], explorations=[baseline])
+        result = result.withdrawn()
     say("held-out poses before and after")
-    return _verdict(
+    diagnosis = _verdict(
         camera=camera,
         dataset=dataset,
         result=result,
@@ -216,13 +228,14 @@ def _diagnose(
         seed=seed,
         say=say,
     )
+    return _hopeless(problem, camera, variance, seed) if diagnosis.accuracy.hopeless else diagnosis
 
 
 def _without(dataset: Dataset, setup: Setup) -> Dataset:
     """Return the recording without its bad poses, which a note tells."""
-    stations = [one for one in dataset.stations if (one.recording, one.pose) not in setup.bad]
     told, _, _ = str(setup.reason).rpartition("; ")
-    return replace(dataset, stations=stations, notes=[*dataset.notes, f"{told}; left out"])
+    kept = dataset.without({*setup.bad})
+    return replace(kept, notes=[*kept.notes, f"{told}; left out"])
 
 
 def _hopeless(problem: Problem, camera: Camera, variance: Variance, seed: int) -> Diagnosis:
@@ -247,7 +260,6 @@ def _hopeless(problem: Problem, camera: Camera, variance: Variance, seed: int) -
         ranking=[],
         indistinguishable=[],
         where=of_residuals(step.fit),
-        before=of_residuals(step.fit),
         accuracy=accuracy(camera, camera, result),
         variance=variance,
         camera=camera,
@@ -300,6 +312,7 @@ def _verdict(
         model, where, missing = unknown.camera, unknown.where, [unknown.missing]
         verdict = "unknown_physics"
         ties = []
+        ranking = with_unknown(ranking, unknown.gain)
     elif result.found:
         verdict = "missing_physics"
         intervals = intervals_of(final, result.problem, seed=seed)
@@ -359,7 +372,6 @@ def _verdict(
         ranking=ranking,
         indistinguishable=ties,
         where=where,
-        before=of_residuals(baseline.fit),
         accuracy=measure,
         variance=variance,
         camera=model,

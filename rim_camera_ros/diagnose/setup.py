@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,8 @@ LARGE = 10.0
 AGAINST_OTHERS = 4.0
 #: ... and where such poses are few: what many poses show is physics.
 FEW = 0.15
+#: Poses below which none stands out from the others.
+_LEAST_POSES = 4
 #: Share of the poses, beside one, that may be left out without asking.
 VERY_FEW = 0.05
 #: Factor on these limits where physics was found whose form may be wrong.
@@ -60,6 +62,20 @@ class PoseCheck:
     where_acted_on: float = 0.0
 
 
+@dataclass
+class _Sums:
+    """Over the stations of one pose."""
+
+    time: float
+    error: float
+    error_of: str
+    count: int = 0
+    square: float = 0.0
+    moved: float = 0.0
+    acting: float = 0.0
+    medians: list[float] = field(default_factory=list)
+
+
 @dataclass(frozen=True)
 class Setup:
     """Poses by how badly they agree, and why the setup cannot be trusted (None: it can).
@@ -85,40 +101,57 @@ class Setup:
 def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:
     """Return how well each pose agrees with a fit, after the errors of poses and the fixed pattern.
 
-    ``physics`` are effects of the camera that were found.
+    ``physics`` are effects of the camera that were found. Poses told with the same values share their error.
     """
-    worst: dict[tuple[int, int], tuple[float, str]] = {}
-    sigma = {name: prior for fold in fitted.equations.folds for name, prior, _ in fold.nuisances}
-    for name, value in fitted.nuisances.items():
-        recording, pose, rest = name.split(".", 2)
-        key = (int(recording), int(pose))
-        error = abs(value) / sigma[name]
-        if rest.startswith(("pose.", "scene.")) and error > worst.get(key, (0.0, ""))[0]:
-            worst[key] = (error, rest)
-    result: dict[tuple[int, int], PoseCheck] = {}
+    worst = errors_of_placements(standard_errors(fitted))
+    found: dict[tuple[int, int], _Sums] = {}
     for one in fitted.forward.predictions():
-        key = (one.station.recording, one.station.pose)
-        if not one.used.any() or key in result:
+        station = one.station
+        if not one.used.any():
             continue
         rest_image, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
         z = rest_image[one.used] / one.sigma[one.used]
-        error, name = worst.get(key, (0.0, ""))
         moved = _moved(one, physics)[one.used]
         acting = np.abs(moved) > _ACTS
         # a few saturated pixels may act on every row, though not in other poses
-        bleeding = "saturation_bleed" in physics and bool((one.station.saturated > 0).any())
+        bleeding = "saturation_bleed" in physics and bool((station.saturated > 0).any())
         few = bleeding or acting.mean() < _FEW_PIXELS
-        result[key] = PoseCheck(
-            key,
-            float(np.mean(z**2)),
-            error,
-            name,
-            float(np.median(one.residual[one.used])),
-            one.station.time,
-            float(np.mean(moved**2)),
-            float(np.sum(z[acting] ** 2) / max(np.sum(z**2), 1e-300)) if few else 0.0,
+        sums = found.setdefault(
+            (station.recording, station.pose),
+            _Sums(station.time, *worst.get((station.recording, station.placed), (0.0, ""))),
         )
-    return list(result.values())
+        sums.count += z.size
+        sums.square += float(np.sum(z**2))
+        sums.moved += float(np.sum(moved**2))
+        sums.acting += float(np.sum(z[acting] ** 2)) if few else 0.0
+        sums.medians.append(float(np.median(one.residual[one.used])))
+    return [
+        PoseCheck(
+            key,
+            one.square / one.count,
+            one.error,
+            one.error_of,
+            max(one.medians, key=abs),
+            one.time,
+            one.moved / one.count,
+            one.acting / max(one.square, 1e-300),
+        )
+        for key, one in found.items()
+    ]
+
+
+def errors_of_placements(errors: Mapping[str, float]) -> dict[tuple[int, int], tuple[float, str]]:
+    """Return the greatest error of each placement, with surface and direction.
+
+    By the numbers of recording and placement; ``errors`` in sigmas of their instrument as `standard_errors`.
+    """
+    worst: dict[tuple[int, int], tuple[float, str]] = {}
+    for name, value in errors.items():
+        recording, placed, rest = name.split(".", 2)
+        key = (int(recording), int(placed))
+        if rest.startswith(("pose.", "scene.")) and abs(value) > worst.get(key, (0.0, ""))[0]:
+            worst[key] = (abs(value), rest)
+    return worst
 
 
 def _moved(prediction: Prediction, physics: Sequence[str]) -> Array:
@@ -203,14 +236,17 @@ def _gross(fitted: Fit, poses: list[PoseCheck]) -> str | None:
 
 def _few(poses: list[PoseCheck], factor: float) -> list[PoseCheck]:
     """Return the poses that do not agree where the most of them do, else none."""
-    errors = float(np.quantile([one.error for one in poses], 0.8))
-    typical = float(np.quantile([one.chi_square for one in poses], 0.8))
-    bad = [
-        one
-        for one in poses
-        if (one.error > factor * FAR and one.error > factor * AGAINST_OTHERS * errors)
-        or (one.chi_square > factor * LARGE and one.chi_square > factor * AGAINST_OTHERS * typical)
-    ]
+    if len(poses) < _LEAST_POSES:
+        return []
+    bad = []
+    for i, one in enumerate(poses):
+        others = [*poses[:i], *poses[i + 1 :]]
+        error = float(np.quantile([other.error for other in others], 0.8))
+        typical = float(np.quantile([other.chi_square for other in others], 0.8))
+        if (one.error > factor * FAR and one.error > factor * AGAINST_OTHERS * error) or (
+            one.chi_square > factor * LARGE and one.chi_square > factor * AGAINST_OTHERS * typical
+        ):
+            bad.append(one)
     return bad if len(bad) <= max(1.0, FEW * len(poses)) else []
 
 

@@ -6,7 +6,7 @@ that effect's table.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -176,6 +176,3 @@ def pair_terms(samples: dict[str, Array], pairs: Sequence[tuple[str, str]]) -> l
         for pair in pairs
         if not set(pair) <= STATIC
     ]
-
-
-Maker = Callable[[dict[str, Array]], list[Candidate]]

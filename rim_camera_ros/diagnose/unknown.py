@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.smooth import values_of
 from rim_camera_ros.effects.covariates import SCALAR
 from rim_camera_ros.effects.empirical import Empirical
-from rim_camera_ros.errors import RimError
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.parameters import NestedList
 
 Array = NDArray[Any]
@@ -200,19 +201,21 @@ _FORMS: dict[str, Callable[[Array], Array]] = {
 }
 
 
-def closed_form(name: str, x: Array, y: Array, sigma: Array) -> str:
-    """Return the sparse formula in metres that describes a curve best, by orthogonal matching pursuit.
-
-    Terms are added while they lower the Bayesian information criterion. Raises `RimError` where scikit-learn
-    is missing.
-    """
-    try:
-        from sklearn.linear_model import OrthogonalMatchingPursuit
-    except ImportError:
-        raise RimError(
-            "scikit-learn is not installed, the curve of unknown physics has no formula",
+def require_formulas() -> None:
+    """Raise `InputError` where scikit-learn, which finds formulas, is not installed."""
+    if find_spec("sklearn") is None:
+        raise InputError(
+            "scikit-learn is not installed: a curve of unknown physics would have no formula",
             remedy="sudo apt install python3-sklearn, or pip install 'rim_camera_ros[diagnosis]'",
-        ) from None
+        )
+
+
+def closed_form(name: str, x: Array, y: Array, sigma: Array) -> tuple[str, float]:
+    """Return the sparse formula in metres that describes a curve best, and by how much it misses it (RMS, m).
+
+    By orthogonal matching pursuit. Terms are added while they lower the Bayesian information criterion.
+    """
+    from sklearn.linear_model import OrthogonalMatchingPursuit
 
     weight = 1.0 / np.maximum(sigma, 1e-6)
     usable = {}
@@ -228,7 +231,7 @@ def closed_form(name: str, x: Array, y: Array, sigma: Array) -> str:
     centre = float(np.average(y, weights=weight**2))
     design = (columns - mean) * weight[:, None]
     target = (y - centre) * weight
-    best: tuple[float, str] | None = None
+    best: tuple[float, str, float] | None = None
     scale = np.linalg.norm(design, axis=0)
     for terms in range(1, min(3, len(names), len(x) - 2) + 1):
         model = OrthogonalMatchingPursuit(n_nonzero_coefs=terms, fit_intercept=False)
@@ -240,9 +243,9 @@ def closed_form(name: str, x: Array, y: Array, sigma: Array) -> str:
         constant = centre - float(mean @ coefficients)
         text = f"{constant:.3g} " + " ".join(parts)
         if best is None or criterion < best[0]:
-            best = (criterion, text)
-    formula = best[1] if best is not None else f"{centre:.3g}"
-    return f"{formula} [m], x = {name}"
+            best = (criterion, text, float(np.sqrt(np.mean((rest / weight) ** 2))))
+    formula, missed = best[1:] if best is not None else (f"{centre:.3g}", float(np.std(y)))
+    return f"{formula} [m], x = {name}", missed
 
 
 def with_table(camera: Camera, table: Empirical) -> Camera:

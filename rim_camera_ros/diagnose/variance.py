@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar, nnls
 
 from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.stations import KEPT_FRAMES
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.noise import Noise
 
@@ -126,7 +127,7 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
             )
         )
     number = max(len(common), 1)
-    frames = float(np.mean(f)) + 1
+    frames = min(float(np.mean(f)) + 1, KEPT_FRAMES)
     return Variance(
         ratio=float((ratio * f).sum() / f.sum()),
         sigma=float(np.sqrt(2 / f.sum())),

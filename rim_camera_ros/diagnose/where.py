@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ OF_AMPLITUDE = frozenset({"emission_pattern", "amplitude_nonlinearity", "radiome
 _ON_LIGHT = OF_AMPLITUDE - {"amplitude_nonlinearity"}
 _LEAST_SHARE = 0.03
 _MOST_COVARIATES = 4
+_MOST_STRETCHES = 8
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,7 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
     shape = fitted.camera.shape
     total, count = np.zeros(shape), np.zeros(shape)
     rng = np.random.default_rng(7)
-    energy: list[tuple[float, float]] = []
+    energy: list[tuple[float, float, float]] = []
     samples: list[Array] = []
     weights: list[Array] = []
     covariates: dict[str, list[Array]] = {name: [] for name in COVARIATES}
@@ -167,7 +169,9 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
         noise = (one.sigma[valid] / sigma[valid]) ** 2 if noisy else np.zeros(1)
         total[valid] -= noise
         count[valid] += 1
-        energy.append((one.station.time, float(np.mean((image[valid] / sigma[valid]) ** 2) - noise.mean())))
+        half = one.station.duration / 2
+        mean_square = float(np.mean((image[valid] / sigma[valid]) ** 2) - noise.mean())
+        energy.append((one.station.time - half, one.station.time + half, mean_square))
         pixels = np.flatnonzero(valid.ravel())
         chosen = rng.choice(pixels, min(500, pixels.size), replace=False)
         samples.append(image.ravel()[chosen])
@@ -229,26 +233,24 @@ def _bins(x: Array, count: int = 16) -> Array:
     return np.searchsorted(edges, x, side="right")
 
 
-def _times(energy: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return the shortest set of stretches of time that holds 90 % of the energy."""
-    if not energy:
-        return []
+def _times(energy: list[tuple[float, float, float]]) -> list[tuple[float, float]]:
+    """Return stretches of time that hold 90 % of the energy, of stations from, to and energy.
+
+    The fewest stations, neighbours together; of many stretches those with the shortest gaps are joined.
+    """
     energy = sorted(energy)
-    times = np.array([t for t, _ in energy])
-    values = np.array([max(e, 0.0) for _, e in energy])
+    values = np.maximum([e for _, _, e in energy], 0.0)
     if values.sum() <= 0:
         return []
     order = np.argsort(-values)
     needed = int(np.searchsorted(np.cumsum(values[order]), 0.9 * values.sum())) + 1
-    chosen = np.zeros(len(values), bool)
-    chosen[order[:needed]] = True
+    chosen = sorted(order[:needed].tolist())
     stretches: list[tuple[float, float]] = []
-    start = None
-    for i, one in enumerate(chosen):
-        if one and start is None:
-            start = i
-        if start is not None and (not one or i == len(chosen) - 1):
-            end = i if one else i - 1
-            stretches.append((float(times[start]), float(times[end])))
-            start = None
-    return stretches if len(stretches) <= 8 else [(float(times[0]), float(times[-1]))]
+    for before, i in zip([-2, *chosen], chosen, strict=False):
+        start, end, _ = energy[i]
+        stretches.append((stretches.pop()[0] if i == before + 1 and stretches else start, end))
+    while len(stretches) > _MOST_STRETCHES:
+        gaps = [later[0] - one[1] for one, later in pairwise(stretches)]
+        k = int(np.argmin(gaps))
+        stretches[k : k + 2] = [(stretches[k][0], stretches[k + 1][1])]
+    return stretches

@@ -221,7 +221,10 @@ def _time_lines(facts: dict[str, Any]) -> list[tuple[str, str]]:
         )
     if facts["gaps"]:
         text = f"{facts['gaps']}, the longest {number(facts['longest_gap_s'], 's')}; "
-        lines.append(("gaps", text + f"at this rate {facts['missing_frames']} frames are missing"))
+        missing = f"at this rate {facts['missing_frames']} frames are missing"
+        if facts["missing_frames"] > facts["frames"]:
+            missing = "frames come in groups with pauses between them"
+        lines.append(("gaps", text + missing))
     return lines
 
 

@@ -15,14 +15,14 @@ from rim_camera_ros.calibrate.needs import Found, needed, own_covariates
 from rim_camera_ros.diagnose import setup
 from rim_camera_ros.diagnose.accuracy import Accuracy
 from rim_camera_ros.diagnose.described import is_unknown
-from rim_camera_ros.diagnose.naming import notes_of_refused
+from rim_camera_ros.diagnose.naming import notes_of_refused, with_unknown
 from rim_camera_ros.diagnose.noise_verdict import (
     only_background,
     only_noise,
     only_rectified_noise,
     with_variance,
 )
-from rim_camera_ros.diagnose.result import Missing
+from rim_camera_ros.diagnose.result import Missing, Ranked
 from rim_camera_ros.diagnose.setup import PoseCheck
 from rim_camera_ros.diagnose.variance import Variance, VarianceBin
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
@@ -307,3 +307,13 @@ def test_a_note_for_each_reason_tells_what_was_not_added() -> None:
         f"not added, {AS_REST}: emitter_offset (2,381 nats, 5,440 asked), radiometry (60 nats, 163 asked)",
         f"not added, {NOT_ELSEWHERE}: scattering (97 nats, 163 asked)",
     ]
+
+
+def test_unknown_physics_has_its_place_in_the_ranking() -> None:
+    """A softmax over the effects, what is unknown and nothing: of 9, 7 and 6 nats and 0."""
+    ranking = [Ranked("height_effect", 0.9, 7.0, 0.5, 3.0), Ranked("other", 0.1, 6.0)]
+    found = with_unknown(ranking, 9.0)
+    total = np.exp(9) + np.exp(7) + np.exp(6) + 1
+    assert [one.effect for one in found] == ["unknown", "height_effect", "other"]
+    assert [one.probability for one in found] == pytest.approx([np.exp(g) / total for g in (9, 7, 6)])
+    assert (found[1].identifiability, found[1].expected_gain) == (0.5, 3.0)

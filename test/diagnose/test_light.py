@@ -171,3 +171,12 @@ def test_the_scale_of_the_light_is_free_where_the_response_is_not_known(tmp_path
         forward = Forward(data, board, replace(truth, noise=other))
         forward.estimate_amplitudes()
         assert examine_variance(forward, free_scale=True).noise_is_wrong
+
+
+@pytest.mark.parametrize(("frames", "told"), [(4, 4), (8, 8), (60, 8)])
+def test_what_pixels_share_is_known_from_eight_frames(tmp_path: Path, frames: int, told: int) -> None:
+    """1 / sqrt(N (n - 1)) of N stations: longer ones keep eight frames for it."""
+    truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
+    forward = Forward(record(truth, board, poses=6, frames=frames, seed=36), board, truth)
+    forward.estimate_amplitudes()
+    assert examine_variance(forward).common_sigma == pytest.approx((6 * (told - 1)) ** -0.5, rel=0.02)

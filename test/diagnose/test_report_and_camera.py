@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,13 +16,14 @@ from rim_camera_ros.calibrate import coarser
 from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, load_camera
+from rim_camera_ros.diagnose import unknown
 from rim_camera_ros.diagnose.noise_verdict import with_variance
 from rim_camera_ros.diagnose.result import Missing
-from rim_camera_ros.diagnose.unknown import closed_form
+from rim_camera_ros.diagnose.unknown import require_formulas
 from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
-from rim_camera_ros.errors import RimError
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.parameters import NestedList
 
 from .helpers import CAMERA, CYCLIC, run, scene_text
@@ -182,11 +182,11 @@ def test_numbers_in_pixels_of_both_grids() -> None:
     assert coarser.finer_number("effects.cyclic_error.gradient.0", 0.004, 2) == 0.002
 
 
-def test_a_formula_without_its_library_is_one_line_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "sklearn.linear_model", None)
-    x = np.linspace(1.0, 3.0, 12)
-    with pytest.raises(RimError, match=r"scikit-learn is not installed.*python3-sklearn"):
-        closed_form("distance", x, 0.01 * x, np.full(12, 0.001))
+def test_without_the_library_of_formulas_it_is_said_before_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    require_formulas()
+    monkeypatch.setattr(unknown, "find_spec", lambda _: None)
+    with pytest.raises(InputError, match=r"scikit-learn is not installed.*python3-sklearn"):
+        require_formulas()
 
 
 def test_a_footprint_is_the_same_on_both_grids(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from rim_camera_ros.calibrate.sizes import change_by
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
-from rim_camera_ros.diagnose.where import of_residuals, of_terms
+from rim_camera_ros.diagnose.where import _times, of_residuals, of_terms
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.base import Effect
@@ -259,3 +259,21 @@ def test_noise_alone_is_left_at_no_time(tmp_path: Path) -> None:
     assert np.median(found.pixels) < 0.01
     energies = [np.mean((one.residual / one.sigma)[one.used] ** 2) for one in forward.predictions()]
     assert energies == pytest.approx(np.ones(14), abs=0.15)
+
+
+def test_times_are_from_the_first_to_the_last_frame_of_the_poses() -> None:
+    """Stations of 0.08 s at 0, 2, 4 ...: three hold nine tenths of the energy, two of them neighbours."""
+    energies = [0.1, 5.0, 4.0, 0.0, -0.3, 3.0, 0.2]
+    stations = [(2.0 * k - 0.04, 2.0 * k + 0.04, one) for k, one in enumerate(energies)]
+    assert np.ravel(_times(stations[::-1])) == pytest.approx([1.96, 4.04, 9.96, 10.04])
+    assert _times([(0.0, 1.0, 0.0), (2.0, 3.0, -1.0)]) == []
+    assert _times([]) == []
+
+
+def test_of_many_times_those_with_the_shortest_gaps_are_joined() -> None:
+    starts = [0.0, 10.0, 20.0, 23.0, 40.0, 50.0, 60.0, 62.0, 80.0, 90.0]
+    apart = [(t, t + 1.0, e) for start in starts for t, e in ((start, 1.0), (start + 1.3, 0.0))]
+    # nine of the ten hold nine tenths
+    found = _times(apart)
+    assert found[2:7] == [(20.0, 21.0), (23.0, 24.0), (40.0, 41.0), (50.0, 51.0), (60.0, 63.0)]
+    assert len(found) == 8

@@ -1,0 +1,203 @@
+"""Is it the recording of this scene? Poses, their placements and stations, and scenes that cannot be it."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rim_camera_ros.calibrate.adjustment import fit
+from rim_camera_ros.calibrate.exploration import Exploration
+from rim_camera_ros.calibrate.outcome import Result
+from rim_camera_ros.calibrate.problem import Problem
+from rim_camera_ros.calibrate.selection import folds_of
+from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.cli import main
+from rim_camera_ros.diagnose import accuracy as measured
+from rim_camera_ros.diagnose import setup
+from rim_camera_ros.diagnose.accuracy import Accuracy, accuracy
+from rim_camera_ros.diagnose.run import diagnose
+from rim_camera_ros.diagnose.setup import PoseCheck, check_poses, check_setup
+from rim_camera_ros.frame import Pose
+
+from ..calibrate.helpers import camera, record, scene
+from .helpers import CAMERA, run, scene_text
+
+
+def told_wrongly(data: Dataset, number: int, by: float) -> Dataset:
+    """The dataset with the pose of one station told so far off [m]."""
+    one = data.stations[number]
+    x, y, z = one.truth["board"].position
+    moved = Pose((x, y, z + by), one.truth["board"].orientation)
+    stations = [*data.stations]
+    stations[number] = replace(one, truth={"board": moved})
+    return replace(data, stations=stations)
+
+
+def test_the_poses_of_a_placement_that_was_told_wrongly_are_those_to_blame(tmp_path: Path) -> None:
+    """16 placements, told three times each: poses 15, 16 and 17 share the error of the sixth."""
+    truth, board = camera(tmp_path), scene(tmp_path)
+    data = told_wrongly(record(truth, board, poses=16, seed=3), 5, 0.06)
+    again = [
+        replace(one, pose=3 * k + j, placement=k, time=3.0 * k + j)
+        for k, one in enumerate(data.stations)
+        for j in range(3)
+    ]
+    fitted = fit(Problem(replace(data, stations=again), board), truth)
+    far = [one.key for one in check_poses(fitted) if one.error > setup.FAR]
+    assert far == [(0, 15), (0, 16), (0, 17)]
+    found = check_setup(fitted)
+    assert found.bad == ((0, 15), (0, 16), (0, 17))
+    assert str(found.reason).endswith("--without-poses 15,16,17 leaves them out")
+
+
+@pytest.mark.parametrize("bent", [0, 1])
+def test_every_station_of_a_pose_counts(tmp_path: Path, bent: int) -> None:
+    """A long pose is cut into stations: whichever of them does not agree, the pose does not."""
+    truth, board = camera(tmp_path), scene(tmp_path)
+    data = record(truth, board, poses=12, seed=4)
+    halves = [replace(one, pose=k // 2) for k, one in enumerate([s for s in data.stations for _ in range(2)])]
+    # quarters up and down, which no error of a pose is
+    bend = 0.02 * np.sign(np.arange(36) - 17.5)[:, None] * np.sign(np.arange(44) - 21.5)
+    halves[8 + bent] = replace(halves[8 + bent], distance=halves[8 + bent].distance + bend)
+    fitted = fit(Problem(replace(data, stations=halves), board), truth)
+    worst = max(check_poses(fitted), key=lambda one: one.chi_square)
+    assert worst.key == (0, 4)
+    assert worst.chi_square > 4 * np.median([one.chi_square for one in check_poses(fitted)])
+
+
+@pytest.mark.parametrize(("count", "found"), [(2, 0), (3, 0), (4, 1), (5, 1), (40, 1)])
+def test_a_pose_stands_out_from_the_others(count: int, found: int) -> None:
+    """By four fifths of the others, itself not among them; of three none is the one that is wrong."""
+    poses = [PoseCheck((0, k), 1.0, 0.7, "", 0.0, float(k)) for k in range(count - 1)]
+    poses.append(PoseCheck((0, count - 1), 1e4, 500.0, "board.offset", 0.1, 9.0))
+    assert len(setup._few(poses, 1.0)) == found
+    alike = setup._few([replace(one, chi_square=60.0) for one in poses], 1.0)
+    assert [one.key for one in alike] == [poses[-1].key] * found
+
+
+def test_poses_without_a_pixel_stop_no_fit_whichever_they_are(tmp_path: Path) -> None:
+    truth, board = camera(tmp_path), scene(tmp_path)
+    data = record(truth, board, poses=10, seed=6)
+    folds = folds_of(data)
+    for fold in (0, 1):
+        dark = [
+            replace(one, count=np.zeros_like(one.count)) if folds[one.recording, one.pose] == fold else one
+            for one in data.stations
+        ]
+        fitted = fit(Problem(replace(data, stations=dark), board), truth, fold_of=folds)
+        assert fitted.rows > 1000
+
+
+def test_few_poses_are_said_to_be_few(tmp_path: Path) -> None:
+    truth, board = camera(tmp_path), scene(tmp_path)
+    for poses, notes in ((2, 1), (5, 1), (6, 0)):
+        result = diagnose(record(truth, board, poses=poses, seed=7), board, truth)
+        assert result.verdict == "consistent"
+        said = [one for one in result.notes if one.startswith(f"only {poses} poses: ")]
+        assert len(said) == notes
+
+
+def test_a_dataset_without_poses_counts_its_own_frames(tmp_path: Path) -> None:
+    data = record(camera(tmp_path), scene(tmp_path), poses=6, frames=4, seed=8)
+    left = data.without({(0, 2), (0, 5)})
+    assert (left.poses, left.frames, data.frames) == (4, 16, 24)
+
+
+def test_the_gain_of_what_was_withdrawn_is_none() -> None:
+    nothing: Any = None
+
+    class Start:
+        class fit:
+            camera = "start"
+
+            class forward:
+                masks = "masks"
+
+    start: Any = Start
+    board: Any = "board"
+    found: Any = ["mixed_pixels"]
+    problem = Problem(nothing, board, reflectance=True, geometry=("cx",), masks=nothing)
+    result = Result(nothing, found, [start, nothing, nothing], 900.0, 100.0, problem, {}, [nothing], 1)
+    left = result.withdrawn()
+    assert left.gained == 0.0
+    assert (left.found, left.explorations, left.refused, left.camera) == ([], [start], [], "start")
+    assert (left.problem.masks, left.problem.reflectance, left.problem.geometry) == ("masks", False, ())
+
+
+def test_accuracy_knows_the_light_that_all_pixels_share(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its fits are of the problem that the search solved, with its light and its prior of the pattern."""
+    truth, board = camera(tmp_path), scene(tmp_path)
+    problem = Problem(record(truth, board, poses=8, seed=9), board, stray_light=40.0, pattern_prior=0.02)
+    fitted = fit(problem, truth)
+    step: Any = Exploration.__new__(Exploration)
+    result = Result(truth, [], [step], 0.0, 0.0, problem, folds_of(problem.dataset))
+    monkeypatch.setattr(Result, "fit", property(lambda _: fitted))
+    given: list[Problem] = []
+    monkeypatch.setattr(
+        measured, "fit", lambda one, *rest, **more: (given.append(one), fit(one, *rest, **more))[1]
+    )
+    model = replace(truth, optics=replace(truth.optics, fx=50.5))
+    accuracy(truth, model, result)
+    assert [(one.stray_light, one.pattern_prior, one.robust) for one in given] == [(40.0, 0.02, False)] * 2
+
+
+def test_a_gross_mismatch_that_a_model_makes_worse_is_no_physics() -> None:
+    gross = Accuracy(1.5, 2.0, 0.01, 6955.0, 29_415.0, True)
+    assert gross.hopeless
+    assert not replace(gross, rms_after=1.4).hopeless
+    assert not replace(gross, chi2_before=20.0).hopeless
+    assert not replace(gross, held_out=False).hopeless
+
+
+def test_a_surface_that_moved_is_not_still(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """18 distances from 0.9 to 4.3 m, and a scene file that states one of them."""
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    (tmp_path / "moving.yaml").write_text(scene_text())
+    still = scene_text().split("schedule:")[0].replace("pose: truth", "pose: {position: [0, 0, 2.0]}")
+    (tmp_path / "still.yaml").write_text(still)
+    bag = tmp_path / "bag"
+    run("simulate", tmp_path / "moving.yaml", camera=tmp_path / "camera.yaml", out=bag)
+    for command, out in (("diagnose", "out"), ("calibrate", "new.yaml")):
+        given = [str(bag), "--camera", str(tmp_path / "camera.yaml"), "--scene", str(tmp_path / "still.yaml")]
+        assert main([command, *given, "--out", str(tmp_path / out), "--quiet"]) == 2
+        message = capsys.readouterr().err
+        assert "bag: /ground_truth/wall/pose: the scene states one pose of 'wall'" in message
+        assert "differ by up to 3.4 m" in message
+        assert "write pose: truth" in message
+        assert message.count("\n") == 1
+
+
+def test_a_recording_is_no_simulation_of_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = [
+        "diagnose",
+        str(tmp_path),
+        "--camera",
+        "sr3000",
+        "--scene",
+        "board",
+        "--out",
+        str(tmp_path / "o"),
+    ]
+    assert main([*given, "--against", str(tmp_path)]) == 2
+    assert "--against: is the recording itself" in capsys.readouterr().err
+
+
+def test_no_solution_is_no_page_of_warnings(tmp_path: Path) -> None:
+    """A board that is told to stand still while it moved, without a warning of scipy."""
+    truth, board = camera(tmp_path), scene(tmp_path)
+    data = record(truth, board, poses=10, seed=10)
+    wrong = Pose((0.0, 0.0, 1.5))
+    data.stations = [replace(one, truth={"board": wrong}) for one in data.stations]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = diagnose(data, board, truth)
+    assert result.verdict == "inconsistent_setup"
+    assert result.missing == []
+    assert result.camera == truth
