@@ -46,11 +46,10 @@ class Exploration:
     """Scores of all candidates at one fit.
 
     ``gains`` in nats of held-out log likelihood and ``thresholds``, one per candidate, the latter from its
-    gains
-    in replicates in which nothing is left out; ``null_maxima`` is the greatest excess over the threshold's
-    least value in each of them. The first ``named``
-    candidates are of the vocabulary, the others stand for what is not. ``beside`` scores the named ones
-    beside changes of the ``forms`` of effects found before them, where there are such.
+    gains in replicates in which nothing is left out, of the noise and the errors that are stated;
+    ``null_maxima`` is the greatest gain in each of them. The first ``named`` candidates are of the
+    vocabulary, the others stand for what is not. ``beside`` scores the named ones beside changes of the
+    ``forms`` of effects found before them, where there are such.
     """
 
     fit: Fit
@@ -193,9 +192,6 @@ def explored(
     scores = Scores(fitted.equations, range(count))
     changes = range(start, start + sum(len(one.regressors) for one in forms))
     beside = Scores(fitted.equations, [*range(count), *changes]) if forms else scores
-    # what no model explains makes every gain larger than the noise would: measure in its units
-    chi_square, rows = scores.chi_square(held_out=True)
-    temper = max(1.0, chi_square / max(rows, 1)) if rows else 1.0
     gains = np.array(
         [
             _gain(beside if k < len(named) else scores, one, span)
@@ -212,7 +208,6 @@ def explored(
             range(count),
             replicates=replicates,
             seed=seed,
-            temper=temper,
             errors=fitted.nuisances,
         )
         base = nulls.held_out()

@@ -36,7 +36,6 @@ def null_scores(
     *,
     replicates: int = 200,
     seed: int = 0,
-    temper: float = 1.0,
     errors: Mapping[str, float] | None = None,
 ) -> Scores:
     """Return scores whose right-hand sides are those of replicates, (K, R).
@@ -44,16 +43,15 @@ def null_scores(
     ``errors`` found of poses and powers give the replicates' errors their shape: instruments err with
     heavier tails than a Gaussian, and a few large errors imitate a drift. They are dealt to the poses at
     random.
-    ``temper`` is the variance of the residuals in units of the noise model.
     """
     rng = np.random.default_rng([seed, 41])
     shapes = _error_shapes(equations, errors or {})
-    draws = [_draw(fold, replicates, rng, shapes, np.sqrt(temper)) for fold in equations.folds]
+    draws = [_draw(fold, replicates, rng, shapes) for fold in equations.folds]
     scores = Scores.__new__(Scores)
     scores.regressors = equations.regressors
     scores.base = np.array(sorted(base), int)
     scores.prior = np.array([one.prior for one in equations.regressors])
-    scores.temper = temper
+    scores.temper = 1.0
 
     def reduced(leave_out: int | None) -> Reduced:
         kept = [one for i, one in enumerate(draws) if i != leave_out]
@@ -87,9 +85,7 @@ def kind_of_error(name: str) -> str:
     return kind.rpartition(".")[0] if kind.startswith("light.") else kind
 
 
-def _draw(
-    fold: Fold, replicates: int, rng: np.random.Generator, shapes: Mapping[str, Array], factor: float
-) -> _Draw:
+def _draw(fold: Fold, replicates: int, rng: np.random.Generator, shapes: Mapping[str, Array]) -> _Draw:
     size = fold.gram.shape[0] - 1
     count = size - len(fold.nuisances)
     design = fold.pixel[:, :size]
@@ -109,8 +105,6 @@ def _draw(
     values, vectors = linalg.eigh((rest + rest.T) / 2 / unit[:, None] / unit[None, :])
     spread = unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     right = mean.astype(float) + spread @ rng.standard_normal((size, replicates))
-    noise *= np.float32(factor)
-    right *= factor
     if fold.nuisances:
         errors = np.empty((len(fold.nuisances), replicates))
         for i, (name, prior, _) in enumerate(fold.nuisances):
@@ -119,7 +113,6 @@ def _draw(
                 errors[i] = prior * rng.standard_normal(replicates)
             else:
                 errors[i] = prior * rng.choice(shape, replicates) * rng.choice((-1.0, 1.0), replicates)
-        errors *= factor
         right += fold.gram[:size, count:size] @ errors
         noise += design[:, count:] @ errors.astype(design.dtype)
     return _Draw(right, noise)

@@ -23,7 +23,7 @@ Key = tuple[int, int]
 
 
 def folds_of(dataset: Dataset, count: int = 5) -> dict[Key, int]:
-    """Deal poses to folds, evenly within each integration time; blocks of time where there are few poses.
+    """Deal poses to folds, evenly within each integration time.
 
     Raises nothing: with fewer poses than folds there are fewer folds.
     """

@@ -30,7 +30,6 @@ def joined(scenes: Sequence[Scene], datasets: Sequence[Dataset]) -> tuple[Scene,
     if all(one == first for one in scenes):
         return first, list(datasets)
     surfaces: dict[str, Surface] = {}
-    numbers = {id(one): k for k, one in reversed(list(enumerate(scenes, 1)))}
     placed = []
     for scene, dataset in zip(scenes, datasets, strict=True):
         _require_joinable(scene, first)
@@ -39,7 +38,7 @@ def joined(scenes: Sequence[Scene], datasets: Sequence[Dataset]) -> tuple[Scene,
             there = replace(surface, pose=TRUTH)
             name = surface.name
             if name in surfaces and surfaces[name] != there:
-                name = f"{name} ({numbers[id(scene)]})"
+                name = f"{name} ({list(scenes).index(scene) + 1})"
                 there = replace(there, name=name)
             surfaces[name] = there
             names[surface.name] = name

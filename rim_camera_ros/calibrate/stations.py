@@ -370,10 +370,7 @@ def reduce_recording(
 
 
 def merged(parts: Iterable[Dataset]) -> Dataset:
-    """Return the stations of several recordings as one dataset, numbered in their order.
-
-    Raises `InputError` for recordings of different devices or modulation frequencies.
-    """
+    """Return the stations of several recordings as one dataset, numbered in their order."""
     result = Dataset([])
     for number, part in enumerate(parts):
         result.stations += [replace(one, recording=number) for one in part.stations]

@@ -220,7 +220,7 @@ def _by_rotation(axis: Array, pose: Pose, view: View, mine: Array, rays: Array) 
 
 
 def _rays_around(rays: Array, margin: float) -> list[Array]:
-    """Return the rays ``margin`` pixels to the four diagonal sides, by linear interpolation."""
+    """Return the rays ``margin`` pixels to the eight sides, by linear interpolation."""
     result = []
     down = np.gradient(rays, axis=0)
     across = np.gradient(rays, axis=1)

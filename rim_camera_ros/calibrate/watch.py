@@ -13,7 +13,7 @@ from rim_camera_ros.frame import RawFrame
 
 #: What is done, how much of it, of how much (None: unknown).
 Progress = Callable[[str, int | None, int | None], None]
-#: Reduces the recordings to stations, in their order; `tick` may raise to end the work.
+#: Reduces the recordings to stations, in their order.
 Reducer = Callable[[Sequence[Path], Camera, Topics | None], Sequence[Dataset]]
 
 

@@ -60,7 +60,6 @@ def intervals_of(
         range(count),
         replicates=200,
         seed=seed + 1,
-        temper=scores.temper,
         errors=fitted.nuisances,
     )
     matrix = scores.full.gram[:count, :count] + np.diag(scores.prior[:count] ** -2)

@@ -313,7 +313,7 @@ def test_once_a_distance_term_joined_amplitudes_count_for_the_next_step(tmp_path
 def test_unmodulated_light_of_a_moving_camera_is_a_share_of_the_modulated(tmp_path: Path) -> None:
     """A (A) + b (A + B) = interval (A + share B): 1.5 + 2.5 ms of which 2.5 with the unmodulated light."""
     model = camera(tmp_path)
-    facts = Facts((60.0,), 1000.0, None, None, 1.0, saturated=False, moves=True, surfaces=1)
+    facts = Facts((60.0,), 1000.0, None, None, saturated=False, moves=True, surfaces=1)
     plain, more = candidates(model, facts, effects=["motion"])
     labels = [one.label for one in more.block.regressors]
     found = more.build(model, dict(zip(labels, (0.0015, 0.0025), strict=True))).effects["motion"]

@@ -131,6 +131,8 @@ def test_joined_scenes(tmp_path: Path) -> None:
     assert [one.name for one in scene_.surfaces] == ["board", "board (2)", "floor"]
     assert scene_.poses_for(first.stations[0].truth).keys() == {"board"}
     assert scene_.poses_for(second.stations[0].truth).keys() == {"board (2)", "floor"}
+    again, _ = joined([board, other, Scene(other.surfaces)], [data, Dataset(stations), Dataset(stations)])
+    assert [one.name for one in again.surfaces] == ["board", "board (2)", "floor"]
     assert joined([board, board], [data, data]) == (board, [data, data])
     moving = replace(other, camera_motion=CameraMotion(linear=(0.1, 0.0, 0.0)))
     with pytest.raises(InputError, match=r"the scenes state different motions of the camera"):
