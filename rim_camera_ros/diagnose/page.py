@@ -316,5 +316,7 @@ def _terms() -> str:
             "counts as missing physics. So are errors of the poses, within their stated accuracy, and of "
             "the emitted power.",
             "Sigma: one standard deviation.",
+            "Noise alone: what the camera's noise leaves in mean frames. Errors of the poses and offsets of "
+            "pixels that are not known well add to an RMS; chi-square allows for them.",
         ]
     )

@@ -15,6 +15,8 @@ from rim_camera_ros.reports.figures import svg
 Array = NDArray[Any]
 
 _GREY = "#5b6878"
+#: Pixels that were never compared.
+_NEVER = "#c3cad1"
 _WIDTH = 10.4
 
 
@@ -32,14 +34,17 @@ def where(pixels: Array | None, before: Array | None, after: Array, *, title: st
         axes = list(figure.subplots(1, count, squeeze=False)[0])
         for axis in axes:
             axis.grid(False)
-            axis.set_facecolor("#eef1f4")
+            axis.set_facecolor(_NEVER)
             axis.tick_params(labelsize=8)
+            axis.set_xlabel("column [px]", fontsize=8)
+        axes[0].set_ylabel("row [px]", fontsize=8)
         if pixels is not None:
             axis = axes.pop(0)
             values = np.sqrt(np.maximum(pixels, 0.0))
             picture = axis.imshow(values, cmap="viridis", vmin=0, vmax=_high(values), interpolation="nearest")
             outline = simplified(region(pixels))
             if outline.any() and not outline.all():
+                axis.contourf(outline, levels=[-0.5, 0.5], colors="white", alpha=0.35)
                 axis.contour(outline, levels=[0.5], colors="white", linewidths=1.3)
             axis.set_title(title)
             _bar(figure, picture, axis, "sigma of a frame", below=True)
@@ -110,7 +115,7 @@ def pose_image(image: PoseImage) -> bytes:
         for axis in axes:
             axis.grid(False)
             axis.set(xticks=[], yticks=[])
-            axis.set_facecolor("#eef1f4")
+            axis.set_facecolor(_NEVER)
 
     return svg((_WIDTH, 2.9), draw)
 

@@ -66,8 +66,8 @@ def where(result: Diagnosis, found: Evidence) -> list[str]:
     if shown:
         what = "what was left out" if result.missing else "what is still unexplained"
         caption = (
-            f"Left: RMS over the poses of {what} (where.npy holds its square), the smallest region with 90 "
-            f"% of it outlined: {_percent(region(pixels).mean())} of the array"
+            f"Left: RMS over the poses of {what} (where.npy holds its square); outside of the smallest "
+            f"region with 90 % of it paler: the region is {_percent(region(pixels).mean())} of the array"
         )
         if result.where.covariates and result.verdict != "inconsistent_setup":
             listed = words.joined(
