@@ -43,7 +43,8 @@ VISIBLE = """\
 Sizes are RMS of the effect over the single-frame sigma of its pixels: where half of the cases are noticed,
 and where half are named right, by logistic curves with a slope common to all effects ({slope:.1f} per unit of
 ln(size); weak priors keep points finite where all cases are seen, or none: `<` and `>` mark points outside
-the sizes that were tried). The last column: named right of those at twice the size noticed."""
+the sizes that were tried). The two curves are fitted one by one: where few cases lie between them the second
+may come out below the first. The last column: named right of those at twice the size noticed."""
 
 IDENTIFIABILITY = """\
 Against identifiability (as the report states it, else what the refit of the known terms left):"""
