@@ -397,3 +397,13 @@ def test_outline_keeps_small_regions_and_smooths_large_ones() -> None:
     assert outline[20, 20]
     assert not outline[2, 2]
     assert outline[10:30, 15:35].all()
+
+
+def test_every_key_of_the_report_is_explained(case: Case) -> None:
+    """docs/diagnosis_report.md has a row for each key, of which some are told in the row they belong to."""
+    told = (Path(__file__).resolve().parents[2] / "docs" / "diagnosis_report.md").read_text()
+    report = as_json(case.missing)
+    keys = [*report, *(f"where.{one}" for one in report["where"]), *report["fit"], *report["ranking"][0]]
+    keys += [*report["missing"][0], "covariates", "closed_form", "reason"]
+    absent = [one for one in keys if f"`{one}`" not in told and one != "where"]
+    assert absent == []
