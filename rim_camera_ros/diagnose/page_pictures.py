@@ -221,6 +221,9 @@ def ranking(result: Diagnosis) -> str:
         rows.append((f"any smooth function of {listed}", gain, threshold, kind))
     if not rows:
         return ""
+    if any(kind == "named" for _, _, _, kind in rows[len(result.ranking) :]):
+        # the smooth function is what is unknown: one row tells it
+        rows = [row for row in rows if row[0] != words.label_of(UNKNOWN)]
     rows.sort(key=lambda row: -row[1])
     absent = len([row for row in rows if row[3] == "named"]) == 0
     caption = (

@@ -210,6 +210,10 @@ def require_formulas() -> None:
         )
 
 
+#: Share of a curve's range to which a formula must describe it: no class of pixels counts for more.
+_COARSE = 0.02
+
+
 def closed_form(name: str, x: Array, y: Array, sigma: Array) -> tuple[str, float]:
     """Return the sparse formula in metres that describes a curve best, and by how much it misses it (RMS, m).
 
@@ -217,7 +221,7 @@ def closed_form(name: str, x: Array, y: Array, sigma: Array) -> tuple[str, float
     """
     from sklearn.linear_model import OrthogonalMatchingPursuit
 
-    weight = 1.0 / np.maximum(sigma, 1e-6)
+    weight = 1.0 / np.maximum(np.hypot(sigma, _COARSE * np.ptp(y)), 1e-6)
     usable = {}
     for form, function in _FORMS.items():
         if np.min(x) <= 1e-9 and form in ("1/x", "1/x^2", "sqrt(x)", "log(x)"):

@@ -18,6 +18,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, load_camera
 from rim_camera_ros.diagnose import unknown
 from rim_camera_ros.diagnose.noise_verdict import with_variance
+from rim_camera_ros.diagnose.page_words import formula_curve
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.unknown import require_formulas
 from rim_camera_ros.diagnose.variance import Variance
@@ -180,6 +181,19 @@ def test_numbers_in_pixels_of_both_grids() -> None:
     assert coarser.finer_number("effects.mixed_pixels.footprint", 0.3, 3) == pytest.approx(0.9)
     assert coarser.finer_number("effects.mixed_pixels.share", 0.3, 3) == 0.3
     assert coarser.finer_number("effects.cyclic_error.gradient.0", 0.004, 2) == 0.002
+
+
+def test_a_formula_describes_all_of_its_curve() -> None:
+    """Where the middle is known 30 times better than the ends it must not miss these."""
+    x = np.linspace(-1.0, 1.0, 18)
+    y = 0.01 * np.exp(-1.7 * x) - 0.01
+    sigma = np.where(np.abs(x) < 0.5, 2e-5, 6e-4)
+    formula, missed = unknown.closed_form("height", x, y, sigma)
+    assert formula.endswith(" [m], x = height")
+    assert missed < 0.02 * np.ptp(y)
+    shown = formula_curve(formula, x)
+    assert shown is not None
+    assert np.sqrt(np.mean((shown - y) ** 2)) == pytest.approx(missed, rel=0.05)
 
 
 def test_without_the_library_of_formulas_it_is_said_before_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
