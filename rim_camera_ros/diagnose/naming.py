@@ -24,6 +24,7 @@ from rim_camera_ros.diagnose.where import OF_AMPLITUDE
 from rim_camera_ros.effects import registry
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.base import Effect
+from rim_camera_ros.info.text import several
 
 Array = NDArray[Any]
 
@@ -118,11 +119,17 @@ def _size(fitted: Fit, name: str, origin: Camera) -> float | None:
 
 def missing_codes_of(codes: MissingCodes, camera: Camera) -> Missing:
     step = codes.step * camera.sensor.lsb
-    sentence = (
-        f"unknown physics: beside {codes.share:.0%} of the frequent distance counts lie counts that never "
-        f"occur "
-        f"(steps of {codes.step:.0f} counts, {step * 1e3:.2g} mm): the read-out leaves out codes"
-    )
+    if codes.ranges:
+        what = (
+            f"{several(codes.ranges, 'range')} of distance counts amid frequent ones never occur "
+            f"({codes.step:.0f} counts, {step * 1e3:.3g} mm; {codes.share:.0%} of the distances belong there)"
+        )
+    else:
+        what = (
+            f"beside {codes.share:.0%} of the frequent distance counts lie counts that never occur "
+            f"(steps of {codes.step:.0f} counts, {step * 1e3:.2g} mm)"
+        )
+    sentence = f"unknown physics: {what}: the read-out leaves out codes"
     return Missing(
         UNKNOWN, 1.0, {}, {}, sentence, ("distance",), step / np.sqrt(12), "staircase of the distance"
     )

@@ -153,6 +153,26 @@ def test_missing_codes() -> None:
     assert missing_codes(steps, noise=1.0) is None
 
 
+@pytest.mark.parametrize("to", [-1, 1])
+def test_ranges_of_codes_that_are_left_out(to: int) -> None:
+    """Two ranges of 600 counts, whose values fall on the code before or after them: 1200 / 16,000 of all."""
+    rng = np.random.default_rng(5)
+    values = np.rint(rng.uniform(9_000, 25_000, 300_000) + rng.normal(0, 17, 300_000)).astype(int)
+    for first in (12_000, 19_000):
+        values[(values >= first) & (values < first + 600)] = first - 1 if to < 0 else first + 600
+    found = missing_codes(np.bincount(values, minlength=65536), noise=17.0)
+    assert found is not None
+    assert (found.ranges, found.step) == (2, 601.0)
+    assert found.share == pytest.approx(1200 / 16_000, rel=0.15)
+    # the same values without the ranges, and what nobody measures between two walls
+    plain = rng.normal(0, 17, 300_000) + np.repeat([12_000, 15_000], 150_000)
+    slope = rng.normal(0, 17, 300_000) + rng.uniform(9_000, 25_000, 300_000)
+    gap = np.abs(slope - 17_000) > 700  # cut before the noise, which rounds its edges
+    for one in (plain, slope, (slope + rng.normal(0, 17, 300_000))[gap]):
+        counts = np.bincount(np.rint(one).astype(int), minlength=65536)
+        assert missing_codes(counts, noise=17.0) is None
+
+
 def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     camera(tmp_path)
     scene(tmp_path)
