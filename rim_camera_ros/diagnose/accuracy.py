@@ -27,6 +27,8 @@ _NO_BETTER = (
 )
 #: Chi-square per value of held-out poses from which on a model that makes distances worse is none at all.
 _GROSS = 50.0
+#: Chi-square per value of held-out poses above which something is left.
+LEFT = 1.1
 #: Factor on chi-square per value of held-out poses above which it is said that it rose.
 _RISEN = 1.05
 
@@ -49,18 +51,29 @@ class Accuracy:
         """Whether a gross mismatch became worse: nothing that was fitted describes the recording."""
         return self.held_out and self.chi2_before > _GROSS and self.rms_after > _WORSE * self.rms_before
 
+    @property
+    def got_worse(self) -> bool:
+        """Whether held-out poses speak against the improved camera."""
+        risen = self.chi2_after > _RISEN * max(self.chi2_before, 1.0)
+        return self.held_out and (risen or self.rms_after > _WORSE * self.rms_before)
+
     def notes(self) -> list[str]:
-        """Return what speaks against the improved camera, in words."""
+        """Return what speaks against the improved camera or is left of it, in words."""
         if not self.held_out:
             return []
         if self.rms_after > _WORSE * self.rms_before:
             return [_NO_BETTER]
-        if self.chi2_after <= _RISEN * max(self.chi2_before, 1.0):
+        if self.got_worse:
+            return [
+                f"chi-square per value of held-out poses rose from {self.chi2_before:.3g} to "
+                f"{self.chi2_after:.3g}: what is left is larger than the errors stated for it; the form "
+                "named is not quite the true one, or something else is left out"
+            ]
+        if self.chi2_after <= LEFT or self.chi2_after == self.chi2_before:
             return []
         return [
-            f"chi-square per value of held-out poses rose from {self.chi2_before:.3g} to "
-            f"{self.chi2_after:.3g}: what is left is larger than the errors stated for it; the form named is "
-            "not quite the true one, or something else is left out"
+            f"chi-square per value of held-out poses is still {self.chi2_after:.3g}: the form of what was "
+            "found is not quite the true one, or something else is left out, which intervals do not allow for"
         ]
 
 

@@ -204,7 +204,7 @@ def _missing(result: Diagnosis) -> list[str]:
                 "something else is left out."
             )
         )
-    if _improved(result) and not result.accuracy.notes():
+    if _improved(result) and not result.accuracy.got_worse:
         parts.append(
             html.paragraph(
                 "camera.yaml in the folder of this report is the camera file with all of this that a camera "

@@ -7,6 +7,7 @@ import numpy as np
 from rim_camera_ros.calibrate.exploration import ALARM_RATE, gumbel_quantile
 from rim_camera_ros.calibrate.needs import LEAST_SHARE
 from rim_camera_ros.diagnose import page_words as words
+from rim_camera_ros.diagnose.accuracy import LEFT
 from rim_camera_ros.diagnose.page_classes import region
 from rim_camera_ros.diagnose.page_evidence import Evidence
 from rim_camera_ros.diagnose.result import Diagnosis, Ranked
@@ -21,8 +22,6 @@ _PLAIN = 0.2
 _MOST_POSES = 8
 #: Chi-square per value of a pose, and errors in sigmas of its instrument, that are shown as disagreeing.
 _BAD_CHI, _BAD_ERROR = 4.0, 8.0
-#: Chi-square per value beyond which something is left.
-_LEFT = 1.1
 _AS_IF = (
     "The errors of the poses are those that the better simulation finds: without it they would hide part "
     "of the difference."
@@ -50,7 +49,7 @@ def curves(result: Diagnosis, found: Evidence) -> str:
 def _left(result: Diagnosis) -> str:
     """Return what is left with the effect, in words."""
     after = result.accuracy.chi2_after
-    if not after > _LEFT:
+    if not after > LEFT:
         return "nothing is left but noise"
     return f"is left what its form does not say (chi-square per value {after:.3g})"
 
