@@ -45,10 +45,6 @@ class InputError(RimError):
     exit_status = 2
 
 
-class NoSolution(RimError):
-    """An adjustment has no finite solution."""
-
-
 class DeviceError(RimError):
     """A camera, simulated or real, cannot deliver."""
 

@@ -33,7 +33,7 @@ from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
 from rim_camera_ros.effects.base import DistanceTerm
-from rim_camera_ros.errors import InputError, NoSolution
+from rim_camera_ros.errors import InputError, RimError
 
 Array = NDArray[Any]
 
@@ -189,7 +189,7 @@ class GaussNewton:
     ) -> Linearised:
         """Return the equations at the point, with ``further`` regressors, and their solution without them.
 
-        Raises `InputError` without usable data, `NoSolution` where the equations have none.
+        Raises `InputError` without usable data, `RimError` where the equations have none.
         """
         problem = self._problem
         blocks = blocks_of(problem, self._camera, self._scene)
@@ -226,7 +226,7 @@ class GaussNewton:
             try:
                 factor = linalg.cho_factor(matrix)
             except (linalg.LinAlgError, ValueError):
-                raise NoSolution(_NO_SOLUTION, remedy="check scene and camera file") from None
+                raise RimError(_NO_SOLUTION, remedy="check scene and camera file") from None
             step, covariance = linalg.cho_solve(factor, right), linalg.cho_solve(factor, np.eye(owned))
         square = float(reduced.square) + float(np.sum((away / prior) ** 2))
         return Linearised(
@@ -287,10 +287,10 @@ class GaussNewton:
     def advance(self, here: Linearised, count: int) -> None:
         """Take the next step, and judge whether it is one.
 
-        Raises `NoSolution` where it is not finite.
+        Raises `RimError` where it is not finite.
         """
         if not np.all(np.isfinite(here.step)):
-            raise NoSolution(_NO_SOLUTION, remedy="check scene and camera file")
+            raise RimError(_NO_SOLUTION, remedy="check scene and camera file")
         assert self._gains is not None
         most = longest_steps(here.labels, self._offsets, self._numbers, self._start.shape)
         self._solved = Solved(

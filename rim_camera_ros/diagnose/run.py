@@ -64,7 +64,7 @@ from rim_camera_ros.diagnose.setup import Setup, check_setup
 from rim_camera_ros.diagnose.smooth import axes_of, single_terms
 from rim_camera_ros.diagnose.variance import Variance, examine_variance
 from rim_camera_ros.diagnose.where import nowhere, of_change, of_noise, of_residuals, of_terms
-from rim_camera_ros.errors import NoSolution
+from rim_camera_ros.errors import RimError
 from rim_camera_ros.scene import Scene
 
 #: A term outside the vocabulary must gain this share more than the named ones to take their place.
@@ -172,7 +172,7 @@ def _diagnose(
             views=forward.views,
             progress=say,
         )
-    except (NoSolution, np.linalg.LinAlgError):
+    except (RimError, np.linalg.LinAlgError):
         return _hopeless(problem, camera, variance, seed)
     baseline, final = result.explorations[0], result.explorations[-1]
     if alone:
@@ -197,7 +197,7 @@ def _diagnose(
         if beyond and is_unknown(unknown, named, final, result):
             try:
                 described = describe(unknown, baseline, result, seed)
-            except (NoSolution, np.linalg.LinAlgError):
+            except (RimError, np.linalg.LinAlgError):
                 return _hopeless(problem, camera, variance, seed)
     setup = check_setup(
         final.fit if described is None else described.fit,
