@@ -177,7 +177,7 @@ def poses(result: Diagnosis, found: Evidence) -> list[str]:
             html.paragraph(f"{several(len(bad), 'pose')} of {len(found.poses)} do not agree with the others:")
         )
         parts.append(html.table(headings, rows, numbers=(0, 1, 2, 3)))
-    elif told:
+    elif told and result.verdict != "inconsistent_setup":
         pose, (size, name) = max(errors.items(), key=lambda one: one[1][0])
         parts.append(
             html.paragraph(

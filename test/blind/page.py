@@ -281,7 +281,7 @@ def _answer(result: Result) -> str:
         return f"failed: {result['error']}"
     names = named(result)
     verdict = result["report"]["verdict"]
-    return f"{verdict}: {', '.join(names)}" if [*names] not in ([], ["unknown"]) else verdict
+    return verdict if set(names) <= {"unknown"} else f"{verdict}: {', '.join(names)}"
 
 
 def _effort(results: Sequence[Result]) -> str:

@@ -407,3 +407,9 @@ def test_every_key_of_the_report_is_explained(case: Case) -> None:
     keys += [*report["missing"][0], "covariates", "closed_form", "reason"]
     absent = [one for one in keys if f"`{one}`" not in told and one != "where"]
     assert absent == []
+
+
+def test_poses_of_another_scene_are_not_said_to_agree(case: Case) -> None:
+    assert "All poses agree" in text_of(case.page)
+    wrong = replace(case.missing, verdict="inconsistent_setup", reason="another scene", missing=[])
+    assert "All poses agree" not in text_of(rendered(wrong))
