@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.blocks import Block
 from rim_camera_ros.calibrate.candidate import Candidate
+from rim_camera_ros.calibrate.coarser import MANY_PIXELS
 from rim_camera_ros.calibrate.gauss_newton import TOLERANCE
 from rim_camera_ros.calibrate.nulls import null_scores
 from rim_camera_ros.calibrate.problem import Fit, Problem
@@ -35,10 +36,6 @@ _INDEPENDENT = 8
 
 #: Sigma beyond which light that is added is taken for negative, which none is.
 _NEGATIVE = 3.0
-
-
-#: Number of pixels from which fewer replicates are drawn, for the memory that they take.
-_MANY_PIXELS = 60_000
 
 
 @dataclass
@@ -200,7 +197,8 @@ def explored(
     )
     maxima = np.zeros(0)
     thresholds = np.full(len(found), LEAST_THRESHOLD)
-    if fitted.camera.sensor.width * fitted.camera.sensor.height > _MANY_PIXELS:
+    if fitted.camera.sensor.width * fitted.camera.sensor.height > MANY_PIXELS:
+        # for the memory that they take
         replicates = min(replicates, 60)
     if replicates and scores.trained and found:
         nulls = null_scores(

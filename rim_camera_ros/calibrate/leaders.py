@@ -121,13 +121,12 @@ def leading_variants(step: Exploration) -> list[Candidate]:
     return [step.candidates[k] for k in sorted(kept)]
 
 
-def rivals(step: Exploration, name: str, need: float) -> tuple[list[tuple[str, float]], list[str]]:
-    """Return the gains of all effects, and those which the named one cannot be told apart from.
+def tied(step: Exploration, name: str, need: float) -> list[str]:
+    """Return the effects which the named one cannot be told apart from.
 
-    The encompassing test: a rival ties unless the named effect gains well on top of it.
+    The encompassing test: an effect ties unless the named effect gains well on top of it.
     """
     best = step.best()
-    gains = [(effect, float(step.gains[k])) for effect, k in best.items()]
     own = best.get(name)
     ties = []
     if own is not None:
@@ -137,7 +136,7 @@ def rivals(step: Exploration, name: str, need: float) -> tuple[list[tuple[str, f
             on_top = step.joint(own, k) - float(step.gains[k])
             if on_top < min(need, 0.5 * float(step.gains[own])):
                 ties.append(effect)
-    return gains, ties
+    return ties
 
 
 def what_it_became(

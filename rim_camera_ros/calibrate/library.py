@@ -28,6 +28,7 @@ from rim_camera_ros.calibrate.blocks import (
     together,
 )
 from rim_camera_ros.calibrate.candidate import Candidate, Coefficients, Facts, added
+from rim_camera_ros.calibrate.coarser import MANY_PIXELS
 from rim_camera_ros.calibrate.light_curves import RESPONSE, SURFACES, LightCurves
 from rim_camera_ros.calibrate.mixed_candidates import blurred
 from rim_camera_ros.calibrate.prediction import Column, Prediction
@@ -86,7 +87,7 @@ def _linear(effect: Effect, priors: Mapping[str, float], variant: str = "") -> C
 
 def _large(camera: Camera) -> bool:
     """Say whether so many pixels make every variant expensive: then there are fewer."""
-    return camera.sensor.width * camera.sensor.height > 60_000
+    return camera.sensor.width * camera.sensor.height > MANY_PIXELS
 
 
 def _cyclic(camera: Camera, facts: Facts) -> list[Candidate]:
@@ -331,6 +332,7 @@ _MAKERS: dict[str, Callable[[Camera, Facts], list[Candidate]]] = {
 }
 
 
+#: Parameters that every camera file has beside its effects.
 GEOMETRY: dict[str, Callable[[Camera, Facts], list[Candidate]]] = {
     name: _geometry(name) for name in ("camera_constant", "lens_distortion")
 }

@@ -105,14 +105,13 @@ _OF_DRIFTS = {"warm_up_drift": {"time"}, "ambient_temperature": {"ambient_temper
 
 @dataclass
 class Found:
-    """An effect that joined: its gain in nats alone at that step, and who else could have explained it.
+    """An effect that joined: its gain in nats alone at that step, and which others explain it as well.
 
     ``step`` is the number of the exploration that it was found in.
     """
 
     effect: str
     gain: float
-    rivals: list[tuple[str, float]] = field(default_factory=list)
     ties: list[str] = field(default_factory=list)
     step: int = 0
 

@@ -23,6 +23,7 @@ from rim_camera_ros.calibrate.held_out import Accuracy, evaluate
 from rim_camera_ros.calibrate.integral import IntegralFit
 from rim_camera_ros.calibrate.joint import Outcome, by_search, exactly
 from rim_camera_ros.calibrate.large_sensor import LargeSensor
+from rim_camera_ros.calibrate.library import GEOMETRY
 from rim_camera_ros.calibrate.noise_fit import POOR, NoiseFit, fit_noise
 from rim_camera_ros.calibrate.pixels import beside_in_view, usable_pixels
 from rim_camera_ros.calibrate.problem import Problem
@@ -41,7 +42,6 @@ from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]
 
-GEOMETRY = ("camera_constant", "lens_distortion")
 _INTEGRAL = "integral_table"
 _REPLACED = "the table stands in the place of all effects"
 #: Pixels of the sensor from which on sums per pixel are kept in single precision.
@@ -173,7 +173,7 @@ def calibrate(
     problem = Problem(
         dataset,
         scene,
-        geometry=GEOMETRY if request.geometry else (),
+        geometry=tuple(GEOMETRY) if request.geometry else (),
         single=camera.shape[0] * camera.shape[1] > _MANY_PIXELS,
         tick=watch.tick,
         threads=request.threads,

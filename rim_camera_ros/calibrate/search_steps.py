@@ -19,7 +19,7 @@ from rim_camera_ros.calibrate.leaders import (
     leaders,
     leading_variants,
     near_rivals,
-    rivals,
+    tied,
     what_it_became,
 )
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES
@@ -123,8 +123,8 @@ class Search:
         number = start.best().get(first.effect)
         if number is None or first.step == 0:
             return
-        gains, ties = rivals(start, first.effect, needed(start, number, []))
-        self.found[0] = Found(first.effect, max(gain, first.gain), gains, ties, step=0)
+        ties = tied(start, first.effect, needed(start, number, []))
+        self.found[0] = Found(first.effect, max(gain, first.gain), ties, step=0)
 
     def look_beside_edges(self) -> None:
         """Look for mixed pixels in pixels beside edges, which are left out while other effects are sought.
@@ -208,10 +208,10 @@ class Search:
             return
         self.failed.clear()
         for name in trial.effects:
-            gains, ties = rivals(self.step, name, need)
+            ties = tied(self.step, name, need)
             # of a first one, what joins it decides
             ties += [other for other in close if self.found and other not in ties]
-            self.found.append(Found(name, gain, gains, ties, step=len(self.explorations) - 1))
+            self.found.append(Found(name, gain, ties, step=len(self.explorations) - 1))
         self.problem = trial.problem
         camera, lean = fitted.fit.camera, without_idle_halos(fitted.fit.camera)
         ended = lean is camera and fitted.fit.converged

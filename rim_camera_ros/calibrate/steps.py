@@ -15,6 +15,7 @@ from rim_camera_ros.calibrate.empirical_fit import LABEL, with_empirical_changes
 from rim_camera_ros.calibrate.light_curves import LightCurves, of_light
 from rim_camera_ros.calibrate.normal_equations import Reduced
 from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.calibrate.views import OPTICAL_AXES
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
 from rim_camera_ros.effects.base import row_name
@@ -28,7 +29,6 @@ GAIN = "radiometry.gain"
 _SHAPE_STEP = 0.25
 _TURN_STEP = 1.0
 _TURNS = {"effects.cyclic_error.gradient.0": 1, "effects.cyclic_error.gradient.1": 0}
-_OPTICAL = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
 #: Share of a station's values below whose amplitude a pole of a term may lie.
 _DARKEST = 0.01
 
@@ -260,7 +260,7 @@ def moved_scene(scene: Scene, offsets: Mapping[str, float]) -> tuple[Scene, bool
         if isinstance(pose, ScenePose) and pose.free:
             shift = [offsets.get(f"scene.{one.name}.{axis}", 0.0) for axis in "xyz"]
             rotation = rotation_matrix(pose.orientation)
-            for name, axis in _OPTICAL.items():
+            for name, axis in OPTICAL_AXES.items():
                 angle = offsets.get(f"scene.{one.name}.{name}", 0.0)
                 half = np.array(axis) * np.sin(angle / 2)
                 turn = rotation_matrix((half[0], half[1], half[2], float(np.cos(angle / 2))))

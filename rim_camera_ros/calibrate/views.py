@@ -37,7 +37,8 @@ _KEPT_BYTES = 400_000_000
 #: Bytes that a pixel of a view takes, by the arrays of its geometry and of the errors of a pose.
 _PIXEL_BYTES = 140
 
-_OPTICAL = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
+#: Axes of the optical frame that a free surface turns about.
+OPTICAL_AXES = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
@@ -190,7 +191,7 @@ def _free_columns(
             column = _by_shift(np.array(_AXES[name]), view, mine, rays)
             result.append(PoseColumn(path, 1.0, *column))
         else:
-            column = _by_rotation(np.array(_OPTICAL[name]), view.poses[surface.name], view, mine, rays)
+            column = _by_rotation(np.array(OPTICAL_AXES[name]), view.poses[surface.name], view, mine, rays)
             result.append(PoseColumn(path, 0.3, *column))
     return result
 

@@ -90,9 +90,9 @@ def run(given: argparse.Namespace) -> int:
     except ImportError as error:
         remedy = "pip install 'rim_camera_ros[reports]', or apt install python3-matplotlib"
         raise InputError(f"no report can be drawn: {error}", remedy=remedy) from None
+    from rim_camera_ros.diagnose.formula import require_formulas
     from rim_camera_ros.diagnose.report import write_report
     from rim_camera_ros.diagnose.run import diagnose
-    from rim_camera_ros.diagnose.unknown import require_formulas
 
     require_formulas()
 

@@ -15,11 +15,11 @@ from rim_camera_ros.calibrate.needs import left_by_forms
 from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.formula import closed_form
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN, pair_terms
 from rim_camera_ros.diagnose.unknown import (
     FineStructure,
-    closed_form,
     fine_image,
     fine_structures,
     fine_table,

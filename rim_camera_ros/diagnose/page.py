@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from rim_camera_ros.diagnose import page_pictures as pictures
 from rim_camera_ros.diagnose import page_words as words
 from rim_camera_ros.diagnose.files import PAGE
-from rim_camera_ros.diagnose.page_evidence import OF_AMPLITUDE, evidence
+from rim_camera_ros.diagnose.page_evidence import evidence
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
+from rim_camera_ros.diagnose.where import OF_AMPLITUDE
 from rim_camera_ros.info.text import several
 from rim_camera_ros.reports import html
 from rim_camera_ros.yaml_files import write_whole

@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.diagnose.formula import formula_curve
 from rim_camera_ros.diagnose.page_classes import Bins, binned, explained
-from rim_camera_ros.diagnose.page_evidence import AXIS, OF_AMPLITUDE, Evidence
+from rim_camera_ros.diagnose.page_evidence import AXIS, Evidence
 from rim_camera_ros.diagnose.page_figures import Telling
-from rim_camera_ros.diagnose.page_words import axis_of, formula_curve, title_of
+from rim_camera_ros.diagnose.page_words import axis_of, title_of
 from rim_camera_ros.diagnose.result import Diagnosis
+from rim_camera_ros.diagnose.where import OF_AMPLITUDE
 
 Array = NDArray[Any]
 

@@ -20,14 +20,13 @@ from rim_camera_ros.calibrate.stations import Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.smooth import values_of
+from rim_camera_ros.diagnose.where import OF_AMPLITUDE
 from rim_camera_ros.effects.covariates import COVARIATES
 
 Array = NDArray[Any]
 
 #: Angle between a pixel's ray and the optical axis [rad]: what the emitter's lobe depends on.
 AXIS = "axis_angle"
-#: Effects that show in amplitudes, and in distances only by way of them.
-OF_AMPLITUDE = frozenset({"emission_pattern", "amplitude_nonlinearity", "radiometry"})
 _SAMPLE = 2500
 _SEED = 11
 

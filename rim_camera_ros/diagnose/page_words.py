@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.formula import formula_terms
 from rim_camera_ros.diagnose.page_evidence import AXIS
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
@@ -231,41 +232,6 @@ def adjusted_rows(result: Diagnosis) -> list[list[str]]:
                 continue
             rows.append([path, rounded(before * factor), rounded(after * factor), unit])
     return rows
-
-
-_TERM = re.compile(r"^([+-]?[0-9.]+(?:e[+-]?[0-9]+)?)$")
-_FORMS: Mapping[str, Any] = {
-    "x": lambda x: x,
-    "x^2": lambda x: x**2,
-    "x^3": lambda x: x**3,
-    "1/x": lambda x: 1 / x,
-    "1/x^2": lambda x: 1 / x**2,
-    "sqrt(x)": np.sqrt,
-    "log(x)": np.log,
-}
-
-
-def formula_terms(formula: str) -> list[tuple[float, str]] | None:
-    """Return coefficients [m] with their forms, the constant's empty; None where it is no such formula."""
-    terms: list[tuple[float, str]] = []
-    words = formula.split(" [m]")[0].split()
-    while words:
-        if _TERM.match(words[0]) is None:
-            return None
-        number = float(words.pop(0))
-        form = words.pop(0) if words and words[0] in _FORMS else ""
-        terms.append((number, form))
-    return terms
-
-
-def formula_curve(formula: str, x: Array) -> Array | None:
-    """Return a closed form [m] at values of its covariate; None where it cannot be read."""
-    terms = formula_terms(formula)
-    if terms is None:
-        return None
-    with np.errstate(divide="ignore", invalid="ignore"):
-        total = sum(number * (_FORMS[form](x) if form else np.ones_like(x)) for number, form in terms)
-    return np.asarray(total)
 
 
 def formula_words(formula: str) -> str:

@@ -1,17 +1,15 @@
-"""Physics outside the vocabulary: which covariates it follows, its curve, a closed form, a table that
-serves.
-"""
+"""Physics outside the vocabulary: which covariates it follows, and a table that serves."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import after_nuisances
@@ -19,7 +17,6 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.smooth import values_of
 from rim_camera_ros.effects.covariates import SCALAR
 from rim_camera_ros.effects.empirical import Empirical
-from rim_camera_ros.errors import InputError
 from rim_camera_ros.parameters import NestedList
 
 Array = NDArray[Any]
@@ -190,70 +187,6 @@ def smooth_pairs(step: Exploration, most: int = 5) -> list[tuple[str, str]]:
     return pairs
 
 
-_FORMS: dict[str, Callable[[Array], Array]] = {
-    "x": lambda x: x,
-    "x^2": lambda x: x**2,
-    "x^3": lambda x: x**3,
-    "1/x": lambda x: 1 / x,
-    "1/x^2": lambda x: 1 / x**2,
-    "sqrt(x)": np.sqrt,
-    "log(x)": np.log,
-}
-
-
-def require_formulas() -> None:
-    """Raise `InputError` where scikit-learn, which finds formulas, is not installed."""
-    if find_spec("sklearn") is None:
-        raise InputError(
-            "scikit-learn is not installed: a curve of unknown physics would have no formula",
-            remedy="sudo apt install python3-sklearn, or pip install 'rim_camera_ros[diagnosis]'",
-        )
-
-
-#: Share of a curve's range to which a formula must describe it: no class of pixels counts for more.
-_COARSE = 0.02
-
-
-def closed_form(name: str, x: Array, y: Array, sigma: Array) -> tuple[str, float]:
-    """Return the sparse formula in metres that describes a curve best, and by how much it misses it (RMS, m).
-
-    By orthogonal matching pursuit. Terms are added while they lower the Bayesian information criterion.
-    """
-    from sklearn.linear_model import OrthogonalMatchingPursuit
-
-    weight = 1.0 / np.maximum(np.hypot(sigma, _COARSE * np.ptp(y)), 1e-6)
-    usable = {}
-    for form, function in _FORMS.items():
-        if np.min(x) <= 1e-9 and form in ("1/x", "1/x^2", "sqrt(x)", "log(x)"):
-            continue
-        values = function(x)
-        if np.all(np.isfinite(values)) and np.ptp(values) > 0:
-            usable[form] = values
-    names = list(usable)
-    columns = np.stack([usable[form] for form in names], axis=1)
-    mean = np.average(columns, axis=0, weights=weight**2)
-    centre = float(np.average(y, weights=weight**2))
-    design = (columns - mean) * weight[:, None]
-    target = (y - centre) * weight
-    best: tuple[float, str, float] | None = None
-    scale = np.linalg.norm(design, axis=0)
-    for terms in range(1, min(3, len(names), len(x) - 2) + 1):
-        model = OrthogonalMatchingPursuit(n_nonzero_coefs=terms, fit_intercept=False)
-        model.fit(design / scale, target)
-        coefficients = np.ravel(model.coef_) / scale
-        rest = target - design @ coefficients
-        criterion = float(rest @ rest) + 2 * terms * np.log(len(x))
-        parts = [f"{c:+.3g} {form}" for c, form in zip(coefficients, names, strict=True) if c != 0.0]
-        constant = centre - float(mean @ coefficients)
-        text = f"{constant:.3g} " + " ".join(parts)
-        if best is None or criterion < best[0]:
-            best = (criterion, text, float(np.sqrt(np.mean((rest / weight) ** 2))))
-    formula, missed = best[1:] if best is not None else (f"{centre:.3g}", float(np.std(y)))
-    return f"{formula} [m], x = {name}", missed
-
-
 def with_table(camera: Camera, table: Empirical) -> Camera:
     """Return the camera with an `empirical` effect; one that it has already is kept and this one left out."""
-    from rim_camera_ros.calibrate.candidate import added
-
     return camera if table.name in camera.effects else added(camera, table)

@@ -19,6 +19,7 @@ from rim_camera_ros.cli import main
 from rim_camera_ros.diagnose import page_figures, page_maps
 from rim_camera_ros.diagnose import page_words as words
 from rim_camera_ros.diagnose.adjusted import Adjusted
+from rim_camera_ros.diagnose.formula import formula_curve
 from rim_camera_ros.diagnose.page import page, write_page
 from rim_camera_ros.diagnose.page_classes import binned, region
 from rim_camera_ros.diagnose.page_curves import curves_of
@@ -321,9 +322,9 @@ def test_probability_is_never_certain() -> None:
 def test_closed_form_is_evaluated_as_it_is_written() -> None:
     formula = "0.0035 -0.002 x^2 +0.01 1/x [m], x = distance"
     x = np.array([0.5, 2.0])
-    assert words.formula_curve(formula, x) == pytest.approx([0.0035 - 0.0005 + 0.02, 0.0035 - 0.008 + 0.005])
+    assert formula_curve(formula, x) == pytest.approx([0.0035 - 0.0005 + 0.02, 0.0035 - 0.008 + 0.005])
     assert words.formula_words(formula) == "3.5 − 2 x² + 10 / x mm, x = distance in m"
-    assert words.formula_curve("staircase of the distance", x) is None
+    assert formula_curve("staircase of the distance", x) is None
     assert words.formula_words("staircase of the distance") == "staircase of the distance"
 
 

@@ -16,11 +16,9 @@ from rim_camera_ros.calibrate import coarser
 from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, load_camera
-from rim_camera_ros.diagnose import unknown
+from rim_camera_ros.diagnose import formula as formulas
 from rim_camera_ros.diagnose.noise_verdict import with_variance
-from rim_camera_ros.diagnose.page_words import formula_curve
 from rim_camera_ros.diagnose.result import Missing
-from rim_camera_ros.diagnose.unknown import require_formulas
 from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
@@ -188,19 +186,19 @@ def test_a_formula_describes_all_of_its_curve() -> None:
     x = np.linspace(-1.0, 1.0, 18)
     y = 0.01 * np.exp(-1.7 * x) - 0.01
     sigma = np.where(np.abs(x) < 0.5, 2e-5, 6e-4)
-    formula, missed = unknown.closed_form("height", x, y, sigma)
+    formula, missed = formulas.closed_form("height", x, y, sigma)
     assert formula.endswith(" [m], x = height")
     assert missed < 0.02 * np.ptp(y)
-    shown = formula_curve(formula, x)
+    shown = formulas.formula_curve(formula, x)
     assert shown is not None
     assert np.sqrt(np.mean((shown - y) ** 2)) == pytest.approx(missed, rel=0.05)
 
 
 def test_without_the_library_of_formulas_it_is_said_before_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    require_formulas()
-    monkeypatch.setattr(unknown, "find_spec", lambda _: None)
+    formulas.require_formulas()
+    monkeypatch.setattr(formulas, "find_spec", lambda _: None)
     with pytest.raises(InputError, match=r"scikit-learn is not installed.*python3-sklearn"):
-        require_formulas()
+        formulas.require_formulas()
 
 
 def test_a_footprint_is_the_same_on_both_grids(tmp_path: Path) -> None:
