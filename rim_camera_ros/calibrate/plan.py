@@ -184,9 +184,8 @@ def table(result: Plan) -> str:
         lines.append(f"{name:<30} {result.minutes[name]:>7.0f}  {own}")
     total = sum(result.minutes[name] for name in result.chosen)
     lines += ["", f"shortest plan: {' + '.join(result.chosen)} ({total:.0f} min)"]
-    lines += [
-        f"  {name:<26} narrowed {factor:.0f} times" for name, factor in sorted(result.determined.items())
-    ]
+    lines.append("it determines, with uncertainties smaller than without a recording by a factor of:")
+    lines += [f"  {name:<26} {factor:>6.0f}" for name, factor in sorted(result.determined.items())]
     if result.open:
         lines.append(f"not determined by any of them: {', '.join(result.open)}")
     return "\n".join(lines)
