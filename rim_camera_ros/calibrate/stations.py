@@ -45,7 +45,8 @@ class Station:
     ``time`` [s since the first frame] are the middle of the block, ``duration`` [s] is from its first frame
     to its last. ``common`` is the frame-to-frame variation that all pixels share and that is not in
     proportion to their light, as chi-square per degree of freedom of the mean complex deviation (1: none;
-    None for one frame).
+    None for one frame); ``common_light`` [counts^2] is its power if it is the same in all pixels, beyond
+    what noise makes (negative where that happened to be less).
     """
 
     recording: int
@@ -62,6 +63,7 @@ class Station:
     count: Array
     saturated: Array
     common: float | None = None
+    common_light: float | None = None
     placement: int | None = None
     duration: float = 0.0
 
@@ -200,6 +202,7 @@ class _Block:
             amplitude_variance = (self._sums[3] - self._sums[2].astype(float) ** 2 / n) / (n - 1)
         several = n > 1
         middle = (self._stamps[0] + self._stamps[-1]) // 2
+        common, common_light = self._common_variation() or (None, None)
         return Station(
             recording=recording,
             pose=self.pose,
@@ -216,11 +219,12 @@ class _Block:
             amplitude_variance=np.where(several, amplitude_variance, np.nan).astype(np.float32),
             count=n,
             saturated=self._saturated.astype(np.uint16),
-            common=self._common_variation(),
+            common=common,
+            common_light=common_light,
         )
 
-    def _common_variation(self) -> float | None:
-        """Mean complex deviation of all pixels per frame, squared, over its expectation.
+    def _common_variation(self) -> tuple[float, float] | None:
+        """Mean complex deviation of all pixels per frame, squared: over its expectation, and as a power.
 
         Of what is not in proportion to the light itself: power and phase of the emitter vary a little.
         """
@@ -239,7 +243,11 @@ class _Block:
         own = 1.0 - light * (weight * light.conj()).sum() / (weight * np.abs(light) ** 2).sum()
         total = (deviation * (weight * own.conj())).sum(axis=1)
         expected = (weight**2 * np.abs(own) ** 2 * variance).sum() * (frames - 1) / frames
-        return float((np.abs(total) ** 2).mean() / expected)
+        found = float((np.abs(total) ** 2).mean())
+        # light that is the same in all pixels is seen by so much, less what it adds to the variances
+        seen = (weight * np.abs(own) ** 2).sum() ** 2 - (weight**2 * np.abs(own) ** 2).sum()
+        seen *= (frames - 1) / frames
+        return float(found / expected), float((found - expected) / seen)
 
 
 def _mean_settings(settings: list[Settings]) -> Settings:

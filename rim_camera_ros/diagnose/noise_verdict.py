@@ -1,4 +1,4 @@
-"""What repeated frames add to a verdict: a second camera, unmodulated light, another noise."""
+"""What the noise of repeated frames adds to a verdict: unmodulated light, another noise."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def with_variance(
     shifted: bool,
     known: Set[str] = frozenset(),
 ) -> tuple[str, list[Missing], Camera]:
-    """Add what repeated frames say: a second camera, or another noise than the file's.
+    """Add what repeated frames say of the noise: unmodulated light, or another noise than the file's.
 
     Unmodulated light shifts distances as well (``shifted``: something does); what only adds noise is noise.
     Noise goes with the light: where that is not understood, a little too much or too little says nothing.
@@ -46,13 +46,6 @@ def with_variance(
     """
     if verdict == "inconsistent_setup":
         return verdict, missing, model
-    if variance.pixels_vary_together and "interference" not in model.effects:
-        sentence = (
-            "interference: all pixels vary together from frame to frame, "
-            f"{variance.common or 0:.0f} times as much as independent noise would: a second camera"
-        )
-        missing = [*missing, Missing("interference", 1.0, {}, {}, sentence)]
-        return ("missing_physics" if verdict != "unknown_physics" else verdict), missing, model
     possible = variance.background > 0 and "background_light" not in model.effects
     # what it adds to the distance goes with the light that a surface reflects of it
     of_light = {one.effect for one in missing} <= {UNKNOWN} and all(

@@ -280,13 +280,16 @@ def variance(result: Diagnosis) -> str:
             "taken for granted."
         )
     said = f"The variance of repeated frames is {found.ratio:.3f} ± {found.sigma:.3f} times the camera file's"
-    said += ": its noise section is contradicted." if found.noise_is_wrong else ": its noise section holds."
+    if found.pixels_vary_together:
+        said += ": with the light of a second camera in it, that says nothing of its noise section."
+    else:
+        said += f": its noise section {'is contradicted' if found.noise_is_wrong else 'holds'}."
     if found.common is not None:
         said += (
             f" All pixels together vary {found.common:.2f} ± {found.common_sigma:.2f} times as much as "
             "independent noise would"
         )
-        said += ": something acts on the whole image." if found.pixels_vary_together else "."
+        said += ": a second camera shines in." if found.pixels_vary_together else "."
     parts = html.paragraph(said)
     if len(found.bins) > 1:
         from rim_camera_ros.diagnose import page_figures as figures

@@ -11,11 +11,7 @@ import numpy as np
 
 from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.checks import WITHOUT_POSES
-from rim_camera_ros.calibrate.coarser import (
-    coarseness,
-    coarser_camera,
-    coarser_dataset,
-)
+from rim_camera_ros.calibrate.coarser import coarseness, coarser_camera, coarser_dataset
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forms import change_of_forms
 from rim_camera_ros.calibrate.forward import Forward
@@ -60,10 +56,11 @@ from rim_camera_ros.diagnose.noise_verdict import (
     with_variance,
 )
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
+from rim_camera_ros.diagnose.second_camera import second_camera, with_second_camera
 from rim_camera_ros.diagnose.setup import Setup, check_setup
 from rim_camera_ros.diagnose.smooth import axes_of, single_terms
 from rim_camera_ros.diagnose.variance import Variance, examine_variance
-from rim_camera_ros.diagnose.where import nowhere, of_change, of_noise, of_residuals, of_terms
+from rim_camera_ros.diagnose.where import nowhere, of_change, of_noise, of_residuals, of_scatter, of_terms
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.scene import Scene
 
@@ -85,9 +82,6 @@ _FEW_POSES = 6
 _OF_FEW_POSES = (
     "only {} poses: what is named or not, and what is left of held-out poses, rests on little; record 20 or "
     "more at different distances"
-)
-_NOT_MODELLED = (
-    "camera.yaml does not hold the second camera: its frequency and its light at each pixel cannot be told"
 )
 _BESIDE_CODES = "not told beside counts that are left out, which may look like it; mend those first"
 _BESIDE_A_SECOND_CAMERA = "a second camera shines in: nothing else can be told; record with it switched off"
@@ -341,9 +335,13 @@ def _verdict(
         adjusted = []
     shifted = rest is not None or bool(missing) or shifted
     known = camera.effects.keys()
-    verdict, missing, model = with_variance(verdict, missing, model, variance, ties, shifted, known)
-    if variance.pixels_vary_together and "interference" not in known:
-        notes.append(_NOT_MODELLED)
+    second = None if verdict == "inconsistent_setup" else second_camera(fitted, camera, variance)
+    if second is None:
+        verdict, missing, model = with_variance(verdict, missing, model, variance, ties, shifted, known)
+    else:
+        verdict, missing, adjusted, model = with_second_camera(second, verdict, missing, adjusted, model)
+        notes += second.notes
+        where = where if where.pixels.any() else of_scatter(fitted, second.effect)
     if not where.pixels.any() and any(one.effect in OF_NOISE for one in missing):
         where = of_noise(fitted, camera, model)
     if codes is not None and verdict != "inconsistent_setup":

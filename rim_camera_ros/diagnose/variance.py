@@ -13,6 +13,7 @@ from scipy.optimize import minimize_scalar, nnls
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.stations import KEPT_FRAMES
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.interference import Interference
 from rim_camera_ros.noise import Noise
 
 Array = NDArray[Any]
@@ -62,8 +63,8 @@ class Variance:
 
     @property
     def noise_is_wrong(self) -> bool:
-        """Whether the noise section is contradicted."""
-        if not self.repeated:
+        """Whether the noise section is contradicted; a second camera's light hides whether it is."""
+        if not self.repeated or self.pixels_vary_together:
             return False
         worst = max(
             (abs(one.ratio - 1) for one in self.bins if abs(one.ratio - 1) > LEAST_SIGMA * one.sigma),
@@ -90,6 +91,8 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
     camera = forward.camera
     amplitude, measured, model, freedom = [], [], [], []
     common, shares, floors = [], [], []
+    second = camera.effects.get("interference")
+    assert second is None or isinstance(second, Interference)
     for one in forward.predictions(slopes=False):
         station = one.station
         pixels = one.amplitude_used & (station.count == station.frames)
@@ -101,7 +104,10 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
             continue
         amplitude.append(one.amplitude[pixels])
         measured.append(station.distance_variance[pixels])
-        model.append((one.sigma**2 - one.variance_of_other)[pixels] * station.frames)
+        own = (one.sigma**2 - one.variance_of_other)[pixels] * station.frames
+        model.append(
+            own + (0.0 if second is None else second.scatter(one.amplitude[pixels], one.context) ** 2)
+        )
         freedom.append(np.full(int(pixels.sum()), station.frames - 1.0))
     floor = float(np.sqrt(np.mean(np.concatenate(floors)))) if floors else 0.0
     if not amplitude:

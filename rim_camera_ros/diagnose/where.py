@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +21,7 @@ from rim_camera_ros.diagnose.between_surfaces import measured_between
 from rim_camera_ros.diagnose.smooth import values_of
 from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.effects.covariates import COVARIATES
+from rim_camera_ros.effects.interference import Interference
 
 Array = NDArray[Any]
 
@@ -30,6 +32,8 @@ _ON_LIGHT = OF_AMPLITUDE - {"amplitude_nonlinearity"}
 _LEAST_SHARE = 0.03
 _MOST_COVARIATES = 4
 _MOST_STRETCHES = 8
+#: 1-sigma [px] over which measured variances are averaged.
+_SMOOTHED = 1.5
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,25 @@ def of_noise(fitted: Fit, before: Camera, after: Camera) -> Where:
         return np.asarray(np.sqrt(np.abs(sigmas[1] ** 2 - sigmas[0] ** 2)))
 
     return _locate(fitted, value)
+
+
+def of_scatter(fitted: Fit, effect: Interference) -> Where:
+    """Locate a second camera: covariates and times by its effect, pixels by what repeated frames show of it.
+
+    That is the variance beyond the noise model's, averaged over neighbours as it is known from few frames:
+    the light need not be the same in all pixels.
+    """
+    total, count = np.zeros(fitted.camera.shape), np.zeros(fitted.camera.shape)
+    for one in fitted.forward.predictions(slopes=False):
+        sigma = _sigma(one)
+        relative = one.station.distance_variance / sigma**2 - 1
+        valid = one.view.geometry.hit & (one.station.count > 1) & np.isfinite(relative)
+        total[valid] += relative[valid]
+        count[valid] += 1
+    around = cv2.GaussianBlur(np.stack([total, count], axis=-1), (0, 0), _SMOOTHED)
+    pixels = np.divide(around[..., 0], around[..., 1], out=np.zeros_like(total), where=count > 0)
+    found = _locate(fitted, lambda one: effect.scatter(one.amplitude, one.context))
+    return replace(found, pixels=np.maximum(pixels, 0.0).astype(np.float32))
 
 
 def of_change(fitted: Fit, camera: Camera) -> Where:

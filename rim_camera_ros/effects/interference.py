@@ -35,6 +35,11 @@ class Interference(ComplexEffect):
         window = sensor.exposure_seconds(context.integration_time)
         return self.amplitude * selectivity_envelope(frequency_difference=self.frequency - own, window=window)
 
+    def scatter(self, amplitude: Image, context: Context) -> Image:
+        """Return the standard deviation of single distances in m that it makes at amplitudes in counts."""
+        phase = self.suppressed(context) / (np.sqrt(2) * np.maximum(amplitude, 1e-9))
+        return np.asarray(phase * context.ambiguity / (2 * np.pi))
+
     def apply(self, phasor: Image, context: Context) -> Image:
         phase = context.rng.uniform(0.0, 2 * np.pi)
         result: Image = phasor + self.suppressed(context) * np.exp(1j * phase)
