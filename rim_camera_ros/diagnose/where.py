@@ -32,8 +32,10 @@ _ON_LIGHT = OF_AMPLITUDE - {"amplitude_nonlinearity"}
 _LEAST_SHARE = 0.03
 _MOST_COVARIATES = 4
 _MOST_STRETCHES = 8
-#: 1-sigma [px] over which measured variances are averaged.
-_SMOOTHED = 1.5
+#: Relative error to which light that differs between pixels is to be known, and 1-sigma [px] over which it
+#: is averaged at the least.
+_RATIO = 0.1
+_NARROWEST = 1.5
 
 
 @dataclass(frozen=True)
@@ -108,22 +110,30 @@ def of_noise(fitted: Fit, before: Camera, after: Camera) -> Where:
 
 
 def of_scatter(fitted: Fit, effect: Interference) -> Where:
-    """Locate a second camera: covariates and times by its effect, pixels by what repeated frames show of it.
+    """Locate a second camera: by its effect, in the pixels times what repeated frames show of that.
 
-    That is the variance beyond the noise model's, averaged over neighbours as it is known from few frames:
-    the light need not be the same in all pixels.
+    Its light need not be the same in all pixels: the variance beyond the noise model's, over what the effect
+    makes of it, is averaged over as many neighbours as it takes to know it.
     """
-    total, count = np.zeros(fitted.camera.shape), np.zeros(fitted.camera.shape)
-    for one in fitted.forward.predictions(slopes=False):
-        sigma = _sigma(one)
-        relative = one.station.distance_variance / sigma**2 - 1
-        valid = one.view.geometry.hit & (one.station.count > 1) & np.isfinite(relative)
-        total[valid] += relative[valid]
-        count[valid] += 1
-    around = cv2.GaussianBlur(np.stack([total, count], axis=-1), (0, 0), _SMOOTHED)
-    pixels = np.divide(around[..., 0], around[..., 1], out=np.zeros_like(total), where=count > 0)
     found = _locate(fitted, lambda one: effect.scatter(one.amplitude, one.context))
-    return replace(found, pixels=np.maximum(pixels, 0.0).astype(np.float32))
+    excess, model, freedom = (np.zeros(fitted.camera.shape) for _ in range(3))
+    for one in fitted.forward.predictions(slopes=False):
+        relative = one.station.distance_variance / _sigma(one) ** 2 - 1
+        frames = one.station.count - 1.0
+        valid = one.view.geometry.hit & (frames > 0) & np.isfinite(relative)
+        excess[valid] += (frames * relative)[valid]
+        model[valid] += (frames * found.pixels)[valid]
+        freedom[valid] += frames[valid]
+    seen = freedom > 0
+    if not seen.any() or not model.any():
+        return found
+    # variances of normal numbers: 2 / freedom, averaged over 4 pi width^2 pixels
+    share = model[seen].sum() / freedom[seen].sum()
+    error = np.sqrt(2 / freedom[seen].mean()) * (1 + share) / share
+    width = float(np.clip(error / _RATIO / np.sqrt(4 * np.pi), _NARROWEST, max(seen.shape)))
+    around = cv2.GaussianBlur(np.stack([excess, model], axis=-1), (0, 0), width)
+    ratio = np.divide(around[..., 0], around[..., 1], out=np.zeros(seen.shape), where=around[..., 1] > 0)
+    return replace(found, pixels=(found.pixels * np.maximum(ratio, 0.0)).astype(np.float32))
 
 
 def of_change(fitted: Fit, camera: Camera) -> Where:
