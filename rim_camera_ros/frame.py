@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Set
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -95,6 +95,16 @@ class RawFrame:
     def shape(self) -> tuple[int, int]:
         """(height, width) in pixels."""
         return (int(self.distance.shape[0]), int(self.distance.shape[1]))
+
+    def with_truth_of(self, surfaces: Set[str]) -> RawFrame:
+        """Return the frame without the poses of other surfaces; itself where it has no others."""
+        if self.truth.keys() <= surfaces and self.pose_stamps.keys() <= surfaces:
+            return self
+        return replace(
+            self,
+            truth={name: one for name, one in self.truth.items() if name in surfaces},
+            pose_stamps={name: one for name, one in self.pose_stamps.items() if name in surfaces},
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -183,9 +183,10 @@ def _decode_value(
         result: dict[Any, Any] = {}
         for key, value in data.items():
             if arguments[0] is float:
-                result[_number(key, {"above": 0.0}, document, (*place, key))] = _decode_value(
-                    arguments[1], value, metadata, document, (*place, key)
-                )
+                number = _number(_as_number(key), {"above": 0.0}, document, (*place, key))
+                if number in result:
+                    raise document.error((*place, key), "key given twice", "keep one")
+                result[number] = _decode_value(arguments[1], value, metadata, document, (*place, key))
             else:
                 name = _decode_value(arguments[0], key, {}, document, (*place, key))
                 result[name] = _decode_value(arguments[1], value, metadata, document, (*place, key))
@@ -193,6 +194,14 @@ def _decode_value(
     if dataclasses.is_dataclass(hint):
         return decode(cast(type[Any], hint), data, document, place)
     raise TypeError(f"no decoding for {hint}")
+
+
+def _as_number(key: Any) -> Any:
+    """Return the number that a text is: keys of JSON are texts."""
+    try:
+        return float(key) if isinstance(key, str) else key
+    except ValueError:
+        return key
 
 
 def _number(data: Any, metadata: Mapping[str, Any], document: Document, place: tuple[Any, ...]) -> float:

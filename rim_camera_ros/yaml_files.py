@@ -15,6 +15,8 @@ import yaml
 from rim_camera_ros.errors import InputError, RimError
 
 _MAXIMUM_FILE_SIZE = 64 * 2**20
+#: Values that a file may come to hold by way of aliases (*name), beyond those that are written in it.
+_MOST_REPEATED = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -42,15 +44,7 @@ class Document:
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML in which 1e-3 is a number (as in YAML 1.2) and aliases are refused."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            event = self.peek_event()  # type: ignore[no-untyped-call]
-            raise yaml.constructor.ConstructorError(
-                None, None, "aliases (*name) are not supported", event.start_mark
-            )
-        return super().compose_node(parent, index)
+    """Safe YAML in which 1e-3 is a number (as in YAML 1.2)."""
 
 
 _Loader.add_implicit_resolver(
@@ -63,7 +57,8 @@ _Loader.add_implicit_resolver(
 def read_yaml(path: str | os.PathLike[str]) -> Document:
     """Read a YAML file safely, with the line of every value.
 
-    Raises `InputError` where the file is absent, unreadable, not YAML, holds a key twice or an alias.
+    Raises `InputError` where the file is absent, unreadable, not YAML, holds a key twice, or very many values
+    by way of aliases.
     """
     path = Path(path)
     try:
@@ -79,7 +74,8 @@ def read_yaml(path: str | os.PathLike[str]) -> Document:
         loader = _Loader(text)
         try:
             node = loader.get_single_node()
-            data = None if node is None else _construct(loader, node, (), lines, path)
+            most = len(text) + _MOST_REPEATED
+            data = None if node is None else _construct(loader, node, (), lines, path, most=most)
         finally:
             loader.dispose()
     except yaml.MarkedYAMLError as error:
@@ -95,8 +91,18 @@ def read_yaml(path: str | os.PathLike[str]) -> Document:
 
 
 def _construct(
-    loader: _Loader, node: Any, place: tuple[Any, ...], lines: dict[tuple[Any, ...], int], path: Path
+    loader: _Loader,
+    node: Any,
+    place: tuple[Any, ...],
+    lines: dict[tuple[Any, ...], int],
+    path: Path,
+    *,
+    most: int,
 ) -> Any:
+    if len(lines) >= most:
+        raise InputError(
+            "aliases (*name) repeat more than a million values", file=path, remedy="is this the right file?"
+        )
     lines[place] = node.start_mark.line + 1
     plain = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
     if not isinstance(node, yaml.ScalarNode) and node.tag not in plain:
@@ -119,10 +125,12 @@ def _construct(
                     place=f"{where} (line {key_node.start_mark.line + 1})",
                     remedy="keep one",
                 )
-            result[key] = _construct(loader, value_node, (*place, key), lines, path)
+            result[key] = _construct(loader, value_node, (*place, key), lines, path, most=most)
         return result
     if isinstance(node, yaml.SequenceNode):
-        return [_construct(loader, one, (*place, i), lines, path) for i, one in enumerate(node.value)]
+        return [
+            _construct(loader, one, (*place, i), lines, path, most=most) for i, one in enumerate(node.value)
+        ]
     return loader.construct_object(node)
 
 

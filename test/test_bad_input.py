@@ -47,7 +47,7 @@ CAMERA_FAULTS = {
     "negative noise": (lambda t: t.replace("amplitude: 20.0", "amplitude: -20.0"), r"noise\.amplitude .*at least 0 m\*counts, found -20"),
     "missing key": (lambda t: t.replace("fx: 14.0, ", ""), r"optics \(line \d+\): key 'fx' is missing \[px\]"),
     "key twice": (lambda t: t + "device: other\n", r"device \(line \d+\): key given twice"),
-    "alias": (lambda t: t + "provenance: {a: &x 1, b: *x}\n", r"line \d+: not valid YAML: aliases"),
+    "alias of nothing": (lambda t: t + "provenance: {a: &x 1, b: *y}\n", r"line \d+: not valid YAML: found undefined alias 'y'"),
     "unsafe tag": (lambda t: t + "provenance: !!python/object/apply:os.system ['true']\n", r"not valid YAML: could not determine a constructor"),
     "not YAML": (lambda t: t + "optics: {fx: [\n", r"camera\.yaml: line \d+: not valid YAML"),
     "nested too deeply": (lambda t: t + "provenance: " + "[" * 3000 + "]" * 3000 + "\n", r"camera\.yaml: nested too deeply"),

@@ -144,7 +144,9 @@ FAULTS = {
     "refused": ("count: 3\ntext: forbidden\n", r"file\.yaml: line 1: text must not be forbidden"),
     "key twice": ("count: 3\ninner:\n  size: 1\n  size: 2\n", r"inner\.size \(line 4\): key given twice \(keep one\)"),
     "key that is a list": ("count: 3\n? [1, 2]\n: 4\n", r"line 2: not valid YAML: a key must be a plain word or number"),
-    "anchor and alias": ("count: &c 3\nlimit: *c\n", r"line 2: not valid YAML: aliases \(\*name\) are not supported"),
+    "alias of itself": ("count: 3\nseveral: &s [*s]\n", r"nested too deeply"),
+    "aliases of aliases": ("a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(f"{c}: &{c} [{', '.join(10 * [f'*{b}'])}]\n" for b, c in zip("abcdef", "bcdefg", strict=True)), r"aliases \(\*name\) repeat more than a million values \(is this the right file\?\)"),
+    "row twice by a text": ("count: 3\nrows: {16: {size: 1}, '16': {size: 2}}\n", r"rows\.16 \(line 2\): key given twice \(keep one\)"),
     "two documents": ("count: 3\n---\ncount: 4\n", r"line 2: not valid YAML: but found another document"),
     "tabulator": ("count:\t3\n\tlimit: 4\n", r"line [12]: not valid YAML"),
     "control characters": ("count: \x00\n", r"not valid YAML: .*special characters"),
@@ -162,6 +164,16 @@ def test_faults_are_named_with_their_place(tmp_path: Path, fault: str) -> None:
         load(tmp_path, text)
     assert "\n" not in str(caught.value)
     assert caught.value.exit_status == 2
+
+
+def test_what_other_programs_write_is_read(tmp_path: Path) -> None:
+    """Libraries write what occurs twice by alias, and keys of rows as texts where they were in JSON."""
+    shared = [1.0, 2.0]
+    rows = {"16": {"size": 0.5, "pair": shared}, "7.5": {"size": 2.0, "pair": shared}}
+    text = yaml.safe_dump({"count": 3, "rows": rows})
+    assert "*id" in text
+    found = load(tmp_path, text)
+    assert dict(found.rows) == {16.0: Inner(0.5, (1.0, 2.0)), 7.5: Inner(2.0, (1.0, 2.0))}
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:

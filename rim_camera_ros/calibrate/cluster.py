@@ -10,6 +10,7 @@ from rim_camera_ros.bags import Topics
 from rim_camera_ros.calibrate.stations import Dataset, reduce_recording
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.scene import Scene
 
 #: Times that a recording is given to another worker when one is lost.
 _RETRIES = 3
@@ -17,11 +18,17 @@ _CONNECT_SECONDS = 10
 
 
 def reduce_on_cluster(
-    paths: Sequence[Path], camera: Camera, *, topics: Topics | None = None, scheduler: str
+    paths: Sequence[Path],
+    camera: Camera,
+    scenes: Sequence[Scene],
+    *,
+    topics: Topics | None = None,
+    scheduler: str,
 ) -> list[Dataset]:
     """Return the stations of each recording, reduced on a cluster whose workers see the same files.
 
-    The reduction is a pure function of recording and camera: a lost worker costs time and nothing else.
+    The reduction is a pure function of recording, camera and scene: a lost worker costs time and nothing
+    else.
 
     Raises
     `InputError` where dask.distributed is not installed or the scheduler does not answer, and what the
@@ -50,10 +57,11 @@ def reduce_on_cluster(
                 camera,
                 topics=topics,
                 recording=number,
+                scene=scene,
                 retries=_RETRIES,
                 pure=False,
             )
-            for number, path in enumerate(paths)
+            for number, (path, scene) in enumerate(zip(paths, scenes, strict=True))
         ]
         try:
             parts = client.gather(futures)

@@ -45,7 +45,8 @@ def amplitude_error(forward: Forward, nuisances: Mapping[str, float]) -> float:
             return np.zeros(0), np.zeros(0)
         _, amplitude = after_nuisances(one, pattern, nuisances)
         reading = one.station.amplitude[pixels] - one.amplitude_residual[pixels]
-        relative = (one.amplitude_sigma[pixels] / reading) ** 2 - tau**2
+        # tau was added to the prediction, which another simulation shifts
+        relative = np.maximum((one.amplitude_sigma[pixels] / reading) ** 2 - tau**2, 1e-12)
         sharp = relative <= np.quantile(relative, 0.5)
         return (amplitude[pixels] / reading)[sharp], relative[sharp]
 

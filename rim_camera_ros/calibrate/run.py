@@ -140,7 +140,7 @@ def calibrate(
     scenes = checks.scenes_of(recordings, request.scene)
     total = sum(one.frames for one in recordings)
     reduce_all = reducer if reducer is not None else watch.reducer(total)
-    datasets = reduce_all(request.recordings, camera, request.topics)
+    datasets = reduce_all(request.recordings, camera, request.topics, scenes)
     for one, own, recording in zip(datasets, scenes, recordings, strict=True):
         one.with_poses(own, recording.path)
         checks.require_fixed_poses(one, own, recording.path)

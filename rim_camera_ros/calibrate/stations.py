@@ -243,6 +243,8 @@ class _Block:
         own = 1.0 - light * (weight * light.conj()).sum() / (weight * np.abs(light) ** 2).sum()
         total = (deviation * (weight * own.conj())).sum(axis=1)
         expected = (weight**2 * np.abs(own) ** 2 * variance).sum() * (frames - 1) / frames
+        if not expected > 0:
+            return None
         found = float((np.abs(total) ** 2).mean())
         # light that is the same in all pixels is seen by so much, less what it adds to the variances
         seen = (weight * np.abs(own) ** 2).sum() ** 2 - (weight**2 * np.abs(own) ** 2).sum()
@@ -273,8 +275,11 @@ def reduce_frames(
     recording: int = 0,
     block_seconds: float = BLOCK_SECONDS,
     codes: Array | None = None,
+    surfaces: Set[str] | None = None,
 ) -> Iterator[Station]:
     """Yield the stations of a recording's frames; ``codes`` (65536,) is counted up.
+
+    Where ``surfaces`` are given, poses of others are passed over: they make no stations.
 
     Raises `InputError` for images of another size than the camera's, or another modulation frequency.
     """
@@ -287,6 +292,8 @@ def reduce_frames(
         if start is None:
             start = frame.stamp
         check_frame(frame, camera)
+        if surfaces is not None:
+            frame = frame.with_truth_of(surfaces)
         if frame.truth != told:
             # a pose that is told again unchanged is the same placement, with the same error
             placement, told = placement + 1, frame.truth
@@ -345,11 +352,13 @@ def reduce_recording(
     *,
     topics: Topics | None = None,
     recording: int = 0,
+    scene: Scene | None = None,
     progress: Callable[[Iterable[RawFrame]], Iterable[RawFrame]] | None = None,
 ) -> Dataset:
-    """Return the stations of one recording, a pure function of recording and camera.
+    """Return the stations of one recording, a pure function of recording, camera and scene.
 
-    ``progress`` wraps the iteration over frames. Raises `InputError` naming the recording.
+    Poses of surfaces that are not of the ``scene``, where one is given, are passed over. ``progress`` wraps
+    the iteration over frames. Raises `InputError` naming the recording.
     """
     with Recording(path, topics=topics) as bag:
         summary = bag.summary()
@@ -360,7 +369,14 @@ def reduce_recording(
         try:
             codes = np.zeros(FULL_SCALE, np.int64)
             stations = list(
-                reduce_frames(frames, camera, recording=recording, block_seconds=seconds, codes=codes)
+                reduce_frames(
+                    frames,
+                    camera,
+                    recording=recording,
+                    block_seconds=seconds,
+                    codes=codes,
+                    surfaces=None if scene is None else {one.name for one in scene.surfaces},
+                )
             )
         except InputError as error:
             raise error.located(path) from None

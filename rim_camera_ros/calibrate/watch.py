@@ -10,11 +10,12 @@ from rim_camera_ros.calibrate.stations import Dataset, reduce_recording
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.frame import RawFrame
+from rim_camera_ros.scene import Scene
 
 #: What is done, how much of it, of how much (None: unknown).
 Progress = Callable[[str, int | None, int | None], None]
 #: Reduces the recordings to stations, in their order.
-Reducer = Callable[[Sequence[Path], Camera, Topics | None], Sequence[Dataset]]
+Reducer = Callable[[Sequence[Path], Camera, Topics | None, Sequence[Scene]], Sequence[Dataset]]
 
 
 class Cancelled(RimError):
@@ -53,7 +54,12 @@ class Watch:
                 if self._progress is not None:
                     self._progress("reading frames", done[0], total)
 
-        def reduce_all(paths: Sequence[Path], camera: Camera, topics: Topics | None) -> list[Dataset]:
-            return [reduce_recording(path, camera, topics=topics, progress=watched) for path in paths]
+        def reduce_all(
+            paths: Sequence[Path], camera: Camera, topics: Topics | None, scenes: Sequence[Scene]
+        ) -> list[Dataset]:
+            return [
+                reduce_recording(path, camera, topics=topics, scene=scene, progress=watched)
+                for path, scene in zip(paths, scenes, strict=True)
+            ]
 
         return reduce_all

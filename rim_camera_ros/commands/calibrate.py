@@ -30,6 +30,7 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.reports.calibration_files import page_of, write_calibration
 from rim_camera_ros.reports.calibration_text import calibration_text
+from rim_camera_ros.scene import Scene
 
 _EXAMPLES = """
 rim calibrate board_bag --camera sr3000 --scene board.yaml --out calibrated.yaml
@@ -107,8 +108,10 @@ def _reducer(scheduler: str | None) -> Reducer | None:
         return None
     from rim_camera_ros.calibrate.cluster import reduce_on_cluster
 
-    def reduce_all(paths: Sequence[Path], camera: Camera, topics: Topics | None) -> list[Dataset]:
-        return reduce_on_cluster(paths, camera, topics=topics, scheduler=scheduler)
+    def reduce_all(
+        paths: Sequence[Path], camera: Camera, topics: Topics | None, scenes: Sequence[Scene]
+    ) -> list[Dataset]:
+        return reduce_on_cluster(paths, camera, scenes, topics=topics, scheduler=scheduler)
 
     return reduce_all
 

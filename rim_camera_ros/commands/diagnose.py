@@ -134,7 +134,7 @@ def _numbers(text: str) -> tuple[int, ...]:
 def _stations(given: argparse.Namespace, path: Path, camera: Camera, scene: Scene) -> Dataset:
     """Read a recording and keep the stations that have all poses."""
     with Progress("read", None, quiet=given.quiet) as progress:
-        dataset = reduce_recording(path, camera, topics=topics_of(given), progress=progress.over)
+        dataset = reduce_recording(path, camera, topics=topics_of(given), scene=scene, progress=progress.over)
     dataset.with_poses(scene, path)
     require_fixed_poses(dataset, scene, path)
     poses = {one.pose for one in dataset.stations}

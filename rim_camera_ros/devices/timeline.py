@@ -184,12 +184,15 @@ def exposures_like(frames: Iterable[RawFrame], scene: Scene, camera: Camera) -> 
 
     Surfaces with ``pose: truth`` take the recorded pose, which holds at each frame as recorded; the
     others the scene file's, carried on by the camera's motion from the first frame. Frames with the same pose
-    messages form one station. Raises `InputError` where a truth pose is missing.
+    messages form one station; poses of surfaces that the scene lacks are passed over. Raises `InputError`
+    where a truth pose is missing.
     """
+    surfaces = {one.name for one in scene.surfaces}
     first: int | None = None
     station, key = -1, None
     motion = scene.camera_motion
     for frame in frames:
+        frame = frame.with_truth_of(surfaces)
         if first is None:
             first = frame.stamp
         poses = scene.poses_for(frame.truth)
@@ -206,5 +209,6 @@ def exposures_like(frames: Iterable[RawFrame], scene: Scene, camera: Camera) -> 
             settings=settings,
             poses=poses,
             station=station,
-            pose_stamp=max(frame.pose_stamps.values(), default=None),
+            # what rests is told once, also where the recording tells no pose
+            pose_stamp=max(frame.pose_stamps.values(), default=None if motion.moves else first),
         )

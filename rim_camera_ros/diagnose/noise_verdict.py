@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Sequence, Set
 from dataclasses import replace
 
 from rim_camera_ros.calibrate.candidate import added
@@ -10,6 +10,7 @@ from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.diagnose.adjusted import Adjusted
 from rim_camera_ros.diagnose.described import Rest
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
@@ -83,6 +84,21 @@ def with_variance(
         if verdict != "unknown_physics":
             verdict = "missing_physics"
     return verdict, missing, model
+
+
+def beside_unknown(
+    missing: Sequence[Missing], camera: Camera
+) -> tuple[list[Missing], list[Adjusted], list[str]]:
+    """Return unknown physics alone, another noise as adjusted, and notes of what is beside it.
+
+    With the verdict ``unknown_physics`` a report names nothing else as missing.
+    """
+    noise = camera.noise
+    before = {"floor": noise.floor, "shot": noise.shot, "amplitude": noise.amplitude}
+    others = [one for one in missing if one.effect != UNKNOWN]
+    adjusted = [Adjusted("noise", before, one.parameters) for one in others if one.effect == "noise"]
+    notes = [f"beside it, and in camera.yaml: {one.sentence}" for one in others]
+    return [one for one in missing if one.effect == UNKNOWN], adjusted, notes
 
 
 def only_background(result: Result, rest: Rest | None, variance: Variance, camera: Camera) -> bool:

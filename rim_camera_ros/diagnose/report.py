@@ -88,7 +88,21 @@ def _parameters(one: Missing, result: Diagnosis) -> Any:
     if one.effect == UNKNOWN and not one.modelled:
         return {}
     effect = result.camera.effects.get("empirical" if one.effect == UNKNOWN else one.effect)
-    return encode(effect) if effect is not None else dict(one.parameters)
+    return encode(effect) if effect is not None else _nested(one.parameters)
+
+
+def _nested(values: Mapping[str, float]) -> dict[str, Any]:
+    """Return parameters by path as groups and lists: d.0, d.1 are the list d."""
+    groups: dict[str, dict[str, float]] = {}
+    for path, value in values.items():
+        name, _, rest = path.partition(".")
+        groups.setdefault(name, {})[rest] = value
+    result: dict[str, Any] = {}
+    for name, own in groups.items():
+        inner: Any = own[""] if "" in own else _nested(own)
+        numbered = isinstance(inner, dict) and all(key.isdigit() for key in inner)
+        result[name] = [inner[key] for key in sorted(inner, key=int)] if numbered else inner
+    return result
 
 
 def _plain(value: Any) -> Any:

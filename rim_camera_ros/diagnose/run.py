@@ -50,6 +50,7 @@ from rim_camera_ros.diagnose.naming import (
 )
 from rim_camera_ros.diagnose.noise_verdict import (
     OF_NOISE,
+    beside_unknown,
     only_background,
     only_noise,
     only_rectified_noise,
@@ -344,6 +345,9 @@ def _verdict(
         where = where if where.pixels.any() else of_scatter(fitted, second.effect)
     if not where.pixels.any() and any(one.effect in OF_NOISE for one in missing):
         where = of_noise(fitted, camera, model)
+    if verdict == "unknown_physics":
+        missing, further, told = beside_unknown(missing, camera)
+        adjusted, notes = [*adjusted, *further], [*notes, *told]
     if codes is not None and verdict != "inconsistent_setup":
         names = [one.effect for one in missing]
         verdict, missing, adjusted = "unknown_physics", [missing_codes_of(codes, camera)], []

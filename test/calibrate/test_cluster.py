@@ -16,6 +16,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.cli import main
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.scene import Scene, load_scene
 
 from .helpers import CAMERA
 
@@ -43,13 +44,17 @@ def bags(tmp_path: Path) -> tuple[Path, list[Path]]:
     return tmp_path / "camera.yaml", paths
 
 
+def scenes(bags: tuple[Path, list[Path]]) -> list[Scene]:
+    return [load_scene(bags[0].with_name("scene.yaml"))] * len(bags[1])
+
+
 def test_two_workers_reduce_as_one_machine_does(bags: tuple[Path, list[Path]]) -> None:
     distributed = pytest.importorskip("distributed", reason="dask.distributed is an optional extra")
     camera = load_camera(bags[0])
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
     ) as cluster:
-        parts = reduce_on_cluster(bags[1], camera, scheduler=cluster.scheduler_address)
+        parts = reduce_on_cluster(bags[1], camera, scenes(bags), scheduler=cluster.scheduler_address)
     for number, (part, path) in enumerate(zip(parts, bags[1], strict=True)):
         own = reduce_recording(path, camera, recording=number)
         assert [one.pose for one in part.stations] == [one.pose for one in own.stations]
@@ -79,7 +84,7 @@ def test_a_lost_worker_costs_time_and_nothing_else(
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
     ) as cluster:
-        parts = reduce_on_cluster(bags[1], camera, scheduler=cluster.scheduler_address)
+        parts = reduce_on_cluster(bags[1], camera, scenes(bags), scheduler=cluster.scheduler_address)
     assert (bags[1][0].parent / "a_worker_was_lost").exists()
     for number, (part, path) in enumerate(zip(parts, bags[1], strict=True)):
         own = reduce_recording(path, camera, recording=number)
@@ -94,4 +99,4 @@ def test_without_a_scheduler_the_error_names_the_address(
     pytest.importorskip("distributed", reason="dask.distributed is an optional extra")
     monkeypatch.setattr("rim_camera_ros.calibrate.cluster._CONNECT_SECONDS", 1)
     with pytest.raises(InputError, match=r"--scheduler tcp://127.0.0.1:1: no scheduler answers"):
-        reduce_on_cluster(bags[1], load_camera(bags[0]), scheduler="tcp://127.0.0.1:1")
+        reduce_on_cluster(bags[1], load_camera(bags[0]), scenes(bags), scheduler="tcp://127.0.0.1:1")

@@ -75,7 +75,8 @@ def agrees(found: Files) -> None:
     """Every number of the report that a camera file has is that of the improved one."""
     numbers = camera_numbers(found.improved)
     for one in found.report["adjusted"]:
-        prefix = "radiometry." if one["effect"] == "radiometry" else f"effects.{one['effect']}."
+        section = one["effect"] in ("radiometry", "noise")
+        prefix = f"{one['effect']}." if section else f"effects.{one['effect']}."
         for path, value in one["to"].items():
             assert numbers[prefix + path] == pytest.approx(value, rel=1e-9), path
     for one in found.report["missing"]:
@@ -139,6 +140,21 @@ def test_a_second_table_is_not_told_as_the_first(tmp_path: Path) -> None:
     assert found.improved.effects["empirical"].covariates == ("amplitude",)  # type: ignore[attr-defined]
     text = (tmp_path / "out" / "report.html").read_text()
     assert "a camera file has one table, and this one&#x27;s is of amplitude" in text
+
+
+def test_another_noise_beside_unknown_physics_is_adjusted(tmp_path: Path) -> None:
+    """With the verdict unknown_physics the report names one thing as missing."""
+    true = (
+        "effects: {empirical: {covariates: [height], knots: [[-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5]], "
+        "values: [0.03, 0.0, -0.012, 0.0, 0.012, 0.0, -0.03]}}\n"
+    )
+    found = diagnosed(tmp_path, CAMERA, CAMERA.replace("floor: 0.003", "floor: 0.009") + true)
+    assert (found.report["verdict"], found.missing) == ("unknown_physics", ["unknown"])
+    (noise,) = [one for one in found.report["adjusted"] if one["effect"] == "noise"]
+    assert noise["from"] == {"floor": 0.003, "shot": 0.0, "amplitude": 4.0}
+    assert noise["to"]["floor"] == pytest.approx(0.009, rel=0.05)
+    assert found.improved.noise.floor == noise["to"]["floor"]
+    assert any(one.startswith("beside it, and in camera.yaml: noise") for one in found.report["notes"])
 
 
 def test_counts_left_out_hide_what_is_beside_them(tmp_path: Path) -> None:
