@@ -132,10 +132,12 @@ def poses(result: Diagnosis, found: Evidence) -> list[str]:
         for size, name in [told.get(placed, (0.0, "-"))]
     }
     located = found.strength is not None and bool(result.missing)
+    # the light of a second camera moves a pose as a whole: that says nothing of its instrument
+    second = result.variance.pixels_vary_together
     bad = [
         i
         for i, (pose, chi) in enumerate(zip(found.poses, found.chi_after, strict=True))
-        if chi > _BAD_CHI or errors[int(pose)][0] > _BAD_ERROR
+        if not second and (chi > _BAD_CHI or errors[int(pose)][0] > _BAD_ERROR)
     ]
     picture = figures.poses(
         found.times,
@@ -177,6 +179,10 @@ def poses(result: Diagnosis, found: Evidence) -> list[str]:
             html.paragraph(f"{several(len(bad), 'pose')} of {len(found.poses)} do not agree with the others:")
         )
         parts.append(html.table(headings, rows, numbers=(0, 1, 2, 3)))
+    elif second:
+        parts.append(
+            html.paragraph("Whether the poses agree is not told beside the light of a second camera.")
+        )
     elif told and result.verdict != "inconsistent_setup":
         pose, (size, name) = max(errors.items(), key=lambda one: one[1][0])
         parts.append(

@@ -382,7 +382,7 @@ def _verdict(
         found=result.found if verdict == "missing_physics" else [],
         next_recording=next_recording(ties, advice),
         reason=reason,
-        unseen=unseen,
+        unseen=[name for name in unseen if name not in {one.effect for one in missing}],
         notes=notes,
         gained=result.gained,
         smooth_rest=None if rest is None else (" and ".join(rest.covariates), rest.on_top),
