@@ -55,7 +55,7 @@ def test_a_second_camera_is_named_measured_located_and_modelled(tmp_path: Path) 
     assert "interference" not in report["not_visible_here"]
     page = (tmp_path / "out" / "report.html").read_text()
     assert "do not agree with the others" not in page
-    assert "not told beside the light of a second camera" in page
+    assert "The light of a second camera hides whether the poses agree" in page
     # eq. 2.11: a phasor of random phase turns that of the light by amplitude / (sqrt(2) A) at 1 sigma
     data = recording(tmp_path)
     light = np.stack([station.amplitude for station in data.stations]).astype(float)
