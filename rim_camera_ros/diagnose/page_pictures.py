@@ -180,9 +180,7 @@ def poses(result: Diagnosis, found: Evidence) -> list[str]:
         )
         parts.append(html.table(headings, rows, numbers=(0, 1, 2, 3)))
     elif second:
-        parts.append(
-            html.paragraph("Whether the poses agree is not told beside the light of a second camera.")
-        )
+        parts.append(html.paragraph("The light of a second camera hides whether the poses agree."))
     elif told and result.verdict != "inconsistent_setup":
         pose, (size, name) = max(errors.items(), key=lambda one: one[1][0])
         parts.append(
