@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from rim_camera_ros.bags import Topics
-from rim_camera_ros.calibrate.stations import Dataset, reduce_recording
+from rim_camera_ros.calibrate.reduction import reduce_recording
+from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.scene import Scene

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from rim_camera_ros.bags import Topics
-from rim_camera_ros.calibrate.stations import Dataset, reduce_recording
+from rim_camera_ros.calibrate.reduction import reduce_recording
+from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.frame import RawFrame

@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 
 from rim_camera_ros.calibrate.checks import require_fixed_poses
-from rim_camera_ros.calibrate.stations import Dataset, reduce_recording
+from rim_camera_ros.calibrate.reduction import reduce_recording
+from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.commands.common import (
     Progress,

@@ -122,7 +122,8 @@ class IncidenceEstimator:
         z += x
         z += y
         scale *= z
-        error = np.divide(np.float32(1.0), z, out=z)
+        with np.errstate(divide="ignore"):  # a ray within the plane meets it nowhere
+            error = np.divide(np.float32(1.0), z, out=z)
         error -= distance
         np.abs(error, out=error)
         least = error.min(axis=0)

@@ -21,7 +21,8 @@ from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.blocks import present_priors
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.problem import Problem
-from rim_camera_ros.calibrate.stations import Dataset, reduce_frames
+from rim_camera_ros.calibrate.reduction import reduce_frames
+from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera, Sensor
 from rim_camera_ros.camera_file import camera_numbers, with_effects
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic

@@ -12,7 +12,8 @@ from rim_camera_ros.bags.images import decode_image
 from rim_camera_ros.calibrate.blocks import present_blocks
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.normal_equations import accumulate
-from rim_camera_ros.calibrate.stations import Dataset, reduce_frames
+from rim_camera_ros.calibrate.reduction import reduce_frames
+from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.frame import RawFrame
 from rim_camera_ros.phasor import demodulate, to_phasor

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.problem import Problem
+from rim_camera_ros.calibrate.reduction import reduce_recording
 from rim_camera_ros.calibrate.selection import Scores, folds_of
-from rim_camera_ros.calibrate.stations import reduce_recording
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.scene import load_scene
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rim_camera_ros.calibrate.stations import Dataset, reduce_frames
+from rim_camera_ros.calibrate.reduction import reduce_frames
+from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera, with_effects
 from rim_camera_ros.effects.base import Effect

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate.cluster import reduce_on_cluster
-from rim_camera_ros.calibrate.stations import Dataset, reduce_recording
+from rim_camera_ros.calibrate.reduction import reduce_recording
+from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.cli import main

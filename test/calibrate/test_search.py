@@ -28,11 +28,11 @@ from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.needs import Found, needed
 from rim_camera_ros.calibrate.outcome import Trial, as_good
 from rim_camera_ros.calibrate.problem import Problem
+from rim_camera_ros.calibrate.reduction import reduce_frames
 from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.calibrate.search_steps import Search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import contribution, effect_size
-from rim_camera_ros.calibrate.stations import reduce_frames
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale

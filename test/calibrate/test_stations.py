@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from rim_camera_ros.calibrate.reduction import of_known_exposure, reduce_frames
 from rim_camera_ros.calibrate.selection import folds_of
-from rim_camera_ros.calibrate.stations import Dataset, of_known_exposure, reduce_frames
+from rim_camera_ros.calibrate.stations import Dataset
 
 from .bags import frames
 from .helpers import camera, scene

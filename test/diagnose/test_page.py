@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.stations import reduce_recording
+from rim_camera_ros.calibrate.reduction import reduce_recording
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.cli import main

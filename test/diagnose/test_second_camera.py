@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate.coarser import coarser_camera, coarser_dataset
-from rim_camera_ros.calibrate.stations import Dataset, reduce_recording
+from rim_camera_ros.calibrate.reduction import reduce_recording
+from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.diagnose.second_camera import Light
 from rim_camera_ros.effects.interference import Interference
