@@ -61,6 +61,9 @@ class Regressor:
     prior: float
 
 
+#: Label of the radiometric gain.
+GAIN = "radiometry.gain"
+
 #: The columns of each regressor of a block.
 ColumnsOf = Callable[[Prediction], Sequence[Column]]
 
@@ -131,7 +134,7 @@ def gain_block(prior: float = 1.0) -> Block:
     def columns(prediction: Prediction) -> list[Column]:
         return [prediction.gain_column()]
 
-    return Block((Regressor("radiometry.gain", "radiometry", prior),), columns)
+    return Block((Regressor(GAIN, "radiometry", prior),), columns)
 
 
 #: 1-sigma of a distance term's prior [m] where it is at its largest.
@@ -261,6 +264,7 @@ def optics_block(camera: Camera, name: str) -> Block:
 
 
 def optics_value(camera: Camera, path: str) -> float:
+    """Return a number of the optics by its path: ``fx`` in pixels, ``d.0`` the first of the distortion."""
     from rim_camera_ros.parameters import flatten
 
     return flatten(camera.optics)[path]

@@ -67,7 +67,7 @@ class Forward:
 
     def __init__(self, dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None) -> None:
         self.dataset, self.scene, self.camera = dataset, scene, camera
-        self.views = views if views is not None and views.fits(camera) else Views(camera, scene)
+        self.views = views if views is not None and views.fits(camera, scene) else Views(camera, scene)
         self.notes: set[str] = set()
         self.amplitude_model = AmplitudeModel()
         self.masks: Sequence[tuple[Array, Array]] | None = None

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.calibrate.blocks import Block, Regressor
+from rim_camera_ros.calibrate.blocks import GAIN, Block, Regressor
 from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
 from rim_camera_ros.calibrate.normal_equations import NormalEquations, Reduced, accumulate
 from rim_camera_ros.calibrate.problem import Fit, Problem, blocks_of, forward_of, light_groups
 from rim_camera_ros.calibrate.residuals import amplitude_error, huber
 from rim_camera_ros.calibrate.steps import (
-    GAIN,
     Solved,
     bounds_of,
     in_units,
@@ -113,7 +112,7 @@ class GaussNewton:
         self._lows, self._highs = bounds_of(start)
         self._highs |= poles_of(problem.dataset, problem.masks, start)
         # the point
-        self._camera, self._scene, self._moved = start, problem.scene, False
+        self._camera, self._scene = start, problem.scene
         self._pattern = np.zeros(start.shape)
         self._nuisances: dict[str, float] = {}
         self._offsets: dict[str, float] = {}
@@ -149,6 +148,8 @@ class GaussNewton:
             groups = light_groups(self._problem, self._start)
             allowed = {label for labels in groups for label in labels}
             self._offsets.update({k: v for k, v in curves.values.items() if k in allowed})
+        self._offsets.update({k: v for k, v in warm.parameters.items() if k.startswith("scene.")})
+        self._scene = moved_scene(self._problem.scene, self._offsets)
 
     @property
     def ended(self) -> bool:
@@ -174,8 +175,9 @@ class GaussNewton:
         return forward
 
     def _forward(self) -> Forward:
-        views = None if self._moved else self._views
-        forward = forward_of(self._problem, self._scene, self._camera, views=views, offsets=self._offsets)
+        forward = forward_of(
+            self._problem, self._scene, self._camera, views=self._views, offsets=self._offsets
+        )
         self._views = forward.views
         return forward
 
@@ -326,7 +328,7 @@ class GaussNewton:
             self._start, solved.offsets, solved.changes, self._lows, self._highs, self._numbers
         )
         within_bounds(self._offsets, self._camera, self._numbers)
-        self._scene, self._moved = moved_scene(self._problem.scene, self._offsets)
+        self._scene = moved_scene(self._problem.scene, self._offsets)
 
     def _find_errors(self, solved: Solved) -> None:
         self._nuisances, self._gains, found = solved.errors(self._pattern)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from rim_camera_ros.calibrate.blocks import GAIN
 from rim_camera_ros.calibrate.empirical_fit import with_empirical_changes
 from rim_camera_ros.calibrate.light_curves import of_light
 from rim_camera_ros.calibrate.problem import Fit
@@ -32,7 +33,6 @@ HIGH_CORRELATION = 0.9
 _SMOOTH = 3.0
 #: Share of a change of parameters below which none of it is made.
 _LEAST_SHARE = 1e-3
-_GAIN = "radiometry.gain"
 
 
 @dataclass
@@ -116,7 +116,7 @@ class Solution:
         return [label for label in self.labels if label not in set(told) and not of_light(label)]
 
     def _unit(self, label: str) -> float:
-        return self.fit.camera.radiometry.gain if label == _GAIN else 1.0
+        return self.fit.camera.radiometry.gain if label == GAIN else 1.0
 
 
 def moved_by(camera: Camera, changes: Mapping[str, float]) -> Camera:
@@ -144,7 +144,7 @@ def _moved_by(camera: Camera, changes: Mapping[str, float]) -> Camera:
     }
     values: dict[str, float] = {}
     for label, change in changes.items():
-        if label == _GAIN:
+        if label == GAIN:
             values[label] = numbers[label] * float(np.exp(change))
         elif label in numbers:
             low, high = limits.get(label, (-np.inf, np.inf))

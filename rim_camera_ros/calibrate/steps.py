@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from rim_camera_ros.calibrate.blocks import GAIN
 from rim_camera_ros.calibrate.empirical_fit import LABEL, with_empirical_changes
 from rim_camera_ros.calibrate.light_curves import LightCurves, of_light
 from rim_camera_ros.calibrate.normal_equations import Reduced
@@ -24,7 +25,6 @@ from rim_camera_ros.scene import Scene, ScenePose, quaternion, rotation_matrix
 
 Array = NDArray[Any]
 
-GAIN = "radiometry.gain"
 #: Relative change of a width or a lag in one step, and change of a phase from rim to rim of the array [rad].
 _SHAPE_STEP = 0.25
 _TURN_STEP = 1.0
@@ -250,10 +250,10 @@ def _moved(
     return with_empirical_changes(with_numbers(camera, values) if values else camera, offsets)
 
 
-def moved_scene(scene: Scene, offsets: Mapping[str, float]) -> tuple[Scene, bool]:
+def moved_scene(scene: Scene, offsets: Mapping[str, float]) -> Scene:
     """Return the scene with its free poses moved."""
     if not any(path.startswith("scene.") for path in offsets):
-        return scene, False
+        return scene
     surfaces = []
     for one in scene.surfaces:
         pose = one.pose
@@ -268,7 +268,7 @@ def moved_scene(scene: Scene, offsets: Mapping[str, float]) -> tuple[Scene, bool
             position = (pose.position[0] + shift[0], pose.position[1] + shift[1], pose.position[2] + shift[2])
             pose = replace(pose, position=position, orientation=quaternion(rotation))
         surfaces.append(replace(one, pose=pose))
-    return replace(scene, surfaces=tuple(surfaces)), True
+    return replace(scene, surfaces=tuple(surfaces))
 
 
 def within_bounds(offsets: dict[str, float], camera: Camera, numbers: Mapping[str, float]) -> None:

@@ -81,9 +81,10 @@ class Views:
         self._kept: dict[Any, View] = {}
         self._around: dict[float, list[Array]] = {}
 
-    def fits(self, camera: Camera) -> bool:
-        """Return whether these views hold for a camera: same rays."""
-        return camera.optics == self.camera.optics and camera.shape == self.camera.shape
+    def fits(self, camera: Camera, scene: Scene) -> bool:
+        """Return whether these views hold for a camera and a scene: same rays, same surfaces."""
+        same_rays = camera.optics == self.camera.optics and camera.shape == self.camera.shape
+        return same_rays and scene.surfaces == self.scene.surfaces
 
     def view(self, station: Station) -> View:
         """Return what a station's pixels see. Raises `InputError` for a missing pose."""

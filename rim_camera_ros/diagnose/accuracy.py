@@ -10,14 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.blocks import effect_block, present_priors
 from rim_camera_ros.calibrate.outcome import Result
-from rim_camera_ros.calibrate.problem import Fit
+from rim_camera_ros.calibrate.problem import Fit, Problem, blocks_of
 from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.effects.empirical import Empirical
+from rim_camera_ros.parameters import NestedList
 
 Array = NDArray[Any]
+#: Changes of parameters, errors of poses and powers, fixed pattern (H, W) in m.
+_Parameters = tuple[Mapping[str, float], Mapping[str, float], Array]
 
 #: Ratio of held-out distances' RMS above which the improved camera is none, and what is said then.
 _WORSE = 1.1
@@ -29,6 +33,12 @@ _NO_BETTER = (
 _GROSS = 50.0
 #: Chi-square per value of held-out poses above which something is left.
 LEFT = 1.1
+#: Values of a table that are estimated again without each part of the poses, at most.
+_MOST_VALUES = 150
+_OF_ALL = (
+    "the table of what is unknown is of all poses, also of those that it is compared with: it has too many "
+    "values to be estimated without them"
+)
 #: Factor on chi-square per value of held-out poses above which it is said that it rose.
 _RISEN = 1.05
 
@@ -36,7 +46,8 @@ _RISEN = 1.05
 @dataclass(frozen=True)
 class Accuracy:
     """RMS [m] of the residuals of held-out poses and their chi-square per value, before and after;
-    ``noise_floor`` [m]: RMS that the noise of the stations' means makes.
+    ``noise_floor`` [m]: RMS that the noise of the stations' means makes. ``table_of_all``: the table of what
+    is unknown is of all poses, as it has too many values to be estimated again without each part of them.
     """
 
     rms_before: float
@@ -45,6 +56,7 @@ class Accuracy:
     chi2_before: float
     chi2_after: float
     held_out: bool
+    table_of_all: bool = False
 
     @property
     def hopeless(self) -> bool:
@@ -59,6 +71,9 @@ class Accuracy:
 
     def notes(self) -> list[str]:
         """Return what speaks against the improved camera or is left of it, in words."""
+        return [*self._of_poses(), *([_OF_ALL] if self.held_out and self.table_of_all else [])]
+
+    def _of_poses(self) -> list[str]:
         if not self.held_out:
             return []
         if self.rms_after > _WORSE * self.rms_before:
@@ -77,66 +92,93 @@ class Accuracy:
         ]
 
 
-def accuracy(camera: Camera, model: Camera, result: Result, unknown: Any = None) -> Accuracy:
+def accuracy(camera: Camera, model: Camera, result: Result, unknown: Fit | None = None) -> Accuracy:
     """Compare two cameras on the poses that their parameters were not fitted to.
 
-    The camera before is as its file says; errors of the poses, powers and the fixed pattern are estimated
-    for both, the pattern from the other folds.
+    ``unknown`` is the fit of the table of what is unknown, where that is the model: the table is estimated
+    again without the poses that it is compared with.
+    The camera before is as its file says; errors of the poses, poses that are free in the scene, powers and
+    the fixed pattern are estimated for both, the pattern from the other folds.
     """
     problem = result.problem
     views = result.fit.forward.views
     frozen = replace(
-        problem, effects=(), geometry=(), gain=False, robust=False, reflectance=False, response=None
+        problem,
+        scene=result.fit.scene,
+        effects=(),
+        geometry=(),
+        gain=False,
+        robust=False,
+        reflectance=False,
+        response=None,
     )
     before = fit(frozen, camera, fold_of=result.folds, iterations=1, views=views)
     same_distances = model.effects == camera.effects and model.optics == camera.optics
+    own, of_all = frozen, False
     if same_distances and model.noise == camera.noise:
         after = before
     elif same_distances:
         after = fit(frozen, model, fold_of=result.folds, iterations=1, views=views)
+    elif unknown is not None:
+        own = replace(problem, robust=False, geometry=(), reflectance=False, response=None)
+        table = None if "empirical" in camera.effects else model.effects.get("empirical")
+        start, steps = model, 2
+        if isinstance(table, Empirical) and len(set(result.folds.values())) > 1:
+            of_all = table.values.values.size > _MOST_VALUES
+            if not of_all:
+                # what other poses do not say of it is nothing, and not what the held-out ones said
+                nothing = replace(table, values=NestedList(np.zeros_like(table.values.values)))
+                start, steps = with_effects(model, {**model.effects, table.name: nothing}), 0
+                own = replace(own, effects=tuple(model.effects))
+        after = fit(own, start, fold_of=result.folds, iterations=steps, views=views, warm=unknown)
     else:
-        own = replace(problem, scene=result.fit.scene, robust=False)
-        if unknown is not None:
-            own = replace(own, geometry=(), reflectance=False, response=None)
+        own = replace(problem, robust=False)
         warm = result.fit if result.fit.camera == model else None
+        if warm is None:
+            own = replace(own, scene=result.fit.scene)
         after = fit(own, model, fold_of=result.folds, iterations=2, views=views, warm=warm)
-    rms_before, chi_before = _held_out(before, result.folds)
-    rms_after, chi_after = (rms_before, chi_before) if after is before else _held_out(after, result.folds)
+    rms_before, chi_before = _held_out(before, frozen, result.folds)
+    rms_after, chi_after = rms_before, chi_before
+    if after is not before:
+        rms_after, chi_after = _held_out(after, own, result.folds)
     floors = [one.sigma[one.used] ** 2 for one in before.forward.predictions(slopes=False)]
     floor = float(np.sqrt(np.mean(np.concatenate(floors)))) if floors else 0.0
     return Accuracy(
-        rms_before, rms_after, floor, chi_before, chi_after, held_out=len(after.equations.folds) > 1
+        rms_before,
+        rms_after,
+        floor,
+        chi_before,
+        chi_after,
+        held_out=len(after.equations.folds) > 1,
+        table_of_all=of_all,
     )
 
 
-def _held_out(fitted: Fit, folds: Mapping[tuple[int, int], int]) -> tuple[float, float]:
-    """Return RMS [m] and chi-square per value of held-out poses."""
-    count = len(fitted.parameters)
-    scores = Scores(fitted.equations, range(count))
+def _held_out(fitted: Fit, problem: Problem, folds: Mapping[tuple[int, int], int]) -> tuple[float, float]:
+    """Return RMS [m] and chi-square per value of held-out poses.
+
+    A pose's own errors and power are found with the parameters of the other folds.
+    """
+    scores = Scores(fitted.equations, range(len(fitted.parameters)))
     chi_square, rows = scores.chi_square(held_out=True)
+    others: list[_Parameters] = []
+    for k, trained in enumerate(scores.trained):
+        own = scores.values(leave_out=k)
+        values = np.array([own[r.label] for r in scores.regressors])
+        _, flat = trained.recover(values)
+        others.append((own, scores.full.recover(values)[0], flat.reshape(fitted.camera.shape)))
+    blocks = blocks_of(problem, fitted.camera, fitted.scene) if others else []
+    all_poses: _Parameters = ({}, fitted.nuisances, fitted.pattern)
     total, number = 0.0, 0
-    trained: list[tuple[dict[str, float], Array, dict[str, float]]] = []
-    for k in range(len(scores.trained)):
-        values = scores.values(leave_out=k)
-        _, flat = scores.trained[k].recover(np.array([values[r.label] for r in scores.regressors]))
-        trained.append((values, flat.reshape(fitted.camera.shape), {}))
-    blocks = {
-        name: effect_block(effect, present_priors(effect, fitted.camera))
-        for name, effect in fitted.camera.effects.items()
-        if any(path.startswith(f"effects.{name}.") for path in fitted.parameters)
-    }
     for one in fitted.forward.predictions():
         key = (one.station.recording, one.station.pose)
-        fold = folds[key] if trained else 0
-        pattern = trained[fold][1] if trained else fitted.pattern
-        rest, _ = after_nuisances(one, pattern, fitted.nuisances)
-        if trained:
-            values = trained[fold][0]
-            for block in blocks.values():
-                for regressor, (column, _) in zip(block.regressors, block.columns(one), strict=True):
-                    change = values.get(regressor.label, 0.0)
-                    if change:
-                        rest = rest - change * np.nan_to_num(column)
+        changes, errors, pattern = others[folds[key]] if others else all_poses
+        rest, _ = after_nuisances(one, pattern, errors)
+        for block in blocks:
+            for regressor, (column, _) in zip(block.regressors, block.columns(one), strict=True):
+                change = changes.get(regressor.label, 0.0)
+                if change:
+                    rest = rest - change * np.nan_to_num(column)
         used = one.used & np.isfinite(rest)
         total += float(np.sum(rest[used] ** 2))
         number += int(used.sum())

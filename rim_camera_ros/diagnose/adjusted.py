@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from rim_camera_ros.calibrate.blocks import UNFITTED
+from rim_camera_ros.calibrate.blocks import GAIN, UNFITTED
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.outcome import Result
@@ -69,7 +69,7 @@ def adjusted_terms(camera: Camera, fitted: Fit) -> list[Adjusted]:
                 {names[i].removeprefix(prefix): after[names[i]] for i in index},
             )
         )
-    gain = fitted.parameters.get("radiometry.gain")
+    gain = fitted.parameters.get(GAIN)
     if gain is not None:
         ratio = gain / camera.radiometry.gain - 1
         poses = max(len({(s.recording, s.pose) for s in fitted.forward.dataset.stations}), 1)

@@ -13,7 +13,7 @@ from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.calibrate.exploration import Exploration, explore
 from rim_camera_ros.calibrate.needs import left_by_forms
 from rim_camera_ros.calibrate.outcome import Result
-from rim_camera_ros.calibrate.problem import Fit, Problem
+from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.formula import closed_form
 from rim_camera_ros.diagnose.result import Missing
@@ -48,7 +48,7 @@ class Rest:
     fine: FineStructure | None = None
 
 
-def best_rest(result: Result, samples: Mapping[str, Array], problem: Problem, seed: int) -> Rest | None:
+def best_rest(result: Result, samples: Mapping[str, Array], seed: int) -> Rest | None:
     """Find the best smooth term or fine structure, over the baseline and on top of what was named."""
     baseline, final = result.explorations[0], result.explorations[-1]
     options: list[Rest] = []
@@ -85,7 +85,7 @@ def best_rest(result: Result, samples: Mapping[str, Array], problem: Problem, se
         options.append(Rest(over, covariates, camera, gain, threshold))
     if structures and structures[0].gain > least:
         fine = structures[0]
-        table = fine_table(fine, final.fit)
+        table = fine_table(fine)
         camera = final.fit.camera if table is None else with_table(final.fit.camera, table)
         options.append(Rest(fine.gain, fine.covariates, camera, fine.gain, least, fine))
     return max(options, key=lambda one: one.on_top, default=None)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import fit
+from rim_camera_ros.calibrate.blocks import GAIN
 from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.nulls import null_scores
 from rim_camera_ros.calibrate.problem import Fit, Problem
@@ -77,7 +78,7 @@ def intervals_of(
     lows, highs = bounds_of(fitted.camera)
     result = {}
     for i, (path, value) in enumerate(fitted.parameters.items()):
-        width = 1.96 * spread[i] * (gain if path == "radiometry.gain" else 1.0)
+        width = 1.96 * spread[i] * (gain if path == GAIN else 1.0)
         # beyond its bounds no parameter can be
         low, high = lows.get(path, -np.inf), highs.get(path, np.inf)
         result[path] = (value, max(value - width, min(value, low)), min(value + width, max(value, high)))

@@ -84,6 +84,10 @@ _OF_FEW_POSES = (
     "only {} poses: what is named or not, and what is left of held-out poses, rests on little; record 20 or "
     "more at different distances"
 )
+_SATURATED_ELSEWHERE = (
+    "pixels are saturated: what that does to their rows and columns (saturation_bleed) is looked for on "
+    "sensors of up to 60,000 pixels only"
+)
 _BESIDE_CODES = "not told beside counts that are left out, which may look like it; mend those first"
 _BESIDE_A_SECOND_CAMERA = "a second camera shines in: nothing else can be told; record with it switched off"
 
@@ -119,6 +123,8 @@ def diagnose(
         threads,
         say,
     )
+    if any(one.saturated.any() for one in dataset.stations):
+        result.notes.append(_SATURATED_ELSEWHERE)
     return on_full_grid(result, camera, step)
 
 
@@ -173,7 +179,7 @@ def _diagnose(
     if alone:
         dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
     say("looking for what no named effect explains")
-    unknown = None if alone or one_pose else best_rest(result, samples, problem, seed)
+    unknown = None if alone or one_pose else best_rest(result, samples, seed)
     responds = "amplitude_nonlinearity" in final.fit.camera.effects.keys() - camera.effects.keys()
     variance = examine_variance(final.fit.forward)
     if responds and variance.noise_is_wrong:
@@ -203,7 +209,7 @@ def _diagnose(
     reason = None if variance.pixels_vary_together or codes is not None else setup.reason
     if reason is not None and setup.may_do_without and against is None and again > 0:
         say("once more without what does not agree")
-        return _diagnose(_without(dataset, setup), scene, camera, None, seed, threads, say, again - 1)
+        return _diagnose(_without(problem.dataset, setup), scene, camera, None, seed, threads, say, again - 1)
     by_background = only_background(result, unknown, variance, camera)
     if by_background or only_rectified_noise(result, variance):
         described = None
@@ -228,9 +234,8 @@ def _diagnose(
 
 def _without(dataset: Dataset, setup: Setup) -> Dataset:
     """Return the recording without its bad poses, which a note tells."""
-    told, _, _ = str(setup.reason).rpartition("; ")
     kept = dataset.without({*setup.bad})
-    return replace(kept, notes=[*kept.notes, f"{told}; left out"])
+    return replace(kept, notes=[*kept.notes, f"{setup.fault}; left out"])
 
 
 def _hopeless(problem: Problem, camera: Camera, variance: Variance, seed: int) -> Diagnosis:
@@ -312,7 +317,7 @@ def _verdict(
         verdict = "missing_physics"
         intervals = intervals_of(final, result.problem, seed=seed)
         for one in result.found:
-            share = sum(probabilities.get(name, 0.0) for name in {one.effect, *one.ties})
+            share = sum(probabilities.get(name, 0.0) for name in sorted({one.effect, *one.ties}))
             if one is not result.found[0]:
                 # given those before it, against nothing more being missing
                 share = float(1 / (1 + np.exp(-min(one.gain, 500.0))))
@@ -361,7 +366,8 @@ def _verdict(
             step = result.explorations[one.step]
             proposals = told_apart(step, names, shipped_experiments(), progress=say)
             advice[tuple(names)] = recommended(proposals, threshold=step.threshold)
-    measure = accuracy(camera, model, result, unknown if verdict == "unknown_physics" else None)
+    of_table = unknown.fit if unknown is not None and verdict == "unknown_physics" else None
+    measure = accuracy(camera, model, result, of_table)
     if verdict == "consistent" and measure.held_out and min(measure.chi2_before, left_over) > _UNEXPLAINED:
         verdict = "unknown_physics"
         left, where = unexplained(fitted, measure.chi2_before)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,14 +78,20 @@ class _Sums:
 
 @dataclass(frozen=True)
 class Setup:
-    """Poses by how badly they agree, and why the setup cannot be trusted (None: it can).
+    """Poses by how badly they agree, and the ``fault`` for which the setup cannot be trusted (None: it can).
 
-    ``bad`` are the (recording, pose) that alone do not agree.
+    ``bad`` are the (recording, pose) that alone do not agree, ``remedy`` says what to do about them.
     """
 
     poses: tuple[PoseCheck, ...]
-    reason: str | None
+    fault: str | None
     bad: tuple[tuple[int, int], ...] = ()
+    remedy: str = ""
+
+    @property
+    def reason(self) -> str | None:
+        """The fault and its remedy in words."""
+        return f"{self.fault}; {self.remedy}" if self.fault and self.remedy else self.fault
 
     @property
     def chi_square(self) -> float:
@@ -185,21 +191,26 @@ def check_setup(
     lost half of their chi-square since the fit ``before``.
     """
     poses = check_poses(fitted, physics)
-    reason, bad = None, list[PoseCheck]()
     if not poses:
-        reason = "no pixel of the recording can be compared with the scene"
-    else:
-        reason = _gross(fitted, poses)
-        if reason is None:
-            bad = _few(poses, _STRAINED if physics else 1.0)
-            if bad and physics and before is not None:
-                first = {one.key: one.chi_square for one in check_poses(before)}
-                bad = [one for one in bad if one.chi_square > 0.5 * first.get(one.key, 0.0)]
-                bad = [one for one in bad if one.error > _STRAINED * FAR or not _by_form(one)]
-            reason = _of_few(bad, len(poses), _STRAINED if physics else 1.0) if bad else None
-    if explained > 0.5 and reason is not None and "poses" not in reason:
-        reason = None
-    return Setup(tuple(poses), reason, tuple(one.key for one in bad))
+        return Setup((), "no pixel of the recording can be compared with the scene")
+    gross = _gross(fitted, poses)
+    if gross is not None:
+        return Setup(tuple(poses), None if gross.may_be_physics and explained > 0.5 else gross.fault)
+    strained = _STRAINED if physics else 1.0
+    bad = _few(poses, strained)
+    if bad and physics and before is not None:
+        first = {one.key: one.chi_square for one in check_poses(before)}
+        bad = [one for one in bad if one.chi_square > 0.5 * first.get(one.key, 0.0)]
+        bad = [one for one in bad if one.error > _STRAINED * FAR or not _by_form(one)]
+    if not bad:
+        return Setup(tuple(poses), None)
+    numbers = ",".join(str(one.key[1]) for one in sorted(bad, key=lambda one: one.key))
+    return Setup(
+        tuple(poses),
+        _of_few(bad, len(poses), strained),
+        tuple(one.key for one in bad),
+        f"--without-poses {numbers} leaves them out",
+    )
 
 
 def _by_form(pose: PoseCheck) -> bool:
@@ -207,29 +218,36 @@ def _by_form(pose: PoseCheck) -> bool:
     return pose.chi_square <= _ACTED_ON * pose.acted_on or pose.where_acted_on > _MOSTLY
 
 
-def _gross(fitted: Fit, poses: list[PoseCheck]) -> str | None:
+class _Gross(NamedTuple):
+    """What is grossly wrong, and whether physics that was found may be the cause."""
+
+    fault: str
+    may_be_physics: bool
+
+
+def _gross(fitted: Fit, poses: list[PoseCheck]) -> _Gross | None:
     median = float(np.median([abs(one.median) for one in poses]))
     spread = float(np.std([one.median for one in poses]))
     chi_square = float(np.median([one.chi_square for one in poses]))
     share = overlap(fitted)
     if share < LEAST_OVERLAP and chi_square > LARGE:
-        return (
+        return _Gross(
             f"only {share:.0%} of the measured pixels see a surface of the scene: the scene file does not "
-            f"describe "
-            "this recording"
+            "describe this recording",
+            may_be_physics=True,
         )
     if chi_square > 50 and (spread > GROSS_DISTANCE or median > 3 * GROSS_DISTANCE):
-        return (
+        return _Gross(
             f"distances differ from the scene's by {median:.2f} m (varying by {spread:.2f} m from pose to "
-            f"pose) "
-            "and no physics of a camera explains it: another scene, or poses of another recording"
+            "pose) and no physics of a camera explains it: another scene, or poses of another recording",
+            may_be_physics=False,
         )
     tau = fitted.forward.amplitude_model.tau
     if tau > GROSS_AMPLITUDE:
-        return (
+        return _Gross(
             f"amplitudes differ from the scene's by a factor of {np.exp(tau):.1f} from pixel to pixel: a "
-            f"board was "
-            "swapped or turned, or the scene's reflectivities are others"
+            "board was swapped or turned, or the scene's reflectivities are others",
+            may_be_physics=True,
         )
     return None
 
@@ -260,11 +278,7 @@ def _of_few(bad: list[PoseCheck], count: int, factor: float) -> str:
         if first.error > factor * FAR
         else f"pose {first.key[1]} at {first.time:.1f} s: chi-square per value {first.chi_square:.1f}"
     )
-    numbers = ",".join(str(one.key[1]) for one in sorted(bad, key=lambda one: one.key))
-    return (
-        f"{len(bad)} of {count} poses do not agree with the rest ({names}); {detail}; "
-        f"--without-poses {numbers} leaves them out"
-    )
+    return f"{len(bad)} of {count} poses do not agree with the rest ({names}); {detail}"
 
 
 def standard_errors(fitted: Fit) -> Mapping[str, float]:

@@ -158,7 +158,7 @@ def fine_image(structure: FineStructure, one: Any) -> Array:
     return np.asarray((structure.slopes[index] * feature).reshape(shape))
 
 
-def fine_table(structure: FineStructure, fitted: Fit) -> Empirical | None:
+def fine_table(structure: FineStructure) -> Empirical | None:
     """Return the structure as a table over its two covariates; None for slopes per pixel."""
     if structure.group == "pixel":
         return None
