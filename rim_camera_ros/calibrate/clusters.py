@@ -18,7 +18,7 @@ from scipy import linalg
 from rim_camera_ros.calibrate.blocks import Block
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.problem import Fit
-from rim_camera_ros.calibrate.residuals import after_nuisances
+from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT, after_nuisances
 from rim_camera_ros.calibrate.selection import Scores
 
 Array = NDArray[Any]
@@ -121,8 +121,8 @@ def _scores_of(
     changes = [(one.pose_change(c), prior) for c, prior in errors if prior is not None]
     if f"{key}.gain" in priors:
         changes.append((one.gain_column(), priors[f"{key}.gain"]))
-    limit_d = 4.0 * one.sigma[used]
-    limit_a = 4.0 * one.amplitude_sigma[lit]
+    limit_d = ROBUST_LIMIT * one.sigma[used]
+    limit_a = ROBUST_LIMIT * one.amplitude_sigma[lit]
     residual = np.concatenate(
         [np.clip(rest[used], -limit_d, limit_d), np.clip(light[lit], -limit_a, limit_a)]
     )

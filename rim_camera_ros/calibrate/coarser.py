@@ -174,6 +174,11 @@ def finer_number(path: str, value: float, step: int) -> float:
     return value * step if by_pixels else value
 
 
+def finer_covariate(name: str, values: Array, step: int) -> Array:
+    """Return the values of a covariate of the coarser grid as they are on the full one."""
+    return np.asarray(_knots(float(step), name, tuple(np.asarray(values, float).tolist())))
+
+
 def _knots(factor: float, covariate: str, knots: tuple[float, ...]) -> tuple[float, ...]:
     """Return knots over a covariate with ``factor`` times as many pixels along each axis."""
     if covariate in ("row", "column"):

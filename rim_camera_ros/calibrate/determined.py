@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from rim_camera_ros.calibrate.blocks import UNFITTED
-from rim_camera_ros.calibrate.candidate import Candidate, Facts
+from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.library import GEOMETRY
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.selection import Scores
@@ -113,7 +113,6 @@ def statuses(
     scores: Scores,
     candidates: Sequence[Candidate],
     spans: Sequence[Sequence[int]],
-    facts: Facts,
     *,
     start: Camera,
     kept: Mapping[str, str],
@@ -153,7 +152,7 @@ def statuses(
                 result.append(EffectStatus(name, "left out", _ELSEWHERE[name]))
         else:
             own = [k for k, one in enumerate(candidates) if one.effect == name]
-            result.append(_absent(name, own, candidates, scores, spans, sizes, facts, threshold))
+            result.append(_absent(name, own, candidates, scores, spans, sizes, threshold))
     return result
 
 
@@ -164,11 +163,10 @@ def _absent(
     scores: Scores,
     spans: Sequence[Sequence[int]],
     sizes: Sequence[_Size],
-    facts: Facts,
     threshold: float,
 ) -> EffectStatus:
     if not own:
-        return EffectStatus(name, "undetermined", f"{_missing(name, facts)}; {_record(name)}")
+        return EffectStatus(name, "undetermined", f"{_missing(name)}; {_record(name)}")
     told: list[tuple[float, float, float]] = []
     best_ratio = np.inf
     for k in own:
@@ -228,7 +226,7 @@ def _bound(size: Array, values: Array, posterior: Array) -> float:
     return centre + 1.96 * float(np.sqrt(max(float(np.sum(size * posterior)), 0.0)))
 
 
-def _missing(name: str, facts: Facts) -> str:
+def _missing(name: str) -> str:
     """Return what the recordings lack for an effect without any candidate."""
     return {
         "warm_up_drift": "the recordings state no uptime, or a constant one",
@@ -246,6 +244,6 @@ def _record(name: str) -> str:
     return f"record: {registry()[name].observable}"
 
 
-def undeterminable(name: str, facts: Facts) -> str:
+def undeterminable(name: str) -> str:
     """Return, for an effect that was asked for and has no overlap with the data, what is missing."""
-    return f"{_missing(name, facts)}; {_record(name)}"
+    return f"{_missing(name)}; {_record(name)}"

@@ -45,7 +45,11 @@ def empirical_covariates(word: str) -> tuple[str, ...]:
             remedy = nearest_name(name, COVARIATES)
             raise InputError(f"unknown covariate '{name}' of empirical", place="--effects", remedy=remedy)
     if len(names) > 2:
-        raise InputError("empirical takes one or two covariates", place="--effects")
+        raise InputError(
+            f"empirical takes one or two covariates, '{word}' names {len(names)}",
+            place="--effects",
+            remedy=f"choose two: {':'.join(['empirical', *names[:2]])}",
+        )
     return names
 
 

@@ -20,7 +20,6 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.frame import INVALID, RawFrame
 from rim_camera_ros.phasor import wrap_residual
 from rim_camera_ros.pipeline.correct import Correction
-from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]
 Key = tuple[int, int]
@@ -84,7 +83,6 @@ class Accuracy:
 
 def evaluate(
     dataset: Dataset,
-    scene: Scene,
     views: Views,
     cameras: Mapping[int, Camera],
     folds: Mapping[Key, int],
@@ -96,8 +94,8 @@ def evaluate(
 ) -> Accuracy:
     """Correct every station by the camera that did not see its fold, and compare with the scene.
 
-    ``cameras`` by fold; ``masks`` (H, W) the pixels of each station that count (clean geometry, enough
-    light); ``tick`` is called for each station and may raise to end the work.
+    ``views`` of the scene; ``cameras`` by fold; ``masks`` (H, W) the pixels of each station that count (clean
+    geometry, enough light); ``tick`` is called for each station and may raise to end the work.
     """
     corrections = {fold: Correction(camera) for fold, camera in cameras.items()}
     old = Correction(before)

@@ -68,7 +68,6 @@ class _Fold:
     gram: Array
     right: Array
     square: float
-    rows: int
 
 
 class IntegralFit:
@@ -125,9 +124,7 @@ class IntegralFit:
 
         def finish(key: Key) -> None:
             number = self._folds.get(key, 0)
-            fold = self._equations.setdefault(
-                number, _Fold(np.zeros((count, count)), np.zeros(count), 0.0, 0)
-            )
+            fold = self._equations.setdefault(number, _Fold(np.zeros((count, count)), np.zeros(count), 0.0))
             _add_pose(fold, *(np.concatenate(part) for part in per_pose.pop(key)))
 
         for one, mask in zip(self._predictions(), self._masks, strict=True):
@@ -269,7 +266,6 @@ def _add_pose(fold: _Fold, design: Array, pose: Array, residual: Array, weight: 
     fold.gram += design.T @ weighted - cross.T @ solved
     fold.right += weighted.T @ residual - solved.T @ right
     fold.square += float(residual @ (weight * residual) - right @ linalg.cho_solve(factor, right))
-    fold.rows += len(residual)
 
 
 def _nothing() -> None:

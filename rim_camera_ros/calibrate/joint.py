@@ -79,7 +79,6 @@ def by_search(
             last.scores,
             named,
             last.spans,
-            facts,
             start=camera,
             kept=kept,
             threshold=last.threshold,
@@ -133,7 +132,7 @@ def exactly(
     fitted, scores = step.fit, step.scores
     untold = undetermined_effects(scores, [n for n in names if n in fitted.camera.effects])
     for name in dict.fromkeys([*unseen, *untold]):
-        notes.append(f"{name} cannot be determined from these recordings: {undeterminable(name, facts)}")
+        notes.append(f"{name} cannot be determined from these recordings: {undeterminable(name)}")
     asked = set(names) - {"fixed_pattern_offset"}
     if asked and asked <= {*unseen, *untold}:
         raise InputError(
@@ -160,7 +159,6 @@ def exactly(
             probe.scores,
             pool,
             probe.spans,
-            facts,
             start=camera_start,
             kept=kept,
             threshold=LEAST_THRESHOLD,

@@ -34,15 +34,20 @@ class _Block:
         self._camera = camera
         self.pose, self.placement = pose, placement
         self.first = first
+        # either image may hold counts or metres and numbers
         self._counts = first.distance.dtype == np.uint16
+        self._whole_amplitudes = first.amplitude.dtype == np.uint16
         self._period = round(camera.sensor.ambiguity / camera.sensor.lsb) if camera.sensor.wraps else 0
         shape = first.distance.shape
         whole = np.int64 if self._counts else np.float64
+        whole_amplitude = np.int64 if self._whole_amplitudes else np.float64
         self._reference: Array = np.zeros(shape, np.int32 if self._counts else np.float64)
         self._seen = np.zeros(shape, bool)
         self._count = np.zeros(shape, np.int32)
         self._saturated = np.zeros(shape, np.int32)
-        self._sums: list[Array] = [np.zeros(shape, whole) for _ in range(4)]
+        self._sums: list[Array] = [
+            np.zeros(shape, kind) for kind in (whole, whole, whole_amplitude, whole_amplitude)
+        ]
         self._stamps: list[int] = []
         self._settings: list[Settings] = []
         self._kept: list[Array] = []
@@ -53,10 +58,13 @@ class _Block:
         if self._counts:
             valid = frame.distance != 0
             value: Array = frame.distance.astype(np.int32)
-            amplitude: Array = frame.amplitude.astype(np.int64)
         else:
             valid = np.isfinite(frame.distance) & (frame.distance > 0)
             value = np.where(valid, frame.distance, 0.0).astype(np.float64)
+        if self._whole_amplitudes:
+            amplitude: Array = frame.amplitude.astype(np.int64)
+        else:
+            valid = valid & np.isfinite(frame.amplitude)
             amplitude = np.nan_to_num(frame.amplitude.astype(np.float64))
         saturated = frame.amplitude >= self._camera.sensor.saturation
         self._saturated += saturated

@@ -254,7 +254,7 @@ def _finished(
     cameras = {k: with_reference(solution.camera(k), path, leave_out=k) for k in numbers} or {
         0: with_reference(solution.camera(), path)
     }
-    arguments = (dataset, fitted.scene, forward.views)
+    arguments = (dataset, forward.views)
     split = solution.folds if numbers else {}
     before = request.camera if large is None else coarser_camera(request.camera, large.step)
     accuracy = evaluate(*arguments, cameras, split, before, masks, held_out=bool(numbers), tick=watch.tick)

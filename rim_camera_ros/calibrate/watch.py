@@ -31,15 +31,18 @@ class Watch:
         self._cancelled = cancelled
 
     def tick(self) -> None:
+        """Raise `Cancelled` where the work is to end."""
         if self._cancelled is not None and self._cancelled():
             raise Cancelled("cancelled; nothing was written")
 
     def say(self, text: str) -> None:
+        """Tell what begins now. Raises `Cancelled`."""
         self.tick()
         if self._progress is not None:
             self._progress(text, None, None)
 
     def ticking(self, text: str) -> Callable[[], None]:
+        """Tell what begins now, and return what its loop is to call."""
         self.say(text)
         return self.tick
 

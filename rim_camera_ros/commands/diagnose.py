@@ -83,8 +83,6 @@ def run(given: argparse.Namespace) -> int:
     folder = OutputFolder(given.out, own={MODEL, REPORT, PAGE, WHERE}, of="a diagnosis", mark=REPORT)
     folder.check(force=given.force)
     camera, scene = camera_of(given.camera), scene_of(given.scene)
-    dataset = _stations(given, given.bag, camera, scene)
-    against = None if given.against is None else _stations(given, given.against, camera, scene)
     # before the work: what is not installed is said at once
     try:
         from rim_camera_ros.diagnose.page import write_page
@@ -97,6 +95,8 @@ def run(given: argparse.Namespace) -> int:
 
     require_formulas()
 
+    dataset = _stations(given, given.bag, camera, scene)
+    against = None if given.against is None else _stations(given, given.against, camera, scene)
     with Stages(quiet=given.quiet) as stages:
         try:
             result = diagnose(
@@ -143,8 +143,13 @@ def _stations(given: argparse.Namespace, path: Path, camera: Camera, scene: Scen
     if unknown:
         raise InputError(
             f"there is no pose {unknown[0]}",
+            file=path,
             place="--without-poses",
             remedy=f"the recording's are numbered {min(poses)} to {max(poses)}" if poses else None,
+        )
+    if poses and poses <= set(given.without_poses):
+        raise InputError(
+            "all poses are left out", file=path, place="--without-poses", remedy="name fewer of them"
         )
     if given.without_poses:
         keys = {(one.recording, one.pose) for one in dataset.stations}

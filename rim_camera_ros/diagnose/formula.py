@@ -44,7 +44,8 @@ def require_formulas() -> None:
 def closed_form(name: str, x: Array, y: Array, sigma: Array) -> tuple[str, float]:
     """Return the sparse formula in metres that describes a curve best, and by how much it misses it (RMS, m).
 
-    By orthogonal matching pursuit. Terms are added while they lower the Bayesian information criterion.
+    By orthogonal matching pursuit. A term is added where it lowers chi-square by more than 2 ln N of N
+    classes: twice what the Bayesian information criterion asks, as the term is chosen among several.
     """
     from sklearn.linear_model import OrthogonalMatchingPursuit
 

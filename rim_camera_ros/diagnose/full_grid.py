@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from rim_camera_ros.calibrate.coarser import finer_camera, finer_image, finer_number
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.adjusted import Adjusted
+from rim_camera_ros.diagnose.formula import closed_form, formula_curve
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
+from rim_camera_ros.effects.empirical import Empirical
+
+#: Points of a closed form that it is restated from.
+_POINTS = 32
 
 
 def on_full_grid(result: Diagnosis, camera: Camera, step: int) -> Diagnosis:
     """Restate a diagnosis of every ``step``-th pixel for the ``camera`` of all of them; in place."""
     small, full = result.camera, finer_camera(result.camera, camera, step)
-    result.missing = [_missing(one, small, full, step) for one in result.missing]
+    result.missing = [restated(one, small, full, step) for one in result.missing]
     result.adjusted = [_adjusted(one, step) for one in result.adjusted]
     result.looked_at, result.camera = small, full
     result.where = replace(result.where, pixels=finer_image(result.where.pixels, camera.shape, step))
@@ -21,17 +28,39 @@ def on_full_grid(result: Diagnosis, camera: Camera, step: int) -> Diagnosis:
     return result
 
 
-def _missing(one: Missing, small: Camera, full: Camera, step: int) -> Missing:
+def restated(one: Missing, small: Camera, full: Camera, step: int) -> Missing:
+    """Return what the ``small`` camera of every ``step``-th pixel found in pixels of the ``full`` one."""
     prefix = _prefix(one.effect, small)
     low_and_high = {
         path: (finer_number(prefix + path, low, step), finer_number(prefix + path, high, step))
         for path, (low, high) in one.interval.items()
     }
     values = {path: finer_number(prefix + path, value, step) for path, value in one.parameters.items()}
-    sentence = one.sentence
+    sentence, formula = one.sentence, _formula(one, small, full)
     if one.effect in small.effects:
         sentence = sentence.replace(small.effects[one.effect].sentence(), full.effects[one.effect].sentence())
-    return replace(one, parameters=values, interval=low_and_high, sentence=sentence)
+    if one.formula is not None and formula is not None:
+        sentence = sentence.replace(one.formula, formula)
+    return replace(one, parameters=values, interval=low_and_high, sentence=sentence, formula=formula)
+
+
+def _formula(one: Missing, small: Camera, full: Camera) -> str | None:
+    """Return a closed form restated for a covariate in pixels of the whole sensor, over its table's knots."""
+    table, finer = (camera.effects.get("empirical") for camera in (small, full))
+    if one.formula is None or not isinstance(table, Empirical) or not isinstance(finer, Empirical):
+        return one.formula
+    name = one.formula.rpartition("x = ")[2]
+    if name not in table.covariates:
+        return one.formula
+    k = table.covariates.index(name)
+    x, scaled = np.asarray(table.knots[k], float), np.asarray(finer.knots[k], float)
+    if np.array_equal(x, scaled):
+        return one.formula
+    fine = np.linspace(x[0], x[-1], _POINTS)
+    curve = formula_curve(one.formula, fine)
+    if curve is None or not np.all(np.isfinite(curve)):
+        return one.formula
+    return closed_form(name, np.interp(fine, x, scaled), curve, np.zeros(_POINTS))[0]
 
 
 def _adjusted(one: Adjusted, step: int) -> Adjusted:

@@ -118,6 +118,7 @@ def _size(fitted: Fit, name: str, origin: Camera) -> float | None:
 
 
 def missing_codes_of(codes: MissingCodes, camera: Camera) -> Missing:
+    """Return what is said of distance counts that never occur: unknown physics, their spacing in metres."""
     step = codes.step * camera.sensor.lsb
     if codes.ranges:
         what = (

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import fit
+from rim_camera_ros.calibrate.coarser import finer_covariate
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import GEOMETRY
 from rim_camera_ros.calibrate.prediction import Prediction
@@ -131,6 +132,9 @@ def evidence(result: Diagnosis) -> Evidence:
         stations.append(one)
         kept.append(new.station)
     samples = _samples(stations, kept, drawn, covariates)
+    if result.step > 1:
+        told = {name: finer_covariate(name, x, result.step) for name, x in samples.covariates.items()}
+        samples = replace(samples, covariates=told)
     _centre(stations, shape)
     after = np.stack([one.after / one.sigma for one in stations])
     without = np.stack([(one.after + one.change) / one.sigma for one in stations])

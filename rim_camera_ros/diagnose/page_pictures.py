@@ -231,7 +231,8 @@ def ranking(result: Diagnosis) -> str:
     absent = len([row for row in rows if row[3] == "named"]) == 0
     caption = (
         "What each effect alone would gain on held-out poses, everything else fitted with it; logarithmic. "
-        "Red: the gain that it reaches by chance in 2 % of recordings with nothing left out. "
+        "Red: its threshold; with nothing left out chance brings one effect or another beyond its own in "
+        "about 2 % of recordings. "
         + ("No effect is named." if absent else "Coloured: what is named.")
         + " Sand: smooth functions without physics, as a check of the vocabulary. "
         "In brackets, where little is left: the share of an effect's signal that no other parameter could "

@@ -100,7 +100,8 @@ def _nested(values: Mapping[str, float]) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for name, own in groups.items():
         inner: Any = own[""] if "" in own else _nested(own)
-        numbered = isinstance(inner, dict) and all(key.isdigit() for key in inner)
+        # a curve's angles or settings are numbers as well, and no list
+        numbered = isinstance(inner, dict) and set(inner) == {str(i) for i in range(len(inner))}
         result[name] = [inner[key] for key in sorted(inner, key=int)] if numbered else inner
     return result
 

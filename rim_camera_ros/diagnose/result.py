@@ -49,7 +49,17 @@ class Ranked:
 
 @dataclass
 class Diagnosis:
-    """The result; `rim_camera_ros.diagnose.report` writes it."""
+    """The result; `rim_camera_ros.diagnose.report` writes it.
+
+    ``verdict``, ``missing``, ``adjusted``, ``ranking``, ``indistinguishable``, ``where``, ``accuracy`` and
+    ``next_recording`` are the report's. ``reason`` says what is wrong with the setup (None: nothing).
+    ``camera`` is the improved camera as camera.yaml gets it; ``model`` is the same where all pixels were
+    looked at, else that of the coarser grid (``looked_at``), which fits the explorations. ``baseline`` is the
+    fit of the known terms with what each candidate would gain, ``final`` that after all steps; ``found`` the
+    effects in the order of the steps, ``gained`` [nats] what they gained together. ``unseen`` are effects
+    that this recording could not show, ``smooth_rest`` the covariates and the gain [nats] of the smooth
+    function that still helps after naming.
+    """
 
     verdict: str
     missing: list[Missing]
@@ -70,6 +80,13 @@ class Diagnosis:
     gained: float = 0.0
     smooth_rest: tuple[str, float] | None = None
     looked_at: Camera | None = None
+
+    @property
+    def step(self) -> int:
+        """Of how many pixels along each axis one was looked at."""
+        if self.looked_at is None:
+            return 1
+        return round(self.looked_at.sensor.pixel_pitch[0] / self.camera.sensor.pixel_pitch[0])
 
     @property
     def model(self) -> Camera:

@@ -127,6 +127,7 @@ class Light:
 
     @classmethod
     def of(cls, stations: Sequence[Station], camera: Camera) -> Light:
+        """Return what the frames of stations have in common; each must have two frames or more."""
         power = np.array([one.common_light for one in stations], float)
         beyond = np.array([one.common for one in stations], float) - 1
         noise = np.divide(power, beyond, out=np.zeros_like(power), where=beyond != 0)
@@ -134,6 +135,7 @@ class Light:
         return cls(np.array([_window(one, camera) for one in stations]), power, noise, frames - 1.0)
 
     def picked(self, index: Array) -> Light:
+        """Return the light of some stations, by their numbers."""
         return Light(self.window[index], self.power[index], self.noise[index], self.weight[index])
 
     def amplitude(self, difference: float) -> float:

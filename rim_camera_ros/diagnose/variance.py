@@ -185,7 +185,10 @@ def _background(a: Array, s: Array, m: Array, f: Array, camera: Camera) -> float
 
 
 def _fitted_noise(amplitude: Array, measured: Array, model: Array, freedom: Array, camera: Camera) -> Noise:
-    """Fit floor^2 + shot^2 (A + background) / A^2 + amplitude^2 / A^2, weighted by the model's variances."""
+    """Fit floor^2 + shot^2 (A + background) / A^2 + amplitude^2 / A^2, weighted by the model's variances.
+
+    What rounding to counts adds is taken off, as where a calibration fits noise.
+    """
     noise = camera.noise
     with_shot = noise.shot > 0
     by_photons = (amplitude + camera.background) / amplitude**2
@@ -193,9 +196,10 @@ def _fitted_noise(amplitude: Array, measured: Array, model: Array, freedom: Arra
     weight = np.sqrt(freedom) / model
     design = np.stack([c * weight for c in columns], axis=1)
     scale = np.linalg.norm(design, axis=0)
-    gram = (design / scale).T @ (design / scale)
-    right = (design / scale).T @ (measured * weight)
-    solution = nnls(gram, right)[0] / scale
+    target = (measured - camera.sensor.lsb**2 / 12) * weight
+    # the same least squares in as few equations as unknowns
+    triangle = np.linalg.qr(np.column_stack([design / scale, target]), mode="r")
+    solution = nnls(triangle[:, :-1], triangle[:, -1])[0] / scale
     return Noise(
         floor=float(np.sqrt(solution[0])),
         shot=float(np.sqrt(solution[2])) if with_shot else noise.shot,

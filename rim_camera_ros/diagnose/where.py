@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -187,6 +188,8 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
         # the constant of a table belongs to the fixed pattern: its middle is the least that could be
         parts = [np.broadcast_to(value(one), shape)[one.used] for one in fitted.forward.predictions()]
         middle = float(np.median(np.concatenate(parts)))
+    # a pose that lasts, or is taken at several settings, is several stations: it counts once
+    stations = Counter((one.recording, one.placed) for one in fitted.forward.dataset.stations)
     for one in fitted.forward.predictions():
         image = np.broadcast_to(value(one), shape) - middle
         if not one.used.any():
@@ -198,10 +201,10 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
         valid &= np.isfinite(sigma) & (one.station.saturated == 0)
         if not valid.any():
             continue
-        total[valid] += (image[valid] / sigma[valid]) ** 2
         noise = (one.sigma[valid] / sigma[valid]) ** 2 if noisy else np.zeros(1)
-        total[valid] -= noise
-        count[valid] += 1
+        part = 1.0 / stations[(one.station.recording, one.station.placed)]
+        total[valid] += part * ((image[valid] / sigma[valid]) ** 2 - noise)
+        count[valid] += part
         half = one.station.duration / 2
         mean_square = float(np.mean((image[valid] / sigma[valid]) ** 2) - noise.mean())
         energy.append((one.station.time - half, one.station.time + half, mean_square))
@@ -253,8 +256,10 @@ def _shares(
         centres = np.bincount(bins, weights * left[name]) / np.maximum(sums, 1e-300)
         if not shares:
             spread = np.bincount(bins, weights * (rest - means[bins]) ** 2) / np.maximum(sums, 1e-300)
-            numbers = np.maximum(np.bincount(bins), 1)
-            curves[name] = (centres, means + mean, np.sqrt(spread / numbers))
+            # settings or a few times leave classes empty
+            own = sums > 0
+            error = np.sqrt(spread[own] / np.bincount(bins)[own])
+            curves[name] = (centres[own], means[own] + mean, error)
         rest = rest - means[bins]
         shares.append((name, explained))
         left.pop(name)

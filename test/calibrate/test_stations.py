@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pytest
+
 from rim_camera_ros.calibrate.reduction import of_known_exposure, reduce_frames
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import Dataset
@@ -46,3 +49,24 @@ def test_frames_whose_settings_were_lost_are_left_out(tmp_path: Path) -> None:
         assert list(of_known_exposure(mute[:number])) == mute[:number]
     many = [mute[0]] * 70
     assert len(list(of_known_exposure(many))) == 70
+
+
+def test_either_image_may_hold_counts(tmp_path: Path) -> None:
+    truth = camera(tmp_path)
+    taken = list(frames(truth, scene(tmp_path), poses=1, repeats=6, seed=1))
+    rng = np.random.default_rng(2)
+    light = [(0.6 + 0.3 * rng.random(truth.shape)).astype(np.float32) for _ in taken]
+    for one in light:
+        one[3, 5] = np.nan
+    counts = [replace(one, amplitude=a) for one, a in zip(taken, light, strict=True)]
+    lsb = np.float32(truth.sensor.lsb)
+    metres = [replace(one, distance=one.distance * lsb) for one in counts]
+    whole, real = (next(iter(reduce_frames(kind, truth))) for kind in (counts, metres))
+    others = np.stack(light)[:, 7, 9].astype(float)
+    assert whole.amplitude[7, 9] == pytest.approx(others.mean(), rel=1e-6)
+    assert whole.amplitude_variance[7, 9] == pytest.approx(others.var(ddof=1), rel=1e-5)
+    # no amplitude, no measurement
+    assert whole.count[3, 5] == real.count[3, 5] == 0
+    assert np.isnan(whole.distance[3, 5])
+    assert whole.amplitude == pytest.approx(real.amplitude, rel=1e-6)
+    assert whole.distance[7, 9] == pytest.approx(real.distance[7, 9], abs=1e-6)

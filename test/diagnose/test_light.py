@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.forward import Forward
@@ -16,10 +17,11 @@ from rim_camera_ros.calibrate.light_curves import DIFFUSE, GLOSS, RIPPLES, SURFA
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.run import diagnose
-from rim_camera_ros.diagnose.variance import examine_variance
+from rim_camera_ros.diagnose.variance import _fitted_noise, examine_variance
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.emission_pattern import EmissionPattern
+from rim_camera_ros.noise import Noise
 from rim_camera_ros.scene import Geometry, Scene
 
 from ..calibrate.helpers import camera, record, scene
@@ -151,6 +153,27 @@ def test_too_much_noise_is_told_as_large_as_it_is(tmp_path: Path) -> None:
     result = diagnose(record(loud, board, seed=35), board, truth)
     assert [one.effect for one in result.missing] == ["noise"]
     assert result.variance.noise.amplitude == pytest.approx(loud.noise.amplitude, rel=0.03)
+
+
+def test_noise_stays_that_of_least_squares_where_a_part_of_it_is_none(tmp_path: Path) -> None:
+    """Photons alone, where the file has an amplitude's part as well: that is held at 0."""
+    told = replace(camera(tmp_path), noise=Noise(floor=0.004, shot=0.05, amplitude=10.0))
+    rng = np.random.default_rng(0)
+    light = np.exp(rng.uniform(np.log(200), np.log(4000), 20_000))
+    freedom = np.full(light.size, 9.0)
+    rounding = told.sensor.lsb**2 / 12
+    true = Noise(floor=0.006, shot=0.15, amplitude=0.0).sigma_distance(light) ** 2 + rounding
+    measured = true * rng.chisquare(9, light.size) / 9
+    model = told.noise.sigma_distance(light) ** 2 + rounding
+    found = _fitted_noise(light, measured, model, freedom, told)
+    weight = np.sqrt(freedom) / model
+    terms = np.stack([np.ones_like(light), light**-2, 1 / light], axis=1) * weight[:, None]
+    size = np.linalg.norm(terms, axis=0)
+    squares = lsq_linear(terms / size, (measured - rounding) * weight, (0.0, np.inf), tol=1e-14).x / size
+    assert found.floor == pytest.approx(np.sqrt(squares[0]), rel=1e-4)
+    assert found.amplitude == pytest.approx(np.sqrt(squares[1]), abs=0.05)
+    assert found.shot == pytest.approx(np.sqrt(squares[2]), rel=1e-4)
+    assert found.shot == pytest.approx(0.15, rel=0.03)
 
 
 def test_the_scale_of_the_light_is_free_where_the_response_is_not_known(tmp_path: Path) -> None:

@@ -17,7 +17,9 @@ from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, load_camera
 from rim_camera_ros.diagnose import formula as formulas
+from rim_camera_ros.diagnose import full_grid
 from rim_camera_ros.diagnose.noise_verdict import with_variance
+from rim_camera_ros.diagnose.report import _nested
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.effects.empirical import Empirical
@@ -185,6 +187,12 @@ def test_a_large_sensor_is_told_in_its_own_pixels(tmp_path: Path, monkeypatch: p
     assert found.improved.optics.fx == pytest.approx(one["parameters"]["fx"], rel=1e-9)
 
 
+def test_curves_over_angles_are_no_lists() -> None:
+    values = {"diffuse.10": 0.1, "diffuse.20": 0.2, "d.1": -0.3, "d.0": 0.2, "fx": 50.0}
+    told = {"diffuse": {"10": 0.1, "20": 0.2}, "d": [0.2, -0.3], "fx": 50.0}
+    assert _nested(values) == told
+
+
 def test_numbers_in_pixels_of_both_grids() -> None:
     assert coarser.finer_number("optics.cx", 11.0, 4) == 46.0
     assert coarser.finer_number("optics.fx", 31.0, 2) == 62.0
@@ -237,6 +245,28 @@ def test_a_table_over_rows_is_one_of_the_whole_sensor(tmp_path: Path) -> None:
     assert full.effects["empirical"].knots == ((2.0, 242.0, 478.0), (4.0, 16.0))  # type: ignore[attr-defined]
     again = coarser.coarser_camera(full, 4)
     assert again.effects["empirical"] == table
+
+
+def test_a_formula_over_rows_is_one_of_the_whole_sensor(tmp_path: Path) -> None:
+    (tmp_path / "camera.yaml").write_text(CAMERA.replace("width: 24, height: 20", "width: 640, height: 480"))
+    camera = load_camera(tmp_path / "camera.yaml")
+    table = Empirical(("row",), ((0.0, 60.0, 119.0),), NestedList(np.array([0.002, 0.02, 0.03])))
+    small = added(coarser.coarser_camera(camera, 4), table)
+    full = coarser.finer_camera(small, camera, 4)
+    said = "0.002 +0.0004 x -1e-06 x^2 [m], x = row"
+    told = full_grid.restated(Missing("unknown", 1.0, {}, {}, f"by {said}", formula=said), small, full, 4)
+    assert told.formula is not None
+    assert told.sentence == f"by {told.formula}"
+    x = np.arange(0.0, 120.0, 7.0)
+    # every fourth row from the third on
+    shown = formulas.formula_curve(told.formula, 4 * x + 2)
+    wanted = 0.002 + 0.0004 * x - 1e-6 * x**2
+    assert shown == pytest.approx(wanted, abs=0.015 * np.ptp(wanted))
+    of_light = replace(table, covariates=("amplitude",))
+    small, full = (added(coarser.coarser_camera(camera, 4), of_light) for _ in range(2))
+    said = said.replace("row", "amplitude")
+    same = full_grid.restated(Missing("unknown", 1.0, {}, {}, said, formula=said), small, full, 4)
+    assert same.formula == said
 
 
 def test_the_table_goes_where_unmodulated_light_takes_its_place(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.scene import load_scene
 
+from ..calibrate.bags import frames, write
 from ..calibrate.helpers import camera, record, scene
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "cases"
@@ -244,3 +245,22 @@ def test_stray_light_on_a_board_is_told_from_what_darkens_slopes(tmp_path: Path)
     assert sum(one.weight for one in found.kernels) == pytest.approx(0.09, abs=0.02)
     assert result.accuracy.chi2_after == pytest.approx(1.0, abs=0.04)
     assert result.accuracy.chi2_before > 1.3
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("0,1,2", r"bag: --without-poses: all poses are left out \(name fewer of them\)"),
+        ("1,9", r"bag: --without-poses: there is no pose 9 \(the recording's are numbered 0 to 2\)"),
+    ],
+)
+def test_some_poses_must_be_left(
+    tmp_path: Path, given: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    camera(tmp_path)
+    board = scene(tmp_path)
+    write(tmp_path / "bag", frames(camera(tmp_path), board, poses=3, repeats=2, seed=3))
+    told = ["--camera", str(tmp_path / "camera.yaml"), "--scene", str(tmp_path / "scene.yaml")]
+    out = ["--out", str(tmp_path / "out"), "--quiet"]
+    assert main(["diagnose", str(tmp_path / "bag"), *told, *out, "--without-poses", given]) == 2
+    assert re.search(message, capsys.readouterr().err)

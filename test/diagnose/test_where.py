@@ -22,7 +22,8 @@ from rim_camera_ros.calibrate.sizes import change_by
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
-from rim_camera_ros.diagnose.where import _times, of_residuals, of_terms
+from rim_camera_ros.diagnose.formula import closed_form, formula_curve
+from rim_camera_ros.diagnose.where import _shares, _times, of_residuals, of_terms
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.base import Effect
@@ -277,3 +278,33 @@ def test_of_many_times_those_with_the_shortest_gaps_are_joined() -> None:
     found = _times(apart)
     assert found[2:7] == [(20.0, 21.0), (23.0, 24.0), (40.0, 41.0), (50.0, 51.0), (60.0, 63.0)]
     assert len(found) == 8
+
+
+def test_a_pose_of_several_stations_counts_once(tmp_path: Path) -> None:
+    forward, fitted = forward_of(tmp_path, DistanceScale(0.004))
+    once = of_terms(fitted, ["distance_scale"], forward.camera)
+    # it lasts for five minutes more, in blocks of five seconds
+    first = forward.dataset.stations[0]
+    more = [replace(first, time=first.time - 5.0 * k) for k in range(60, 0, -1)]
+    data = replace(forward.dataset, stations=[*more, *forward.dataset.stations])
+    fitted.forward = Forward(data, fitted.scene, forward.camera)
+    fitted.forward.amplitude_model = forward.amplitude_model
+    often = of_terms(fitted, ["distance_scale"], forward.camera)
+    assert np.ptp(once.pixels[once.pixels > 0]) > 0
+    assert often.pixels == pytest.approx(once.pixels, rel=1e-5)
+
+
+def test_settings_between_which_there_are_none_make_no_points() -> None:
+    """Four integration times; the offset goes with 1 / t, which a point at 0 would forbid."""
+    rng = np.random.default_rng(0)
+    setting = rng.choice([16.0, 32.0, 64.0, 128.0], 5000)
+    offset = 0.32 / setting + rng.normal(0, 0.001, 5000)
+    (share, *_), curves = _shares(offset, np.full(5000, 1e6), {"integration_time": setting})
+    assert share[0] == "integration_time"
+    x, y, error = curves["integration_time"]
+    assert x == pytest.approx([16.0, 32.0, 64.0, 128.0])
+    assert y == pytest.approx(0.32 / x, abs=1.5e-4)
+    assert error == pytest.approx(0.001 / np.sqrt(1250), rel=0.1)
+    formula, missed = closed_form("integration_time", x, y, error)
+    assert formula_curve(formula, x) == pytest.approx(0.32 / x, abs=2e-4)
+    assert missed < 1e-4
