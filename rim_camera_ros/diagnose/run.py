@@ -1,6 +1,4 @@
-"""The diagnosis: from a recording and what is believed of it to a verdict, a model and the proof that it
-helps.
-"""
+"""The diagnosis: from a recording and what is believed of it to all that a verdict rests on."""
 
 from __future__ import annotations
 
@@ -13,55 +11,25 @@ from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.checks import WITHOUT_POSES
 from rim_camera_ros.calibrate.coarser import coarseness, coarser_camera, coarser_dataset
 from rim_camera_ros.calibrate.exploration import explore
-from rim_camera_ros.calibrate.forms import change_of_forms
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import OF_SURFACES
 from rim_camera_ros.calibrate.outcome import Result
-from rim_camera_ros.calibrate.plan import shipped_experiments
 from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.search import MOST_EFFECTS, search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import accuracy
-from rim_camera_ros.diagnose.adjusted import adjusted_terms, parameters_matter
-from rim_camera_ros.diagnose.codes import MissingCodes, missing_codes
-from rim_camera_ros.diagnose.described import (
-    Described,
-    Rest,
-    best_rest,
-    describe,
-    explained_share,
-    is_unknown,
-    unexplained,
-)
+from rim_camera_ros.diagnose.codes import missing_codes
+from rim_camera_ros.diagnose.described import best_rest, describe, explained_share, is_unknown
 from rim_camera_ros.diagnose.full_grid import on_full_grid
-from rim_camera_ros.diagnose.intervals import intervals_of
-from rim_camera_ros.diagnose.menu import recommended, told_apart
-from rim_camera_ros.diagnose.naming import (
-    missing_codes_of,
-    missing_effect,
-    next_recording,
-    notes_of_light,
-    notes_of_refused,
-    ranking_of,
-    unseen_effects,
-    with_unknown,
-)
-from rim_camera_ros.diagnose.noise_verdict import (
-    OF_NOISE,
-    beside_unknown,
-    only_background,
-    only_noise,
-    only_rectified_noise,
-    with_variance,
-)
-from rim_camera_ros.diagnose.result import Diagnosis, Missing
-from rim_camera_ros.diagnose.second_camera import second_camera, with_second_camera
+from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, only_rectified_noise
+from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.setup import Setup, check_setup
 from rim_camera_ros.diagnose.smooth import axes_of, single_terms
 from rim_camera_ros.diagnose.variance import Variance, examine_variance
-from rim_camera_ros.diagnose.where import nowhere, of_change, of_noise, of_residuals, of_scatter, of_terms
+from rim_camera_ros.diagnose.verdict import Findings, verdict_of
+from rim_camera_ros.diagnose.where import of_residuals
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.scene import Scene
 
@@ -69,9 +37,6 @@ from rim_camera_ros.scene import Scene
 BEYOND = 1.2
 #: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
 _COMMON_LIGHT = 0.1
-#: Chi-square per value of held-out poses above which a recording that nothing explains is not consistent:
-#: where nothing is left out it was 1.02 at most.
-_UNEXPLAINED = 1.05
 #: Times that a diagnosis is made anew without poses that do not agree.
 _MOST_AGAIN = 2
 _ONE_POSE = (
@@ -88,7 +53,6 @@ _SATURATED_ELSEWHERE = (
     "pixels are saturated: what that does to their rows and columns (saturation_bleed) is looked for on "
     "sensors of up to 60,000 pixels only"
 )
-_BESIDE_CODES = "not told beside counts that are left out, which may look like it; mend those first"
 _BESIDE_A_SECOND_CAMERA = "a second camera shines in: nothing else can be told; record with it switched off"
 
 
@@ -215,7 +179,7 @@ def _diagnose(
         described = None
         result = result.withdrawn()
     say("held-out poses before and after")
-    diagnosis = _verdict(
+    findings = Findings(
         camera=camera,
         dataset=dataset,
         result=result,
@@ -227,8 +191,8 @@ def _diagnose(
         shifted=by_background,
         left_over=setup.chi_square,
         seed=seed,
-        say=say,
     )
+    diagnosis = verdict_of(findings, say)
     return _hopeless(problem, camera, variance, seed) if diagnosis.accuracy.hopeless else diagnosis
 
 
@@ -274,122 +238,3 @@ def _hopeless(problem: Problem, camera: Camera, variance: Variance, seed: int) -
 
 def _silent(text: str) -> None:
     return None
-
-
-def _verdict(
-    *,
-    camera: Camera,
-    dataset: Dataset,
-    result: Result,
-    unknown: Described | None,
-    rest: Rest | None,
-    variance: Variance,
-    codes: MissingCodes | None,
-    reason: str | None,
-    shifted: bool,
-    left_over: float,
-    seed: int,
-    say: Callable[[str], None],
-) -> Diagnosis:
-    baseline, final = result.explorations[0], result.explorations[-1]
-    fitted = final.fit
-    notes = sorted({*fitted.notes, *fitted.forward.notes, *dataset.notes, *notes_of_light(fitted)})
-    unseen = unseen_effects(baseline)
-    ranking = ranking_of(baseline, result)
-    probabilities = {one.effect: one.probability for one in ranking}
-    ties = [sorted({one.effect, *one.ties}) for one in result.found if one.ties]
-    missing: list[Missing] = []
-    model = fitted.camera
-    origin = camera
-    where = nowhere(fitted)
-    if reason is not None:
-        verdict = "inconsistent_setup"
-        model = camera
-        where = of_residuals(baseline.fit)
-        final = baseline
-        ties = []
-    elif unknown is not None:
-        model, where, missing = unknown.camera, unknown.where, [unknown.missing]
-        verdict = "unknown_physics"
-        ties = []
-        ranking = with_unknown(ranking, unknown.gain)
-    elif result.found:
-        verdict = "missing_physics"
-        intervals = intervals_of(final, result.problem, seed=seed)
-        for one in result.found:
-            share = sum(probabilities.get(name, 0.0) for name in sorted({one.effect, *one.ties}))
-            if one is not result.found[0]:
-                # given those before it, against nothing more being missing
-                share = float(1 / (1 + np.exp(-min(one.gain, 500.0))))
-            missing.append(missing_effect(one.effect, fitted, intervals, share, origin=origin))
-        names = [one.effect for one in result.found]
-        beyond = change_of_forms(model, names, final.forms, final.beside.values())
-        where = of_terms(fitted, names, origin, rest=beyond)
-        notes += notes_of_refused(result)
-    else:
-        verdict = "consistent"
-    moved_in = baseline.fit if verdict == "consistent" else fitted
-    adjusted = adjusted_terms(camera, moved_in if unknown is None else unknown.fit)
-    if verdict == "consistent":
-        if adjusted and not variance.pixels_vary_together and parameters_matter(camera, result, adjusted):
-            verdict = "wrong_parameters"
-            where = of_change(fitted, camera)
-        else:
-            adjusted = []
-            model = camera
-    if verdict == "inconsistent_setup":
-        adjusted = []
-    shifted = rest is not None or bool(missing) or shifted
-    known = camera.effects.keys()
-    second = None if verdict == "inconsistent_setup" else second_camera(fitted, camera, variance)
-    if second is None:
-        verdict, missing, model = with_variance(verdict, missing, model, variance, ties, shifted, known)
-    else:
-        verdict, missing, adjusted, model = with_second_camera(second, verdict, missing, adjusted, model)
-        notes += second.notes
-        where = where if where.pixels.any() else of_scatter(fitted, second.effect)
-    if not where.pixels.any() and any(one.effect in OF_NOISE for one in missing):
-        where = of_noise(fitted, camera, model)
-    if verdict == "unknown_physics":
-        missing, further, told = beside_unknown(missing, camera)
-        adjusted, notes = [*adjusted, *further], [*notes, *told]
-    if codes is not None and verdict != "inconsistent_setup":
-        names = [one.effect for one in missing]
-        verdict, missing, adjusted = "unknown_physics", [missing_codes_of(codes, camera)], []
-        model, where = camera, of_residuals(fitted)
-        if names:
-            notes.append(f"{_BESIDE_CODES}: {', '.join(names)}")
-    advice = {}
-    for one in result.found:
-        names = sorted({one.effect, *one.ties})
-        if one.ties and names in ties:
-            step = result.explorations[one.step]
-            proposals = told_apart(step, names, shipped_experiments(), progress=say)
-            advice[tuple(names)] = recommended(proposals, threshold=step.threshold)
-    of_table = unknown.fit if unknown is not None and verdict == "unknown_physics" else None
-    measure = accuracy(camera, model, result, of_table)
-    if verdict == "consistent" and measure.held_out and min(measure.chi2_before, left_over) > _UNEXPLAINED:
-        verdict = "unknown_physics"
-        left, where = unexplained(fitted, measure.chi2_before)
-        missing = [left]
-    notes += measure.notes()
-    return Diagnosis(
-        verdict=verdict,
-        missing=missing,
-        adjusted=adjusted,
-        ranking=ranking,
-        indistinguishable=ties,
-        where=where,
-        accuracy=measure,
-        variance=variance,
-        camera=model,
-        baseline=baseline,
-        final=final,
-        found=result.found if verdict == "missing_physics" else [],
-        next_recording=next_recording(ties, advice),
-        reason=reason,
-        unseen=[name for name in unseen if name not in {one.effect for one in missing}],
-        notes=notes,
-        gained=result.gained,
-        smooth_rest=None if rest is None else (" and ".join(rest.covariates), rest.on_top),
-    )

@@ -1,0 +1,242 @@
+"""The verdict: from what was found to what is said, in steps of which later ones may overrule others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rim_camera_ros.calibrate.exploration import Exploration
+from rim_camera_ros.calibrate.forms import change_of_forms
+from rim_camera_ros.calibrate.outcome import Result
+from rim_camera_ros.calibrate.plan import shipped_experiments
+from rim_camera_ros.calibrate.problem import Fit
+from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.accuracy import accuracy
+from rim_camera_ros.diagnose.adjusted import Adjusted, adjusted_terms, parameters_matter
+from rim_camera_ros.diagnose.codes import MissingCodes
+from rim_camera_ros.diagnose.described import Described, Rest, unexplained
+from rim_camera_ros.diagnose.intervals import intervals_of
+from rim_camera_ros.diagnose.menu import recommended, told_apart
+from rim_camera_ros.diagnose.naming import (
+    missing_codes_of,
+    missing_effect,
+    next_recording,
+    notes_of_light,
+    notes_of_refused,
+    ranking_of,
+    unseen_effects,
+    with_unknown,
+)
+from rim_camera_ros.diagnose.noise_verdict import OF_NOISE, beside_unknown, with_variance
+from rim_camera_ros.diagnose.result import Diagnosis, Missing, Ranked
+from rim_camera_ros.diagnose.second_camera import second_camera, with_second_camera
+from rim_camera_ros.diagnose.variance import Variance
+from rim_camera_ros.diagnose.where import (
+    Where,
+    nowhere,
+    of_change,
+    of_noise,
+    of_residuals,
+    of_scatter,
+    of_terms,
+)
+
+#: Chi-square per value of held-out poses above which a recording that nothing explains is not consistent:
+#: where nothing is left out it was 1.02 at most.
+_UNEXPLAINED = 1.05
+_BESIDE_CODES = "not told beside counts that are left out, which may look like it; mend those first"
+
+
+@dataclass(frozen=True)
+class Findings:
+    """All that a verdict rests on.
+
+    ``unknown`` is unknown physics that takes the place of named effects, ``rest`` the smooth function that
+    the search left, whether told or not; ``reason`` why the setup cannot be trusted (None: it can).
+    ``shifted`` says that distances go with unmodulated light; ``left_over`` is the mean chi-square per
+    distance of the poses.
+    """
+
+    camera: Camera
+    dataset: Dataset
+    result: Result
+    unknown: Described | None
+    rest: Rest | None
+    variance: Variance
+    codes: MissingCodes | None
+    reason: str | None
+    shifted: bool
+    left_over: float
+    seed: int
+
+    @property
+    def baseline(self) -> Exploration:
+        """The known terms alone."""
+        return self.result.explorations[0]
+
+    @property
+    def final(self) -> Exploration:
+        """After all steps of the search."""
+        return self.result.explorations[-1]
+
+    @property
+    def fitted(self) -> Fit:
+        """The fit after all steps."""
+        return self.final.fit
+
+
+@dataclass
+class _Draft:
+    """What is to be said, as far as the steps have come; ``model`` is the improved camera."""
+
+    verdict: str
+    model: Camera
+    where: Where
+    ranking: list[Ranked]
+    ties: list[list[str]]
+    notes: list[str]
+    missing: list[Missing] = field(default_factory=list)
+    adjusted: list[Adjusted] = field(default_factory=list)
+
+
+def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
+    """Return what is said of the findings; ``say`` takes progress in words."""
+    draft = _begun(found)
+    for step in (_wrong_parameters, _of_variance, _unknown_alone, _codes_first):
+        step(draft, found)
+    advice = {}
+    for one in found.result.found:
+        names = sorted({one.effect, *one.ties})
+        if one.ties and names in draft.ties:
+            at = found.result.explorations[one.step]
+            proposals = told_apart(at, names, shipped_experiments(), progress=say)
+            advice[tuple(names)] = recommended(proposals, threshold=at.threshold)
+    unknown = found.unknown if draft.verdict == "unknown_physics" else None
+    measure = accuracy(found.camera, draft.model, found.result, None if unknown is None else unknown.fit)
+    left = min(measure.chi2_before, found.left_over)
+    if draft.verdict == "consistent" and measure.held_out and left > _UNEXPLAINED:
+        # neither an effect nor a smooth function: it is said all the same
+        draft.verdict = "unknown_physics"
+        missing, draft.where = unexplained(found.fitted, measure.chi2_before)
+        draft.missing = [missing]
+    named = {one.effect for one in draft.missing}
+    return Diagnosis(
+        verdict=draft.verdict,
+        missing=draft.missing,
+        adjusted=draft.adjusted,
+        ranking=draft.ranking,
+        indistinguishable=draft.ties,
+        where=draft.where,
+        accuracy=measure,
+        variance=found.variance,
+        camera=draft.model,
+        baseline=found.baseline,
+        final=found.final if found.reason is None else found.baseline,
+        found=found.result.found if draft.verdict == "missing_physics" else [],
+        next_recording=next_recording(draft.ties, advice),
+        reason=found.reason,
+        unseen=[name for name in unseen_effects(found.baseline) if name not in named],
+        notes=[*draft.notes, *measure.notes()],
+        gained=found.result.gained,
+        smooth_rest=None if found.rest is None else (" and ".join(found.rest.covariates), found.rest.on_top),
+    )
+
+
+def _begun(found: Findings) -> _Draft:
+    """What the search says: a setup that cannot be trusted, unknown physics, effects by name, or nothing."""
+    result, fitted = found.result, found.fitted
+    draft = _Draft(
+        verdict="consistent",
+        model=fitted.camera,
+        where=nowhere(fitted),
+        ranking=ranking_of(found.baseline, result),
+        ties=[sorted({one.effect, *one.ties}) for one in result.found if one.ties],
+        notes=sorted({*fitted.notes, *fitted.forward.notes, *found.dataset.notes, *notes_of_light(fitted)}),
+    )
+    if found.reason is not None:
+        draft.verdict, draft.model, draft.ties = "inconsistent_setup", found.camera, []
+        draft.where = of_residuals(found.baseline.fit)
+    elif found.unknown is not None:
+        draft.verdict, draft.model, draft.ties = "unknown_physics", found.unknown.camera, []
+        draft.where, draft.missing = found.unknown.where, [found.unknown.missing]
+        draft.ranking = with_unknown(draft.ranking, found.unknown.gain)
+    elif result.found:
+        _name(draft, found)
+    return draft
+
+
+def _name(draft: _Draft, found: Findings) -> None:
+    """The effects that were found, with their parameters and where they act."""
+    result, fitted, final = found.result, found.fitted, found.final
+    draft.verdict = "missing_physics"
+    probabilities = {one.effect: one.probability for one in draft.ranking}
+    intervals = intervals_of(final, result.problem, seed=found.seed)
+    for one in result.found:
+        share = sum(probabilities.get(name, 0.0) for name in sorted({one.effect, *one.ties}))
+        if one is not result.found[0]:
+            # given those before it, against nothing more being missing
+            share = float(1 / (1 + np.exp(-min(one.gain, 500.0))))
+        draft.missing.append(missing_effect(one.effect, fitted, intervals, share, origin=found.camera))
+    names = [one.effect for one in result.found]
+    beyond = change_of_forms(draft.model, names, final.forms, final.beside.values())
+    draft.where = of_terms(fitted, names, found.camera, rest=beyond)
+    draft.notes += notes_of_refused(result)
+
+
+def _wrong_parameters(draft: _Draft, found: Findings) -> None:
+    """Known terms that moved; where nothing is missing they may be what differs."""
+    if draft.verdict == "inconsistent_setup":
+        return
+    moved_in = found.baseline.fit if draft.verdict == "consistent" else found.fitted
+    moved_in = moved_in if found.unknown is None else found.unknown.fit
+    draft.adjusted = adjusted_terms(found.camera, moved_in)
+    if draft.verdict != "consistent":
+        return
+    alone = found.variance.pixels_vary_together
+    if draft.adjusted and not alone and parameters_matter(found.camera, found.result, draft.adjusted):
+        draft.verdict = "wrong_parameters"
+        draft.where = of_change(found.fitted, found.camera)
+    else:
+        draft.adjusted, draft.model = [], found.camera
+
+
+def _of_variance(draft: _Draft, found: Findings) -> None:
+    """What repeated frames say: a second camera's light, unmodulated light, or another noise."""
+    fitted, camera, variance = found.fitted, found.camera, found.variance
+    second = None if draft.verdict == "inconsistent_setup" else second_camera(fitted, camera, variance)
+    if second is None:
+        shifted = found.rest is not None or bool(draft.missing) or found.shifted
+        draft.verdict, draft.missing, draft.model = with_variance(
+            draft.verdict, draft.missing, draft.model, variance, draft.ties, shifted, camera.effects.keys()
+        )
+    else:
+        draft.verdict, draft.missing, draft.adjusted, draft.model = with_second_camera(
+            second, draft.verdict, draft.missing, draft.adjusted, draft.model
+        )
+        draft.notes += second.notes
+        if not draft.where.pixels.any():
+            draft.where = of_scatter(fitted, second.effect)
+    if not draft.where.pixels.any() and any(one.effect in OF_NOISE for one in draft.missing):
+        draft.where = of_noise(fitted, camera, draft.model)
+
+
+def _unknown_alone(draft: _Draft, found: Findings) -> None:
+    """Beside unknown physics nothing else is named as missing."""
+    if draft.verdict == "unknown_physics":
+        draft.missing, further, told = beside_unknown(draft.missing, found.camera)
+        draft.adjusted, draft.notes = [*draft.adjusted, *further], [*draft.notes, *told]
+
+
+def _codes_first(draft: _Draft, found: Findings) -> None:
+    """Counts that never occur look like other physics: they are told alone."""
+    if found.codes is None or draft.verdict == "inconsistent_setup":
+        return
+    names = [one.effect for one in draft.missing]
+    draft.verdict, draft.adjusted = "unknown_physics", []
+    draft.missing = [missing_codes_of(found.codes, found.camera)]
+    draft.model, draft.where = found.camera, of_residuals(found.fitted)
+    if names:
+        draft.notes.append(f"{_BESIDE_CODES}: {', '.join(names)}")
