@@ -158,16 +158,22 @@ UNFITTED = frozenset(
 )
 
 
-def present_blocks(camera: Camera, *, effects: Sequence[str] | None = None) -> list[Block]:
+def present_blocks(
+    camera: Camera, *, effects: Sequence[str] | None = None, origin: Camera | None = None
+) -> list[Block]:
     """Return the regressors of a camera's own effects: its parameters, about their values.
 
-    Priors are weak: as wide as the value itself, or as such effects are large.
+    Priors are weak: as wide as the value itself, or as such effects are large; those of parameters that the
+    ``origin`` has are as wide as there.
     """
     blocks = []
     for name, effect in camera.effects.items():
         if name in UNFITTED or (effects is not None and name not in effects):
             continue
         priors = present_priors(effect, camera)
+        if origin is not None and name in origin.effects:
+            there = present_priors(origin.effects[name], origin)
+            priors = {path: there.get(path, width) for path, width in priors.items()}
         if priors:
             blocks.append(effect_block(effect, priors))
     return blocks

@@ -92,8 +92,14 @@ class Forward:
             if not pixels.any():
                 continue
             measured = self._expanded(one.station.amplitude[pixels].astype(float))
-            ratio = np.log(measured / one.model_amplitude[pixels])
+            with np.errstate(invalid="ignore", divide="ignore"):
+                ratio = np.log(measured / one.model_amplitude[pixels])
             noise = one.amplitude_sigma[pixels] / one.model_amplitude[pixels]
+            # a response may not reach as high as what was measured: no light is so strong
+            known = np.isfinite(ratio)
+            if not known.any():
+                continue
+            ratio, noise = ratio[known], noise[known]
             sharp = noise <= np.quantile(noise, 0.5)
             key = (one.station.recording, one.station.pose)
             ratios.setdefault(key, []).append(ratio[sharp])

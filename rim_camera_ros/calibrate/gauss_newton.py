@@ -20,6 +20,7 @@ from rim_camera_ros.calibrate.steps import (
     bounds_of,
     in_units,
     longest_steps,
+    moved_from,
     moved_scene,
     of_shape,
     poles_of,
@@ -109,6 +110,7 @@ class GaussNewton:
         self._views = views
         self._warm = warm is not None
         self._numbers = camera_numbers(start)
+        self._from_origin = moved_from(problem.origin, start)
         self._lows, self._highs = bounds_of(start)
         self._highs |= poles_of(problem.dataset, problem.masks, start)
         # the point
@@ -215,7 +217,8 @@ class GaussNewton:
         reduced = equations.reduced()
         regressors = equations.regressors[:owned]
         prior = np.array([one.prior for one in regressors])
-        away = np.array([self._offsets.get(one.label, 0.0) for one in regressors])
+        away = np.array([self._from_origin.get(one.label, 0.0) for one in regressors])
+        away += [self._offsets.get(one.label, 0.0) for one in regressors]
         own = slice(0, owned)
         matrix = reduced.gram[own, own] + np.diag(prior**-2)
         if count < _SHAPES_HELD:

@@ -112,7 +112,8 @@ def exactly(
         covariates = own.covariates
     folds = folds_of(problem.dataset)
     geometry = tuple(dict.fromkeys([*problem.geometry, *(n for n in names if n in GEOMETRY)]))
-    problem = replace(problem, effects=tuple(names), geometry=geometry)
+    origin = problem.origin or camera
+    problem = replace(problem, effects=tuple(names), geometry=geometry, origin=origin)
     notes: list[str] = []
     if own is not None and covariates is not None and covariates != own.covariates:
         notes.append(

@@ -42,11 +42,15 @@ class Problem:
     Lambert's law, ``response`` [counts] what an `amplitude_nonlinearity` leaves, relative to that level.
     ``pattern_prior`` [m] is the 1-sigma of an offset per pixel. ``variance_factors`` as in `Forward`. The
     effect ``empirical`` is fitted only where ``effects`` names it.
+    Priors of the parameters of effects and optics are those of the camera ``origin``, where it has them,
+    and about its values, whatever a fit begins at: what earlier fits took up must not hold later ones. None:
+    those of the start.
     ``tick`` is called for each station in every pass and may raise to end the work; ``threads`` share it.
     """
 
     dataset: Dataset
     scene: Scene
+    origin: Camera | None = None
     effects: tuple[str, ...] | None = None
     geometry: tuple[str, ...] = ()
     gain: bool = True
@@ -132,7 +136,7 @@ def light_groups(problem: Problem, camera: Camera) -> list[tuple[str, ...]]:
 
 def blocks_of(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
     """Return the regressors of all that is free in a problem."""
-    blocks = present_blocks(camera, effects=problem.effects)
+    blocks = present_blocks(camera, effects=problem.effects, origin=problem.origin)
     empirical: Any = camera.effects.get("empirical")
     if empirical is not None and problem.effects is not None and "empirical" in problem.effects:
         blocks.append(empirical_block(empirical))

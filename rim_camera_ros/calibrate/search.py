@@ -47,6 +47,7 @@ def search(
     if "amplitude_nonlinearity" in camera.effects and problem.gain:
         problem = replace(problem, response=level_of(problem.dataset))
     pool = candidates(camera, facts, effects=effects)
+    problem = replace(problem, origin=problem.origin or camera)
     say(f"baseline and {len(pool)} candidates")
     first = explore(problem, camera, pool, folds, further=further, views=views, seed=seed)
     start = first.scores.log_likelihood()

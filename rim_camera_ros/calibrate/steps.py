@@ -271,6 +271,24 @@ def moved_scene(scene: Scene, offsets: Mapping[str, float]) -> Scene:
     return replace(scene, surfaces=tuple(surfaces))
 
 
+def moved_from(origin: Camera | None, start: Camera) -> dict[str, float]:
+    """Return how far numbers of effects and optics of a start are from those of the origin, by path."""
+    if origin is None or origin is start:
+        return {}
+    numbers, centres = camera_numbers(start), camera_numbers(origin)
+    moved = {
+        path: value - centres[path]
+        for path, value in numbers.items()
+        if path in centres and path.startswith(("effects.", "optics."))
+    }
+    turn = 2 * np.pi
+    return {
+        path: (change + np.pi) % turn - np.pi if path.endswith(".phase") else change
+        for path, change in moved.items()
+        if change
+    }
+
+
 def within_bounds(offsets: dict[str, float], camera: Camera, numbers: Mapping[str, float]) -> None:
     """Take back of the offsets what the bounds of the parameters did not let through."""
     reached = camera_numbers(camera)
