@@ -82,7 +82,7 @@ class AmplitudeOffset(DistanceTerm):
         rows = sorted(self.hyperbola.items())
         near = all(one.a < 0 for _, one in rows)
         for key, one in rows:
-            at = max(one.b + 2, abs(one.a) / 0.05)
+            at = one.b + max(2.0, abs(one.a) / 0.05)
             size = one.a / (at - one.b) * (-1e3 if near else 1e3)
             parts.append(f"{size:.0f} mm at {at:.0f} counts (setting {row_name(key)})")
         where = "near" if near else "far"

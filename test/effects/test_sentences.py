@@ -12,7 +12,7 @@ from rim_camera_ros.parameters import ArrayFile
 
 
 def test_of_both_signs() -> None:
-    # 50 mm where |a| / (A - b) is: A = |a| / 0.05 + b, told at |a| / 0.05 for a small b
+    # |a| / (A - b) is 50 mm at A = |a| / 0.05 + b
     assert (
         "too far, by 50 mm at 800 counts (setting 60)"
         in AmplitudeOffset({60.0: Hyperbola(40.0, 0.0)}).sentence()
@@ -21,6 +21,8 @@ def test_of_both_signs() -> None:
         "too near, by 50 mm at 800 counts (setting 60)"
         in AmplitudeOffset({60.0: Hyperbola(-40.0, 0.0)}).sentence()
     )
+    beyond_the_pole = AmplitudeOffset({1.0: Hyperbola(10.0, 200.0)}).sentence()
+    assert "too far, by 50 mm at 400 counts (setting 1)" in beyond_the_pole
     assert "too near, by 18 mm at 60 gon" in IncidenceAngle({60.0: (0.0, 0.0, 0.0, 3e-4)}).sentence()
     assert "too far, by 18 mm at 60 gon" in IncidenceAngle({60.0: (0.0, 0.0, 0.0, -3e-4)}).sentence()
     assert "too long by 1.1 mm per metre" in DistanceScale(0.0011).sentence()
