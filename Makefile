@@ -14,7 +14,7 @@ PIP_INSTALL := -m pip install --quiet --disable-pip-version-check --no-input --n
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-all test-blind test-oldest lint bench proof soak lock clean
+.PHONY: help venv demo test test-all test-blind test-oldest lint docs bench proof soak lock clean
 
 help: ## print this list of targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
@@ -47,6 +47,11 @@ lint: $(VENV)/.installed ## check style, format and types
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/ruff format --check .
 	@$(RUN) -m mypy --strict rim_camera_ros
+
+docs: $(VENV)/.installed ## write the pages that come from the program: effects, parameters of nodes, keys of files
+	@$(RUN) docs/tools/effect_pages.py
+	@$(RUN) docs/tools/node_parameters.py
+	@$(RUN) docs/tools/file_reference.py
 
 bench: $(VENV)/.installed ## measure the speed of the hot paths
 	@$(RUN) -m test.bench

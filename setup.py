@@ -1,17 +1,28 @@
 """Build description of the ament_python package; colcon and pip both read it."""
 
+import sys
 from pathlib import Path
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
 
 NAME = "rim_camera_ros"
 
 # The one place for minimum versions; requirements/oldest.in pins them for `make test-oldest`.
 # package.xml names the same libraries by their rosdep keys, which carry no versions.
-MINIMUM = ["numpy>=1.26", "scipy>=1.11", "PyYAML>=6.0.1", "matplotlib>=3.6", "rosbags>=0.10.9"]
-# An extra, not a hard requirement: apt's python3-opencv provides cv2 under no name that pip knows,
-# and pip would install a second one.
-OPENCV = ["opencv-python-headless>=4.6"]
+MINIMUM = [
+    "numpy>=1.26",
+    "scipy>=1.11",
+    "PyYAML>=6.0.1",
+    "matplotlib>=3.6",
+    "jinja2>=3.1",
+    "rosbags>=0.10.9",
+    "argcomplete>=3.1",
+    # For pip alone. In a ROS workspace rosdep installs apt's python3-opencv, which pip knows by no name;
+    # colcon installs no requirements, and what it installs does not look for them.
+    "opencv-python-headless>=4.6",
+]
+# pictures and pages, by the name that messages give: both are required anyway
+REPORTS = ["matplotlib>=3.6", "jinja2>=3.1"]
 # closed forms of unknown curves
 DIAGNOSIS = ["scikit-learn>=1.3"]
 # more recordings than one machine
@@ -20,6 +31,15 @@ CLUSTER = ["distributed>=2024.1"]
 USB = ["pyusb>=1.2"]
 # tests_require is gone since setuptools 72; colcon finds pytest in this extra.
 TEST = ["pytest>=7.4", "pytest-timeout", "hypothesis>=6.98", "psutil"]
+
+# Without a compiler numpy computes the same (rim_camera_ros/pipeline/kernels.py). It is no module: ctypes
+# loads it, so that Python's headers are not needed. The last options leave NaN and sums as they are written.
+KERNELS = Extension(
+    f"{NAME}.pipeline._kernels",
+    [f"{NAME}/pipeline/kernels.c"],
+    extra_compile_args=["-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"],
+    optional=True,
+)
 
 
 def shared(*folders: str) -> list[tuple[str, list[str]]]:
@@ -32,6 +52,9 @@ def shared(*folders: str) -> list[tuple[str, list[str]]]:
     return sorted(found.items())
 
 
+# colcon puts executables where `ros2 run` looks; a wheel (pip) puts rim on the PATH by itself
+ON_PATH = [] if {"bdist_wheel", "editable_wheel"} & set(sys.argv) else [("bin", ["scripts/rim"])]
+
 setup(
     name=NAME,
     version="0.1.0",
@@ -40,11 +63,12 @@ setup(
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",
     python_requires=">=3.12",
+    ext_modules=[KERNELS],
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
         NAME: [
             f"**/*.{kind}"
-            for kind in ("typed", "css", "html", "js", "json", "npy", "rules", "svg", "xml", "yaml")
+            for kind in ("c", "typed", "css", "html", "js", "json", "npy", "rules", "svg", "xml", "yaml")
         ]
     },
     # colcon installs these; an editable installation does not, and reads them from the source tree
@@ -52,10 +76,11 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         *shared("launch", "config", "calibration"),
+        *ON_PATH,
     ],
     install_requires=MINIMUM,
     extras_require={
-        "opencv": OPENCV,
+        "reports": REPORTS,
         "diagnosis": DIAGNOSIS,
         "cluster": CLUSTER,
         "usb": USB,
@@ -64,6 +89,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
+            f"camera_node = {NAME}.nodes.camera_node:main",
             f"driver_node = {NAME}.nodes.driver_node:main",
             f"correction_node = {NAME}.nodes.correction_node:main",
             f"people_node = {NAME}.nodes.people_node:main",

@@ -1,130 +1,129 @@
-"""A camera (or its simulator, or a recording) and its correction, in one namespace.
+"""A camera (or its simulator, or a recording) and its correction, in one process and one namespace.
 
-With ``people:=true`` and ``calibration:=true`` the nodes that follow people and that calibrate, too.
+With ``people:=true`` and ``calibration:=true`` what follows people and what calibrates, too. With
+``separate:=true`` each node has a process of its own.
 
-An argument left empty leaves the matter to the parameter file and to the node's own default.
+An argument left empty leaves the matter to the parameter file, the preset and the node's own default; an
+argument overrides the parameter file, which overrides the preset.
 
     ros2 launch rim_camera_ros camera.launch.py source:=playback recording:=/path/to/bag
 """
 
 from pathlib import Path
+from typing import Any
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
+
+from rim_camera_ros.launch_parameters import for_node, log_levels, preset_file
 
 PACKAGE = "rim_camera_ros"
 #: Topics of camera.rviz, which are those of the namespace /camera there.
 SHOWN = ("points", "amplitude/image_raw", "sigma/image", "people/markers")
+#: Arguments that are parameters of a node of the same name, and those of another name.
+DRIVER = {name: name for name in ("source", "scene", "recording", "camera", "frame_id", "base_frame")}
+CORRECTION = {"camera": "correction_camera"}
+CALIBRATION = {"camera": "correction_camera", "scene": "calibration_scene"}
+SWITCH = ["true", "false", "True", "False"]
+#: Name, default, choices, description.
+ARGUMENTS = (
+    ("namespace", "camera", None, "namespace of the nodes"),
+    ("source", "", ["", "simulator", "playback", "sr3000"], "where the images come from"),
+    ("scene", "", None, "scene file of the simulator"),
+    ("recording", "", None, "bag that playback replays"),
+    ("camera", "", None, "camera file of the driver"),
+    ("correction_camera", "", None, "camera file the correction uses"),
+    ("frame_id", "", None, "optical frame of the images"),
+    ("base_frame", "", None, "frame the camera is mounted at"),
+    ("preset", "", None, "parameters that go together: fast, precise, outdoors"),
+    ("driver_parameters", "", None, "parameter file (YAML) of the driver"),
+    ("correction_parameters", "", None, "parameter file (YAML) of the correction"),
+    ("people", "false", SWITCH, "true: follow people who walk through the view"),
+    (
+        "people_parameters",
+        "",
+        None,
+        "parameter file (YAML) of the people node: the mount, say",
+    ),
+    (
+        "calibration",
+        "false",
+        SWITCH,
+        "true: calibrate when asked to, by services, in a process of its own",
+    ),
+    ("calibration_parameters", "", None, "parameter file (YAML) of the calibration node"),
+    ("calibration_scene", "", None, "scene file of what is recorded"),
+    ("separate", "false", SWITCH, "true: driver, correction and people in processes of their own"),
+    ("respawn", "false", SWITCH, "true: a process that has ended is started again after 2 s"),
+    ("log_level", "", None, "debug, info, warn, error, fatal; or by node: driver=debug,correction=warn"),
+    ("rviz", "false", SWITCH, "true: show points and amplitude"),
+)
 
 
 def generate_launch_description() -> LaunchDescription:
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument("namespace", default_value="camera", description="namespace of the nodes"),
-            DeclareLaunchArgument(
-                "source",
-                default_value="",
-                choices=["", "simulator", "playback", "sr3000"],
-                description="where the images come from",
-            ),
-            DeclareLaunchArgument("scene", default_value="", description="scene file of the simulator"),
-            DeclareLaunchArgument("recording", default_value="", description="bag that playback replays"),
-            DeclareLaunchArgument(
-                "driver_parameters", default_value="", description="parameter file (YAML) of the driver"
-            ),
-            DeclareLaunchArgument("camera", default_value="", description="camera file of the driver"),
-            DeclareLaunchArgument(
-                "correction_camera", default_value="", description="camera file the correction uses"
-            ),
-            DeclareLaunchArgument("frame_id", default_value="", description="optical frame of the images"),
-            DeclareLaunchArgument(
-                "base_frame", default_value="", description="frame the camera is mounted at"
-            ),
-            DeclareLaunchArgument(
-                "people",
-                default_value="false",
-                choices=["true", "false"],
-                description="true: follow people who walk through the view",
-            ),
-            DeclareLaunchArgument(
-                "people_parameters",
-                default_value="",
-                description="parameter file (YAML) of the people node: how the camera is mounted, say",
-            ),
-            DeclareLaunchArgument(
-                "calibration",
-                default_value="false",
-                choices=["true", "false"],
-                description="true: calibrate when asked to, by services",
-            ),
-            DeclareLaunchArgument(
-                "calibration_parameters",
-                default_value="",
-                description="parameter file (YAML) of the calibration node",
-            ),
-            DeclareLaunchArgument(
-                "calibration_scene", default_value="", description="scene file of what is recorded"
-            ),
-            DeclareLaunchArgument(
-                "rviz", default_value="false", description="true: show points and amplitude"
-            ),
-            OpaqueFunction(function=start_nodes),
-        ]
-    )
+    declared = [
+        DeclareLaunchArgument(name, default_value=default, choices=choices, description=description)
+        for name, default, choices, description in ARGUMENTS
+    ]
+    return LaunchDescription([*declared, OpaqueFunction(function=start_nodes)])
 
 
 def start_nodes(context: LaunchContext) -> list[Node]:
     def value(argument: str) -> str:
         return LaunchConfiguration(argument).perform(context)
 
-    def given(**arguments: str) -> dict[str, ParameterValue]:
-        """Node parameters from the launch arguments that are not empty; always text, also "2024"."""
-        return {
-            parameter: ParameterValue(value(argument), value_type=str)
-            for parameter, argument in arguments.items()
-            if value(argument)
-        }
+    def on(argument: str) -> bool:
+        return value(argument).lower() == "true"
 
-    driver = given(
-        source="source",
-        scene="scene",
-        recording="recording",
-        camera="camera",
-        frame_id="frame_id",
-        base_frame="base_frame",
+    def files(node: str, arguments: dict[str, str]) -> list[str]:
+        given = {parameter: value(argument) for parameter, argument in arguments.items() if value(argument)}
+        return for_node(node, file=value(f"{node}_parameters"), values=given)
+
+    namespace = value("namespace")
+    share = Path(get_package_share_directory(PACKAGE))
+    preset = preset_file(value("preset"), share / "config" / "presets")
+    parameters = {"driver": files("driver", DRIVER), "correction": files("correction", CORRECTION)}
+    if on("people"):
+        parameters["people"] = files("people", {})
+    # executables with the nodes that run in them
+    started: dict[str, list[str]] = (
+        {f"{node}_node": [node] for node in parameters}
+        if on("separate")
+        else {"camera_node": list(parameters)}
     )
-    # a parameter file comes before the arguments, which override it
-    started = {
-        "driver_node": (value("driver_parameters"), driver),
-        "correction_node": ("", given(camera="correction_camera")),
-    }
-    if value("people") == "true":
-        started["people_node"] = (value("people_parameters"), {})
-    if value("calibration") == "true":
-        own = given(camera="correction_camera", scene="calibration_scene")
-        started["calibration_node"] = (value("calibration_parameters"), own)
+    if on("calibration"):
+        parameters["calibration"] = files("calibration", CALIBRATION)
+        started["calibration_node"] = ["calibration"]
+    common: dict[str, Any] = {"output": "screen"}
+    if on("respawn"):
+        common |= {"respawn": True, "respawn_delay": 2.0}
+    everywhere = [preset] if preset else []
+    levels = log_levels(value("log_level"), namespace=namespace, nodes=tuple(parameters))
     nodes = [
         Node(
             package=PACKAGE,
             executable=executable,
-            namespace=value("namespace"),
-            parameters=[entry for entry in entries if entry],
-            output="screen",
+            namespace=namespace,
+            parameters=[
+                *everywhere,
+                *(file for node in inside for file in parameters[node]),
+                *([{"people": True}] if executable == "camera_node" and "people" in inside else []),
+            ],
+            ros_arguments=levels,
+            **common,
         )
-        for executable, entries in started.items()
+        for executable, inside in started.items()
     ]
-    if value("rviz").lower() == "true":
-        view = Path(get_package_share_directory(PACKAGE)) / "config" / "camera.rviz"
-        names = [("/camera/" + topic, f"/{value('namespace')}/" + topic) for topic in SHOWN]
+    if on("rviz"):
+        names = [("/camera/" + topic, f"/{namespace}/" + topic) for topic in SHOWN]
         nodes.append(
             Node(
                 package="rviz2",
                 executable="rviz2",
-                arguments=["-d", str(view)],
+                arguments=["-d", str(share / "config" / "camera.rviz")],
                 remappings=names,
                 output="screen",
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -29,14 +29,24 @@ class Sensor:
 
     width: int = quantity("px", "number of columns", minimum=1, maximum=8192)
     height: int = quantity("px", "number of rows", minimum=1, maximum=8192)
-    pixel_pitch: tuple[float, float] = quantity("m", "pixel spacing along row and column", above=0.0)
-    modulation_frequency: float = quantity("Hz", "modulation frequency", above=0.0)
+    modulation_frequency: float = quantity("Hz", "modulation frequency", minimum=1e3)
+    pixel_pitch: tuple[float, float] | None = quantity(
+        "m", "pixel spacing along row and column; null: not known", default=None, above=0.0
+    )
     distance_lsb: float | None = quantity(
         "m", "metres per count; null: ambiguity range / 65536", default=None, above=0.0
     )
     saturation: float = quantity("counts", "amplitude at which a pixel saturates", default=65535.0, above=0.0)
     amplitude_threshold: float = quantity(
         "counts", "a pixel whose measured amplitude is below it delivers 0 and 0", default=0.0, minimum=0.0
+    )
+    background_suppression: float | None = quantity(
+        "dB",
+        "what a circuit in the pixel takes of the unmodulated light, by 20 log10; the rest fills the "
+        "pixel as modulated light does; null: unmodulated light fills no pixel",
+        default=None,
+        minimum=0.0,
+        maximum=200.0,
     )
     exposure: tuple[float, float] = quantity(
         "s", "seconds = first + second * integration_time", default=(0.0002, 0.0002), minimum=0.0
@@ -60,6 +70,16 @@ class Sensor:
         """Whether counts wrap at the ambiguity range (else the camera has resolved it itself)."""
         return FULL_SCALE * self.lsb <= self.ambiguity * (1 + 1e-6)
 
+    def remaining(self, background: float) -> float:
+        """Return the counts that unmodulated light of ``background`` counts fills a pixel with.
+
+        A pixel saturates where they and its amplitude reach `saturation`: level * 10^(-suppression / 20)
+        (Kahlmann 2007, sec. 2.3.2 and table 2.3, suppression of background illumination). The photons'
+        noise stays that of all the light (sec. 2.3.1).
+        """
+        suppression = self.background_suppression
+        return 0.0 if suppression is None else background * 10.0 ** (-suppression / 20.0)
+
     def exposure_seconds(self, integration_time: float) -> float:
         """Return the exposure in seconds of an integration time in the device's own unit."""
         return self.exposure[0] + self.exposure[1] * integration_time
@@ -74,6 +94,9 @@ class Radiometry:
     )
     gain_sigma: float = quantity(
         "-", "relative variation of the emitted power from pose to pose", default=0.0, minimum=0.0, below=1.0
+    )
+    pattern_sigma: float = quantity(
+        "-", "relative variation of the gain from pixel to pixel", default=0.02, minimum=0.0, below=1.0
     )
 
 
@@ -102,13 +125,21 @@ class Validity:
 class Covariance:
     """Covariance of parameters named by dotted paths, in their own units."""
 
-    parameters: tuple[str, ...] = quantity("-", "dotted paths")
+    parameters: tuple[str, ...] = quantity("-", "dotted paths", most=10_000)
     matrix: ArrayFile = quantity("-", "square .npy file in the order of the parameters")
 
     def __post_init__(self) -> None:
         n = len(self.parameters)
         if self.matrix.values.shape != (n, n):
             raise ValueError(f"matrix has shape {self.matrix.values.shape}, expected ({n}, {n})")
+
+    def without(self, prefixes: Collection[str]) -> Covariance | None:
+        """Return the covariance of parameters whose paths begin with none of the prefixes, or None."""
+        kept = [i for i, one in enumerate(self.parameters) if not one.startswith(tuple(prefixes))]
+        if len(kept) == len(self.parameters):
+            return self
+        matrix = ArrayFile(self.matrix.file, self.matrix.values[np.ix_(kept, kept)])
+        return Covariance(tuple(self.parameters[i] for i in kept), matrix) if kept else None
 
 
 @dataclass(frozen=True)

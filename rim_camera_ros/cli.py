@@ -14,8 +14,10 @@ from contextlib import contextmanager
 from importlib import import_module
 from types import FrameType, ModuleType
 
-from rim_camera_ros import __version__
+from rim_camera_ros import __version__, completion
 from rim_camera_ros.errors import InputError, RimError, nearest_name
+from rim_camera_ros.files import expanded
+from rim_camera_ros.temporary import release_claims
 
 _EPILOG = """exit status: 0 done, 1 the work failed, 2 bad usage or bad input, 130 interrupted.
 Cameras and scenes are files or the names of shipped ones; rim COMMAND --help says more.
@@ -25,15 +27,22 @@ RIM_TRACEBACK=1 in the environment shows where an error came from."""
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: Seconds in which a second Ctrl-C does not disturb the clearing up after the first.
 _PATIENCE = 3.0
+#: Seconds between two looks whether an import is over.
+_AFTER_IMPORT = 0.05
 
 
 #: The commands: modules of `rim_camera_ros.commands`, in the order in which the help lists them.
-COMMANDS = ("simulate", "record", "correct", "calibrate", "diagnose", "plan", "reproduce", "info")
+COMMANDS = (
+    "board", "poses", "optics", "simulate", "record", "import", "camera", "correct", "calibrate", "diagnose",
+    "compare", "plan", "reproduce", "info",
+)  # fmt: skip
+#: Modules whose command cannot name them: ``import`` is a word of Python.
+_MODULES = {"import": "import_recording"}
 
 
 def command_modules(names: Sequence[str] = COMMANDS) -> dict[str, ModuleType]:
     """Return the modules of commands by name."""
-    return {name: import_module(f"rim_camera_ros.commands.{name}") for name in names}
+    return {name: import_module(f"rim_camera_ros.commands.{_MODULES.get(name, name)}") for name in names}
 
 
 def parser(names: Sequence[str] = COMMANDS) -> argparse.ArgumentParser:
@@ -55,32 +64,35 @@ def parser(names: Sequence[str] = COMMANDS) -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; no traceback reaches the user."""
-    with _signals():
-        try:
-            return _run(list(sys.argv[1:] if argv is None else argv))
-        except RimError as error:
-            return _failed(str(error), error.exit_status)
-        except KeyboardInterrupt as end:
-            for number in _ENDING:
-                signal.signal(number, signal.SIG_IGN)
-            return _failed(": ".join(["interrupted", *map(str, end.args)]), 130)
-        except BrokenPipeError:
-            _drop_output()  # whoever read it has gone
-            return 0
-        except OSError as error:
-            _drop_output()
-            reason = error.strerror or str(error)
-            place = error.filename if isinstance(error.filename, str) else "reading or writing failed"
-            return _failed(f"{place}: {reason} (check the disk and the permissions)", 1)
-        except MemoryError:
-            return _failed("out of memory", 1)
-        except Exception as error:
-            return _failed(
-                f"{type(error).__name__}: {error} (this is a fault of the program: please report it)", 1
-            )
+    try:
+        return _run([_with_home(one) for one in (sys.argv[1:] if argv is None else argv)])
+    except RimError as error:
+        return _failed(str(error), error.exit_status)
+    except KeyboardInterrupt as end:
+        for number in _ENDING:
+            signal.signal(number, signal.SIG_IGN)
+        return _failed(": ".join(["interrupted", *map(str, end.args)]), 130)
+    except BrokenPipeError:
+        _drop_output()  # whoever read it has gone
+        return 0
+    except OSError as error:
+        _drop_output()
+        reason = error.strerror or str(error)
+        place = error.filename if isinstance(error.filename, str) else "reading or writing failed"
+        return _failed(f"{place}: {reason} (check the disk and the permissions)", 1)
+    except MemoryError:
+        return _failed("out of memory", 1)
+    except Exception as error:
+        return _failed(
+            f"{type(error).__name__}: {error} (this is a fault of the program: please report it)", 1
+        )
 
 
 def _run(argv: list[str]) -> int:
+    """Read the command line, which imports the command and leaves nothing to clear up, and do the work."""
+    if completion.asked_for():
+        named = completion.command_asked_for(COMMANDS)
+        completion.complete(completion.parser_of_names(COMMANDS) if named is None else parser((named,)))
     command = argv[0] if argv and not argv[0].startswith("-") else None
     if command is not None and command not in COMMANDS:
         raise InputError(f"no command '{command}'", remedy=nearest_name(command, COMMANDS))
@@ -90,8 +102,12 @@ def _run(argv: list[str]) -> int:
     except SystemExit as end:  # --help and --version
         sys.stdout.flush()
         return end.code if isinstance(end.code, int) else 2
-    status: int = given.run(given)
-    sys.stdout.flush()
+    with _signals():
+        try:
+            status: int = given.run(given)
+        finally:
+            release_claims()
+        sys.stdout.flush()
     return status
 
 
@@ -99,30 +115,54 @@ def _run(argv: list[str]) -> int:
 def _signals() -> Iterator[None]:
     """Make the first signal that ends the work a KeyboardInterrupt, and further ones for a while nothing.
 
-    Signals that are ignored (``nohup``, a script's background job) stay so. In other threads than the
-    main one nothing is done.
+    One that comes in the midst of an import, whose callbacks lose exceptions, is put off until it is over.
+    Signals that are ignored (``nohup``, a script's background job) stay so. In other threads than the main
+    one nothing is done.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     last: list[float] = []
+    put_off: list[int] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:
+        if _importing(frame):
+            put_off.append(number)
+            signal.signal(signal.SIGALRM, interrupt)
+            signal.setitimer(signal.ITIMER_REAL, _AFTER_IMPORT)
+            return
         now = time.monotonic()
         if not last or now - last[-1] > _PATIENCE:
             last.append(now)
             raise KeyboardInterrupt
 
-    before = {number: signal.getsignal(number) for number in _ENDING}
-    ours = [number for number, handler in before.items() if handler != signal.SIG_IGN]
+    before = {number: signal.getsignal(number) for number in (*_ENDING, signal.SIGALRM)}
+    ours = [number for number in _ENDING if before[number] != signal.SIG_IGN]
     for number in ours:
         signal.signal(number, interrupt)
     try:
         yield
     finally:
-        for number in ours:
+        if put_off:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for number in (*ours, signal.SIGALRM):
             if signal.getsignal(number) == interrupt:
                 signal.signal(number, before[number])
+
+
+def _with_home(word: str) -> str:
+    """Return a word of the command line with ``~`` as the home folder, also after ``--option=``."""
+    option, equals, value = word.partition("=") if word.startswith("--") else ("", "", word)
+    return option + equals + expanded(value) if value.startswith("~") else word
+
+
+def _importing(frame: FrameType | None) -> bool:
+    """Whether a frame or one of its callers is of the import system."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _drop_output() -> None:

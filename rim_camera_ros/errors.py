@@ -30,7 +30,11 @@ class RimError(Exception):
         text = ": ".join(part for part in (self.file, self.place, self.problem) if part)
         if self.remedy:
             text += f" ({self.remedy})"
-        return " ".join(text.split())
+        # what a file holds may move the cursor of a terminal
+        return "".join(
+            one if one.isprintable() else one.encode("unicode_escape").decode()
+            for one in " ".join(text.split())
+        )
 
     def located(self, file: str | PathLike[str]) -> RimError:
         """Return the same error with its file named, where none was known before."""
@@ -52,7 +56,7 @@ class DeviceError(RimError):
 def nearest_name(name: object, known: Iterable[str]) -> str:
     """Return a remedy that names the nearest known name, or lists all of them."""
     names = sorted(str(one) for one in known)
-    close = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(str(name)[:100], names, n=1, cutoff=0.5)
     if close:
         return f"did you mean '{close[0]}'?"
     return "known: " + ", ".join(names) if names else "no key is allowed here"

@@ -14,6 +14,14 @@ _SCENES = "config"
 _EXPERIMENTS = "calibration/experiments"
 
 
+def expanded(text: str) -> str:
+    """Return a path, or several joined by ``:``, with ``~`` and ``~user`` as a shell has them.
+
+    Shells leave ``--out=~/bag``, and values of parameters, as they are.
+    """
+    return os.pathsep.join(os.path.expanduser(one) for one in text.split(os.pathsep))
+
+
 def share_folder() -> Path:
     """Return the folder that holds ``calibration`` and ``config``: the source tree or share/."""
     source = Path(__file__).resolve().parents[1]

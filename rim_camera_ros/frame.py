@@ -34,11 +34,14 @@ INVALID = Flag.LOW_AMPLITUDE | Flag.SATURATED | Flag.NO_MEASUREMENT
 class Pose:
     """Pose of a surface frame in the camera optical frame (x right, y down, z forward).
 
-    ``position`` in metres, ``orientation`` as the unit quaternion x y z w.
+    ``position`` in metres, ``orientation`` as the unit quaternion x y z w. ``covariance``: the 36 numbers of
+    the matrix of geometry_msgs/PoseWithCovariance, row by row: x y z [m], then rotations about the x y z axes
+    of the optical frame [rad]; None where the pose comes without its own uncertainty.
     """
 
     position: tuple[float, float, float]
     orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    covariance: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,6 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.errors import nearest_name
+from rim_camera_ros.limits import fault_of
+from rim_camera_ros.npy_files import read_npy
 from rim_camera_ros.yaml_files import Document
 
 
@@ -62,9 +64,11 @@ def quantity(
     maximum: float = math.inf,
     below: float = math.inf,
     typical: float | None = None,
+    most: int = 1000,
 ) -> Any:
     """Declare a dataclass field with its unit, a sentence on it, and the bounds of its numbers.
 
+    Files may hold numbers within `limits.limits` only, and lists and groups of ``most`` entries.
     ``typical`` is the size that is common among such cameras: the 1-sigma of a weak prior around 0
     (or around the default) where a fit needs one.
     """
@@ -76,6 +80,7 @@ def quantity(
         "maximum": maximum,
         "below": below,
         "typical": typical,
+        "most": most,
     }
     return dataclasses.field(default=default, metadata=metadata)
 
@@ -136,6 +141,11 @@ def _decode_value(
         if data is None and type(None) in arguments:
             return None
         choices = [one for one in arguments if one is not type(None)]
+        words = [word for one in choices if typing.get_origin(one) is typing.Literal for word in one.__args__]
+        if isinstance(data, str) and words:
+            if data not in words:
+                raise document.error(place, f"unknown value '{data}'", nearest_name(data, words))
+            return data
         if str in choices and isinstance(data, str):
             return data
         choices = [one for one in choices if one is not str] or choices
@@ -167,6 +177,7 @@ def _decode_value(
         if not isinstance(data, list):
             raise document.error(place, f"expected a list, found {_kind(data)}")
         if arguments[-1] is Ellipsis:
+            _check_count(data, metadata, document, place)
             return tuple(
                 _decode_value(arguments[0], one, metadata, document, (*place, i))
                 for i, one in enumerate(data)
@@ -180,6 +191,7 @@ def _decode_value(
     if origin in (dict, Mapping) or origin is typing.get_origin(Mapping[int, int]):
         if not isinstance(data, dict):
             raise document.error(place, f"expected a group of keys, found {_kind(data)}")
+        _check_count(data, metadata, document, place)
         result: dict[Any, Any] = {}
         for key, value in data.items():
             if arguments[0] is float:
@@ -194,6 +206,12 @@ def _decode_value(
     if dataclasses.is_dataclass(hint):
         return decode(cast(type[Any], hint), data, document, place)
     raise TypeError(f"no decoding for {hint}")
+
+
+def _check_count(data: Any, metadata: Mapping[str, Any], document: Document, place: tuple[Any, ...]) -> None:
+    most = metadata.get("most", 1000)
+    if len(data) > most:
+        raise document.error(place, f"has {len(data)} entries, {most} at most", "is this the right file?")
 
 
 def _as_number(key: Any) -> Any:
@@ -218,43 +236,39 @@ def _number(data: Any, metadata: Mapping[str, Any], document: Document, place: t
         value = math.inf
     if not math.isfinite(value):
         raise document.error(place, f"must be finite, found {data}")
-    tests = (
-        ("minimum", value < metadata.get("minimum", -math.inf), "at least"),
-        ("above", value <= metadata.get("above", -math.inf), "greater than"),
-        ("maximum", value > metadata.get("maximum", math.inf), "at most"),
-        ("below", value >= metadata.get("below", math.inf), "less than"),
-    )
-    for key, wrong, words in tests:
-        if wrong:
-            bound = f"{metadata[key]:g}" + (f" {unit}" if unit and unit != "-" else "")
-            raise document.error(place, f"must be {words} {bound}, found {data}")
+    fault = fault_of(value, metadata)
+    if fault is not None:
+        raise document.error(place, f"{fault}, found {data}")
     return value
 
 
 def _read_array(data: Any, document: Document, place: tuple[Any, ...]) -> ArrayFile:
     if not isinstance(data, str):
         raise document.error(place, f"expected the name of a .npy file, found {_kind(data)}")
-    name = Path(data)
+    name, shown = Path(data), data[:80]
     target = document.folder / name
-    inside = not name.is_absolute() and target.resolve().is_relative_to(document.folder.resolve())
+    try:
+        inside = not name.is_absolute() and target.resolve().is_relative_to(document.folder.resolve())
+    except (OSError, RuntimeError, ValueError):  # too long, a link to itself, a character that no name has
+        inside = False
     if not inside or name.suffix != ".npy":
         raise document.error(
-            place, f"'{data}' is not a .npy file in the folder of this file", "move it there and name it so"
+            place, f"'{shown}' is not a .npy file in the folder of this file", "move it there and name it so"
         )
     try:
-        values = np.load(target, allow_pickle=False)
+        values = read_npy(target)
     except FileNotFoundError:
-        raise document.error(place, f"no such file '{data}'", "it must lie beside this file") from None
-    except (OSError, ValueError, EOFError, SyntaxError, MemoryError) as error:
-        raise document.error(
-            place, f"'{data}' cannot be read as .npy: {error}", "save it with numpy.save"
-        ) from None
-    if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
-        raise document.error(place, f"'{data}' holds no real numbers", "save floats with numpy.save")
+        raise document.error(place, f"no such file '{shown}'", "it must lie beside this file") from None
+    except (OSError, ValueError, MemoryError) as error:
+        raise document.error(place, f"'{shown}' {_reason(error)}", "save floats with numpy.save") from None
     if not np.all(np.isfinite(values)):
-        raise document.error(place, f"'{data}' holds values that are not finite", "replace NaN by 0")
+        raise document.error(place, f"'{shown}' holds values that are not finite", "replace NaN by 0")
     values.setflags(write=False)
     return ArrayFile(data, values)
+
+
+def _reason(error: Exception) -> str:
+    return f"cannot be read: {error.strerror}" if isinstance(error, OSError) else str(error) or "is too large"
 
 
 def _nested_list(

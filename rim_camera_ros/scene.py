@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 
 SCENE_FORMAT = "rim_scene/1"
 TRUTH = "truth"
+UNKNOWN = "unknown"
+#: Stands for a reflectivity that nobody stated.
+_GREY = 0.5
 
 _EMPTY: Mapping[str, Any] = MappingProxyType({})
 
@@ -68,6 +71,13 @@ class Texture:
         result: Array = self.values.values[i, j]
         return result
 
+    def tile(self, x: Array, y: Array) -> NDArray[np.int64]:
+        """Return the number of the tile, row by row, at surface coordinates in metres."""
+        rows, columns = self.values.values.shape
+        i = np.floor(y / self.cell[1]).astype(np.int64) % rows
+        j = np.floor(x / self.cell[0]).astype(np.int64) % columns
+        return np.asarray(i * columns + j)
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -78,13 +88,31 @@ class Surface:
     pose: str | ScenePose = quantity("-", "position and orientation, or 'truth'")
     size: tuple[float, float] | None = quantity("m", "rectangle: full width, height", default=None, above=0.0)
     radius: float | None = quantity("m", "disc, sphere", default=None, above=0.0)
-    reflectivity: float = quantity("-", "diffuse", default=0.8, minimum=0.0, maximum=1.0)
+    reflectivity: float | Literal["unknown"] = quantity(
+        "-",
+        "diffuse; unknown: amplitudes are taken as they are measured and say nothing of the surface",
+        default=0.8,
+        minimum=0.0,
+        maximum=1.0,
+    )
     texture: Texture | None = quantity("-", "replaces the reflectivity", default=None)
+    reflectivity_sigma: float = quantity(
+        "-", "relative 1-sigma of every tile's reflectivity; 0: known", default=0.1, minimum=0.0, maximum=1.0
+    )
     pose_sigma: tuple[float, float] = quantity(
         "m, rad", "1-sigma of the reference: along the normal, tilt", default=(0.001, 0.0005), minimum=0.0
     )
+    pose_common: float = quantity(
+        "-",
+        "share of the variance of pose_sigma that is the same in all poses of a recording",
+        default=0.5,
+        minimum=0.0,
+        maximum=1.0,
+    )
 
     def __post_init__(self) -> None:
+        if not self.name.strip() or "/" in self.name or not self.name.isprintable() or len(self.name) > 100:
+            raise ValueError(f"'{self.name[:100]}' is no name: up to 100 characters that print, without /")
         if isinstance(self.pose, str) and self.pose != TRUTH:
             raise ValueError(
                 f"pose must be a group with position and orientation, or truth, not '{self.pose}'"
@@ -93,6 +121,39 @@ class Surface:
             raise ValueError("a rectangle needs 'size: [width, height]', and only a rectangle has one")
         if (self.type in ("disc", "sphere")) != (self.radius is not None):
             raise ValueError("a disc or sphere needs 'radius', and only they have one")
+        if self.reflectivity == UNKNOWN and self.texture is not None:
+            raise ValueError("reflectivity is unknown, but texture states it: keep one of them")
+
+    @property
+    def is_described(self) -> bool:
+        """Whether the scene file says how much light the surface reflects."""
+        return self.reflectivity != UNKNOWN
+
+    @property
+    def nominal_reflectivity(self) -> float:
+        """The reflectivity without texture; a grey where it is unknown."""
+        return float(self.reflectivity) if self.is_described else _GREY
+
+    @property
+    def tiles(self) -> int:
+        """Number of tiles whose reflectivity is stated, 1 without texture."""
+        return 1 if self.texture is None else int(self.texture.values.values.size)
+
+    def pose_covariance(self, pose: Pose) -> Array:
+        """Return the covariance (3, 3) of the errors of a recorded pose.
+
+        Of the shift along the normal [m] and the turns about the surface's x and y axes [rad]: as the
+        recording states it with the pose, else by ``pose_sigma``.
+        """
+        if pose.covariance is None:
+            offset, tilt = self.pose_sigma
+            return np.diag([offset**2, tilt**2, tilt**2])
+        rotation = rotation_matrix(pose.orientation)
+        errors = np.zeros((3, 6))
+        errors[0, :3] = rotation[:, 2]
+        errors[1:, 3:] = rotation[:, :2].T
+        result: Array = errors @ np.array(pose.covariance).reshape(6, 6) @ errors.T
+        return result
 
     def lengths(self, pose: Pose, origins: Array, directions: Array) -> Array:
         """Return the lengths (N,) along rays at which the surface is met; inf where it is not.
@@ -150,8 +211,8 @@ class CameraMotion:
 class Station:
     """A stretch of frames with fixed poses and settings; what is not given stays as it was."""
 
-    frames: int = quantity("-", "number of frames", default=100, minimum=1)
-    rate: float = quantity("Hz", "frames per second", default=25.0, above=0.0)
+    frames: int = quantity("-", "number of frames", default=100, minimum=1, maximum=1e7)
+    rate: float = quantity("Hz", "frames per second", default=25.0, minimum=1e-3, maximum=1e6)
     integration_time: float | None = quantity("device unit", "setting", default=None, above=0.0)
     uptime: float | None = quantity("s", "since power-on, of the first frame", default=None, minimum=0.0)
     ambient: float | None = quantity("degC", "ambient temperature", default=None)
@@ -162,10 +223,10 @@ class Station:
 class Scene:
     """A scene file's content."""
 
-    surfaces: tuple[Surface, ...]
+    surfaces: tuple[Surface, ...] = quantity("-", "what the camera may see", most=200)
     format: str = SCENE_FORMAT
     camera_motion: CameraMotion = field(default_factory=CameraMotion)
-    schedule: tuple[Station, ...] = ()
+    schedule: tuple[Station, ...] = quantity("-", "stations, one after the other", default=(), most=10_000)
 
     def __post_init__(self) -> None:
         if self.format != SCENE_FORMAT:
@@ -212,7 +273,8 @@ class Geometry:
     """What each pixel sees (all (H, W) or (H, W, 3)); NaN and surface -1 where a ray meets nothing.
 
     ``distance`` [m] from the projection centre along the ray, ``points`` [m], ``normals`` (towards the
-    camera), ``cos_incidence`` = |ray . normal|, ``reflectivity``, ``surface`` index.
+    camera), ``cos_incidence`` = |ray . normal|, ``reflectivity``, ``surface`` index; ``tile`` numbers the
+    tiles of all surfaces, those of the first surface first (-1: nothing).
     """
 
     surface: NDArray[np.int16]
@@ -221,6 +283,7 @@ class Geometry:
     normals: Array
     cos_incidence: Array
     reflectivity: Array
+    tile: NDArray[np.int32]
 
     @property
     def hit(self) -> NDArray[np.bool_]:
@@ -244,7 +307,10 @@ def see(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> Geometry:
     points = distance[:, None] * directions
     normals = np.full_like(points, np.nan)
     reflectivity = np.full(len(directions), np.nan)
+    tile = np.full(len(directions), -1, np.int32)
+    first = 0
     for i, surface in enumerate(scene.surfaces):
+        start, first = first, first + surface.tiles
         mine = index == i
         if not mine.any():
             continue
@@ -257,9 +323,11 @@ def see(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> Geometry:
         else:
             normals[mine] = rotation[:, 2]
         if surface.texture is None:
-            reflectivity[mine] = surface.reflectivity
+            reflectivity[mine] = surface.nominal_reflectivity
+            tile[mine] = start
         else:
             reflectivity[mine] = surface.texture.reflectivity(local[:, 0], local[:, 1])
+            tile[mine] = start + surface.texture.tile(local[:, 0], local[:, 1])
     along = np.sum(directions * normals, axis=-1)
     normals = np.where(along[:, None] > 0, -normals, normals)
     return Geometry(
@@ -269,6 +337,7 @@ def see(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> Geometry:
         normals=normals.reshape(*shape, 3),
         cos_incidence=np.abs(along).reshape(shape),
         reflectivity=reflectivity.reshape(shape),
+        tile=tile.reshape(shape),
     )
 
 

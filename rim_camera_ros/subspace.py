@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
@@ -134,7 +135,8 @@ class Subspace:
         # image / d, but x within the subspace
         x -= y * self.dtype.type(1.0 / self.direct)
         result = self.expand(x)
-        result += image * self.dtype.type(1.0 / self.direct)
+        flat = result.reshape(len(result), -1)
+        cv2.scaleAdd(image.reshape(flat.shape), 1.0 / self.direct, flat, dst=flat)
         return result
 
     def _solve_inner(self, y: Real) -> Real:

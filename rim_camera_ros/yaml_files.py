@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +12,12 @@ from typing import Any, ClassVar
 import yaml
 
 from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.temporary import temporary_file
 
 _MAXIMUM_FILE_SIZE = 64 * 2**20
-#: Values that a file may come to hold by way of aliases (*name), beyond those that are written in it.
-_MOST_REPEATED = 1_000_000
+#: Values (keys not counted) that a file may hold, those behind aliases (*name) as often as they stand there.
+_MOST_VALUES = 200_000
+_DEEPEST = 100
 
 
 @dataclass(frozen=True)
@@ -37,13 +38,13 @@ class Document:
         while known and known not in self.lines:
             known = known[:-1]
         line = self.lines.get(known)
-        text = ".".join(str(part) for part in place)
+        text = ".".join(str(part)[:100] for part in place)
         if line is not None:
             text = f"{text} (line {line})" if text else f"line {line}"
         return InputError(problem, file=self.path, place=text or None, remedy=remedy)
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
     """Safe YAML in which 1e-3 is a number (as in YAML 1.2)."""
 
 
@@ -57,13 +58,15 @@ _Loader.add_implicit_resolver(
 def read_yaml(path: str | os.PathLike[str]) -> Document:
     """Read a YAML file safely, with the line of every value.
 
-    Raises `InputError` where the file is absent, unreadable, not YAML, holds a key twice, or very many values
-    by way of aliases.
+    Raises `InputError` where the file is absent, unreadable, not YAML, holds a key twice, more than 200,000
+    values, or groups within groups a hundred times.
     """
     path = Path(path)
     try:
         if path.stat().st_size > _MAXIMUM_FILE_SIZE:
             raise InputError("is larger than 64 MiB", file=path, remedy="is this the right file?")
+        if not path.is_file() and not path.is_dir():
+            raise InputError("is no file, or an endless one", file=path, remedy="give a YAML file")
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
         raise InputError("is not a text file", file=path, remedy="give a YAML file") from None
@@ -71,23 +74,57 @@ def read_yaml(path: str | os.PathLike[str]) -> Document:
         raise InputError(os_reason(error), file=path, remedy="check the path and permissions") from None
     lines: dict[tuple[Any, ...], int] = {}
     try:
+        _check_size(text, path)
         loader = _Loader(text)
         try:
             node = loader.get_single_node()
-            most = len(text) + _MOST_REPEATED
-            data = None if node is None else _construct(loader, node, (), lines, path, most=most)
+            data = None if node is None else _construct(loader, node, (), lines, path)
         finally:
             loader.dispose()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"line {mark.line + 1}" if mark else None
         problem = f"not valid YAML: {error.problem or error.context}"
+        if mark and problem.endswith("undefined alias"):
+            problem += f" '{_word_at(text, mark)}'"
         raise InputError(problem, file=path, place=place, remedy="mend the syntax") from None
     except (yaml.YAMLError, ValueError, OverflowError) as error:
         raise InputError(f"not valid YAML: {error}", file=path, remedy="mend the syntax") from None
-    except RecursionError:
-        raise InputError("nested too deeply", file=path, remedy="is this the right file?") from None
     return Document(path, data, lines)
+
+
+def _check_size(text: str, path: Path) -> None:
+    """Raise `InputError` for what would take minutes, or too deep a stack, to build."""
+    values = depth = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        else:
+            values += 1
+        if depth > _DEEPEST:
+            raise _too_deep(path)
+        if values > 2 * _MOST_VALUES:  # keys among them
+            raise _too_many(path)
+
+
+def _too_deep(path: Path) -> InputError:
+    return InputError("nested too deeply", file=path, remedy="is this the right file?")
+
+
+def _word_at(text: str, mark: yaml.Mark) -> str:
+    """Return the name of the alias that a mark points to."""
+    found = re.match(r"\*?([^\s,\[\]{}]*)", text.splitlines()[mark.line][mark.column :])
+    return found[1][:100] if found else ""
+
+
+def _too_many(path: Path) -> InputError:
+    return InputError(
+        f"holds more than {_MOST_VALUES} values (aliases repeat theirs)",
+        file=path,
+        remedy="is this the right file? arrays belong into .npy files",
+    )
 
 
 def _construct(
@@ -96,13 +133,11 @@ def _construct(
     place: tuple[Any, ...],
     lines: dict[tuple[Any, ...], int],
     path: Path,
-    *,
-    most: int,
 ) -> Any:
-    if len(lines) >= most:
-        raise InputError(
-            "aliases (*name) repeat more than a million values", file=path, remedy="is this the right file?"
-        )
+    if len(lines) >= _MOST_VALUES:
+        raise _too_many(path)
+    if len(place) > _DEEPEST:  # an alias of what it stands in
+        raise _too_deep(path)
     lines[place] = node.start_mark.line + 1
     plain = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
     if not isinstance(node, yaml.ScalarNode) and node.tag not in plain:
@@ -125,12 +160,10 @@ def _construct(
                     place=f"{where} (line {key_node.start_mark.line + 1})",
                     remedy="keep one",
                 )
-            result[key] = _construct(loader, value_node, (*place, key), lines, path, most=most)
+            result[key] = _construct(loader, value_node, (*place, key), lines, path)
         return result
     if isinstance(node, yaml.SequenceNode):
-        return [
-            _construct(loader, one, (*place, i), lines, path, most=most) for i, one in enumerate(node.value)
-        ]
+        return [_construct(loader, one, (*place, i), lines, path) for i, one in enumerate(node.value)]
     return loader.construct_object(node)
 
 
@@ -163,27 +196,23 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[Any], Any]) -> No
     Raises `RimError` where the file cannot be written; nothing is left behind then.
     """
     path = Path(path)
-    temporary = None
     try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        with os.fdopen(handle, "wb") as stream:
-            write(stream)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, path)
+        temporary = temporary_file(path.parent, path.name)
+        try:
+            with os.fdopen(temporary.lock, "wb", closefd=False) as stream:
+                write(stream)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.chmod(temporary.path, 0o666 & ~_umask())
+            os.replace(temporary.path, path)
+        finally:
+            temporary.close()
     except OSError as error:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
         raise RimError(
             f"cannot be written: {error.strerror or error}",
             file=path,
             remedy="check the folder, its permissions and the free space; nothing was left behind",
         ) from None
-    except BaseException:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
-        raise
 
 
 def _umask() -> int:

@@ -94,10 +94,14 @@ def test_two_outputs_of_one_name(
 def test_a_folder_that_may_not_be_written_to_is_told_before_the_work(
     refused: Callable[..., None], tmp_path: Path, camera: Path, bag: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def denied(**_: object) -> None:
-        raise PermissionError(13, "Permission denied")
+    real = os.open
 
-    monkeypatch.setattr("tempfile.NamedTemporaryFile", denied)
+    def denied(path: str | Path, flags: int, *mode: int, **options: int) -> int:
+        if flags & os.O_CREAT:
+            raise PermissionError(13, "Permission denied")
+        return real(path, flags, *mode, **options)
+
+    monkeypatch.setattr(os, "open", denied)
     out = tmp_path / "out"
     refused(r"out: cannot be written: Permission denied \(give a folder", "correct", bag, "--camera", camera, "--out", out)  # fmt: skip
     assert not out.exists()

@@ -383,6 +383,26 @@ def test_summary_needs_no_images(tmp_path: Path) -> None:
     assert summary.roles["truth"] == "/ground_truth/<surface>/pose"
 
 
+@pytest.mark.parametrize("namespace", ["/camera", "/front"])
+def test_poses_below_the_namespace(tmp_path: Path, namespace: str) -> None:
+    def below(line: Line, of: str = namespace) -> Line:
+        return replace(line, topic=of + line.topic.removeprefix("/camera"))
+
+    lines = [below(one) for one in flat(exposure(i) for i in range(3))]
+    lines += [below(pose(START, POSE_A)), pose(START, POSE_B, "wall"), below(pose(START, POSE_B), "/rear")]
+    lines.append(pose(START, POSE_B))  # of another source: that of this camera counts
+    with Recording(write_bag(tmp_path / "bag", lines)) as recording:
+        summary = recording.summary()
+        frames = list(recording.frames())
+    assert summary.truth_surfaces == ("board", "wall")
+    assert [dict(one.truth) for one in frames] == [{"board": POSE_A, "wall": POSE_B}] * 3
+    roles = {one.name: one.role for one in summary.topics}
+    assert roles[f"{namespace}/ground_truth/board/pose"] == "truth"
+    assert roles["/ground_truth/wall/pose"] == "truth"
+    assert roles["/ground_truth/board/pose"] is None
+    assert roles["/rear/ground_truth/board/pose"] is None
+
+
 def test_summary_of_a_foreign_recording(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", [Line("/left/image", IMAGE, START, pair(0)[0].message)])
     with Recording(path) as recording:

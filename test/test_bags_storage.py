@@ -294,7 +294,7 @@ def test_a_full_temporary_folder_is_named(tmp_path: Path, monkeypatch: pytest.Mo
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(shutil, "copyfileobj", full)
+    monkeypatch.setattr(shutil, "disk_usage", full)
     with (
         pytest.raises(Exception, match="temporary folder: No space left on device") as caught,
         Recording(path),

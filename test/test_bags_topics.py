@@ -30,6 +30,7 @@ def test_names_of_the_default_namespace() -> None:
         "ambient": "/camera/ambient_temperature",
         "reference": "/camera/reference",
         "truth": "/ground_truth/<surface>/pose",
+        "truth_with_covariance": "/ground_truth/<surface>/pose_with_covariance",
         "points": "/camera/points",
         "sigma": "/camera/sigma/image",
         "flags": "/camera/flags/image",
@@ -39,7 +40,8 @@ def test_names_of_the_default_namespace() -> None:
     assert topics.truth("board") == "/ground_truth/board/pose"
     assert topics.info_beside("distance") == "/camera/distance/camera_info"
     assert topics.info_beside("depth") == "/camera/depth/camera_info"
-    assert RAW_ROLES[-1] == "truth"
+    assert not set(RAW_ROLES) & {"truth", "truth_with_covariance"}
+    assert topics.truth("board", role="truth_with_covariance") == "/ground_truth/board/pose_with_covariance"
 
 
 def test_namespace_and_overrides() -> None:
@@ -65,12 +67,38 @@ def test_topics_are_values() -> None:
         ("/ground_truth/board/pose", "board"),
         ("/ground_truth//pose", None),
         ("/ground_truth/a/b/pose", None),
+        ("/camera/ground_truth/board/pose", "board"),
+        ("/front/ground_truth/board/pose", None),  # of another camera
+        ("/camera/ground_truth/a/b/pose", None),
         ("/ground_truth/pose", None),
         ("/camera/points", None),
     ],
 )
 def test_surface_of_a_truth_topic(topic: str, surface: str | None) -> None:
     assert Topics().surface_of(topic) == surface
+
+
+def test_true_poses_are_found_below_the_namespace_and_without_it() -> None:
+    front = Topics("/front")
+    assert front.surface_of("/front/ground_truth/board/pose") == "board"
+    assert front.surface_of("/ground_truth/board/pose") == "board"
+    assert front.surface_of("/rear/ground_truth/board/pose") is None
+    name = "/front/ground_truth/board/pose_with_covariance"
+    assert front.surface_of(name, role="truth_with_covariance") == "board"
+    assert front.surface_of(name) is None
+    named = Topics.parse(["truth=/tracker/<surface>/pose"], "/front")
+    assert named.surface_of("/front/ground_truth/board/pose") is None  # somebody says where they are
+
+
+def test_the_topic_of_a_pose_with_its_covariance() -> None:
+    topics = Topics.parse(["truth=/tracker/<surface>/pose"])
+    name = topics.truth("board", role="truth_with_covariance")
+    assert name == "/tracker/board/pose_with_covariance"
+    assert topics.surface_of(name, role="truth_with_covariance") == "board"
+    assert topics.surface_of(name) is None
+    assert Topics.parse(["truth=/tracker/<surface>"])["truth_with_covariance"] == (
+        "/tracker/<surface>/pose_with_covariance"
+    )
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rim_camera_ros.calibrate.coarser import coarser_camera
 from rim_camera_ros.camera import Camera, Covariance, Noise, Optics, Radiometry, Sensor, Validity
 from rim_camera_ros.camera_file import (
     camera_numbers,
@@ -291,7 +292,26 @@ def test_integration_time_that_is_none(tmp_path: Path, value: float) -> None:
 # --- shipped files --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["sr3000", "sr2", "pmd3ks", "sr3000_every_effect"])
+#: width, height, pitch [m] (tables 2.2, 2.3, appendices A and C), fx, fy from the camera constant
+SENSORS: dict[str, tuple[Any, ...]] = {
+    "sr2": (160, 124, 39.2e-6, 54.8e-6, 7.656e-3),
+    "sr3000": (176, 144, 40e-6, 40e-6, 7.9955e-3),
+    "pmd768s": (32, 24, 210.8e-6, 155.3e-6, 8.0e-3),
+    "pmd1ks2": (64, 16, 155.3e-6, 210.8e-6, 8.0e-3),
+    "pmd3ks": (64, 48, 100e-6, 100e-6, 8.0e-3),
+    "pmd19k": (160, 120, 40e-6, 40e-6, 8.0e-3),
+}
+
+#: Table 2.3: fill factor [%], dynamic range [dB], its increase by suppression of background light [dB]
+PMD = {
+    "pmd768s": (42.0, 78.0, 50.0),
+    "pmd1ks2": (42.0, 78.0, 50.0),
+    "pmd3ks": (32.0, 74.0, 50.0),
+    "pmd19k": (31.0, 65.0, 0.0),
+}
+
+
+@pytest.mark.parametrize("name", [*SENSORS, "sr3000_every_effect"])
 def test_shipped_cameras(name: str, tmp_path: Path) -> None:
     assert name in shipped("calibration")
     camera = load_camera(find_camera(name))
@@ -315,14 +335,6 @@ def test_every_effect_is_in_the_shipped_demonstration() -> None:
     assert set(load_camera(find_camera("sr3000_every_effect")).effects) == set(registry())
 
 
-#: width, height, pitch [m] (tables 2.2, 2.3, appendices A and C), fx, fy from the camera constant
-SENSORS: dict[str, tuple[Any, ...]] = {
-    "sr2": (160, 124, 39.2e-6, 54.8e-6, 7.656e-3),
-    "sr3000": (176, 144, 40e-6, 40e-6, 7.9955e-3),
-    "pmd3ks": (64, 48, 100e-6, 100e-6, 8.0e-3),
-}
-
-
 @pytest.mark.parametrize("name", SENSORS)
 def test_sensors_of_the_thesis(name: str) -> None:
     camera = load_camera(find_camera(name))
@@ -332,6 +344,21 @@ def test_sensors_of_the_thesis(name: str) -> None:
     assert camera.optics.fx == pytest.approx(constant / pitch_u, rel=1e-6)
     assert camera.optics.fy == pytest.approx(constant / pitch_v, rel=1e-6)
     assert camera.sensor.ambiguity == pytest.approx(7.49481, abs=1e-5)
+
+
+@pytest.mark.parametrize("name", PMD)
+def test_pmd_sensors_of_table_2_3(name: str) -> None:
+    camera = load_camera(find_camera(name))
+    fill, dynamic_range, suppression = PMD[name]
+    assert camera.sensor.background_suppression == suppression
+    in_the_dark = 2 * np.pi / 7.49481145 * camera.noise.amplitude
+    assert 20 * np.log10(camera.sensor.saturation / in_the_dark) == pytest.approx(dynamic_range, abs=0.001)
+    assert camera.radiometry.gain == pytest.approx(2000.0 * fill / 32.0, rel=1e-9)
+    # eq. 2.8 with B = A: a full well of 1e6 electrons per 100 x 100 um
+    pitch = camera.sensor.pixel_pitch
+    assert pitch is not None
+    electrons = 1e6 * pitch[0] * pitch[1] / 1e-8 / 65535.0
+    assert camera.noise.shot == pytest.approx(7.49481145 / np.sqrt(8) / 2 / np.sqrt(electrons), rel=1e-3)
 
 
 def test_lens_of_the_sr3000_to_first_order() -> None:
@@ -382,3 +409,15 @@ def test_shipped_arrays_are_what_their_script_makes() -> None:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "all as this script makes them" in done.stdout
+
+
+def test_pixel_pitch_need_not_be_known(tmp_path: Path) -> None:
+    without = TEXT.replace("pixel_pitch: [40e-6, 50e-6], ", "")
+    assert without != TEXT
+    camera = load(tmp_path, without)
+    assert camera.sensor.pixel_pitch is None
+    assert coarser_camera(camera, 2).sensor.pixel_pitch is None
+    assert coarser_camera(load(tmp_path, TEXT), 2).sensor.pixel_pitch == pytest.approx((80e-6, 100e-6))
+    save_camera(camera, tmp_path / "again.yaml")
+    assert "pixel_pitch" not in (tmp_path / "again.yaml").read_text()
+    assert load_camera(tmp_path / "again.yaml") == camera

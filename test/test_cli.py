@@ -131,7 +131,9 @@ def test_simulating_the_poses_of_a_recording(capsys: Capture, tmp_path: Path, ca
         assert middle == pytest.approx(z, abs=0.03)
 
 
-@pytest.mark.parametrize("name", ["sr3000", "sr2", "pmd3ks", "sr3000_every_effect"])
+@pytest.mark.parametrize(
+    "name", ["sr3000", "sr2", "pmd768s", "pmd1ks2", "pmd3ks", "pmd19k", "sr3000_every_effect"]
+)
 def test_info_on_shipped_cameras(capsys: Capture, name: str) -> None:
     status, out, err = run(capsys, "info", name)
     assert (status, err) == (0, "")
@@ -141,6 +143,13 @@ def test_info_on_shipped_cameras(capsys: Capture, name: str) -> None:
     if name == "sr3000":
         assert facts["ambiguity_range_m"] == pytest.approx(7.49481, abs=1e-5)
         assert facts["distance_lsb_m"] * 1e3 == pytest.approx(0.114, abs=5e-4)
+        assert facts["background_suppression_db"] is None
+        assert "unmodulated light  " not in out
+    if name == "pmd3ks":
+        assert facts["background_suppression_db"] == 50.0
+        assert re.search(
+            r"unmodulated light +fills a pixel by itself at 20723987 counts, suppressed by 50 dB", out
+        )
 
 
 @pytest.mark.parametrize("name", ["wall", "corner", "board", "track_line", "room"])

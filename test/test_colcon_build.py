@@ -12,7 +12,7 @@ pytest.importorskip("colcon_core")
 
 NAME = "rim_camera_ros"
 ROOT = Path(__file__).resolve().parents[1]
-EXECUTABLES = ("driver_node", "correction_node", "calibration_node", "people_node", "rim")
+EXECUTABLES = ("camera_node", "driver_node", "correction_node", "calibration_node", "people_node", "rim")
 SHARED = ("launch", "config", "calibration")
 
 pytestmark = pytest.mark.timeout(180)
@@ -25,6 +25,11 @@ def files(folder: Path) -> dict[str, bytes]:
         for path in folder.rglob("*")
         if path.is_file() and "__pycache__" not in path.parts and not path.name.startswith(".")
     }
+
+
+def sources(folder: Path) -> list[str]:
+    """Files below the folder without what is compiled."""
+    return [name for name in files(folder) if not name.endswith(".so")]
 
 
 def run(*command: str | Path, cwd: Path) -> str:
@@ -50,7 +55,7 @@ def run(*command: str | Path, cwd: Path) -> str:
 
 def build(workspace: Path, *options: str) -> Path:
     """Build a copy of this package in the workspace."""
-    ignored = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "install", "log")
+    ignored = shutil.ignore_patterns(".*", "__pycache__", "*.so", "*.egg-info", "build", "install", "log")
     shutil.copytree(ROOT, workspace / "src" / NAME, ignore=ignored)
     # by module, so that the colcon of this environment runs, activated or not
     call = "import sys; from colcon_core.command import main; sys.exit(main())"
@@ -95,7 +100,13 @@ def test_every_file_is_shared(prefix: Path, folder: str) -> None:
 def test_every_module_is_installed(prefix: Path) -> None:
     """A subpackage without __init__.py or a data file that package_data misses would be left out."""
     (installed,) = prefix.glob(f"lib/python3*/site-packages/{NAME}")
-    assert sorted(files(installed)) == sorted(files(ROOT / NAME))
+    assert sorted(sources(installed)) == sorted(sources(ROOT / NAME))
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+def test_compiled_kernels_are_installed(workspace: Path) -> None:
+    code = f"from {NAME}.pipeline import kernels; print(kernels.LIBRARY is not None)"
+    assert in_workspace(workspace, f"{sys.executable} -c '{code}'").strip() == "True"
 
 
 def test_imports_come_from_the_workspace(workspace: Path, prefix: Path) -> None:
@@ -103,14 +114,18 @@ def test_imports_come_from_the_workspace(workspace: Path, prefix: Path) -> None:
     assert Path(where.strip()).is_relative_to(prefix)
 
 
-def test_rim_runs(workspace: Path) -> None:
-    assert "usage: rim" in in_workspace(workspace, f"install/{NAME}/lib/{NAME}/rim --help")
+def test_sourcing_puts_rim_on_the_path(workspace: Path, prefix: Path) -> None:
+    shown = in_workspace(workspace, "cd / && command -v rim && rim --help")
+    assert shown.startswith(f"{prefix}/bin/rim\n")
+    assert "usage: rim" in shown
+    assert "usage: rim" in in_workspace(workspace, f"{prefix}/lib/{NAME}/rim --help")  # ros2 run
 
 
 def test_symlink_install_runs_from_the_source(tmp_path: Path) -> None:
     workspace = build(tmp_path, "--symlink-install")
     for executable in EXECUTABLES:
         assert (workspace / "install" / NAME / "lib" / NAME / executable).is_file()
+    assert "usage: rim" in in_workspace(workspace, "rim --help")
     where = in_workspace(workspace, f"{sys.executable} -c 'import {NAME}; print({NAME}.__file__)'")
     assert Path(where.strip()).resolve() == workspace / "src" / NAME / NAME / "__init__.py"
     assert files(workspace / "install" / NAME / "share" / NAME / "config") == files(ROOT / "config")

@@ -9,6 +9,10 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+import yaml
+
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.launch_parameters import for_node
 
 LAUNCH = Path(__file__).resolve().parents[1] / "launch"
 
@@ -52,12 +56,24 @@ class Node:
     namespace: str
     parameters: list[Any] = field(default_factory=list)
     output: str = "log"
+    ros_arguments: list[str] = field(default_factory=list)
+    arguments: list[str] = field(default_factory=list)
+    remappings: list[tuple[str, str]] = field(default_factory=list)
+    respawn: bool = False
+    respawn_delay: float | None = None
+
+    def given(self) -> dict[str, Any]:
+        """The parameters by the name of the node that heeds them, later ones over earlier ones."""
+        found: dict[str, Any] = {}
+        for one in self.parameters:
+            content = {"/**": {"ros__parameters": one}} if isinstance(one, dict) else read(one)
+            for node, values in content.items():
+                found.setdefault(node, {}).update(values["ros__parameters"])
+        return found
 
 
-@dataclass(frozen=True)
-class ParameterValue:
-    value: str
-    value_type: type
+def read(path: str) -> Any:
+    return yaml.safe_load(Path(path).read_text())
 
 
 @pytest.fixture
@@ -68,13 +84,16 @@ def launch_stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
         "launch.substitutions": [LaunchConfiguration],
         "launch_ros": [],
         "launch_ros.actions": [Node],
-        "launch_ros.parameter_descriptions": [ParameterValue],
+        "ament_index_python": [],
     }
     for name, classes in contents.items():
         module = ModuleType(name)
         for cls in classes:
             setattr(module, cls.__name__, cls)
         monkeypatch.setitem(sys.modules, name, module)
+    packages = ModuleType("ament_index_python.packages")
+    packages.get_package_share_directory = lambda name: str(LAUNCH.parent)  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, packages.__name__, packages)
 
 
 def launched(**arguments: str) -> dict[str, Node]:
@@ -99,35 +118,103 @@ def test_compiles(path: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("launch_stand_ins")
-def test_without_arguments_the_nodes_keep_their_own_defaults() -> None:
+def test_without_arguments_one_process_with_the_nodes_own_defaults() -> None:
     nodes = launched()
-    assert set(nodes) == {"driver_node", "correction_node"}
-    for node in nodes.values():
-        assert node.package == "rim_camera_ros"
-        assert node.namespace == "camera"
-        assert node.parameters == []
+    assert set(nodes) == {"camera_node"}
+    node = nodes["camera_node"]
+    assert (node.package, node.namespace, node.respawn) == ("rim_camera_ros", "camera", False)
+    assert node.parameters == node.ros_arguments == []
+
+
+ARGUMENTS = {
+    "namespace": "front",
+    "source": "playback",
+    "scene": "room.yaml",
+    "recording": "2024",
+    "camera": "true.yaml",
+    "correction_camera": "calibrated.yaml",
+    "frame_id": "front_optical",
+}
+DRIVER = {
+    "source": "playback",
+    "scene": "room.yaml",
+    "recording": "2024",  # text, though it looks like a number
+    "camera": "true.yaml",
+    "frame_id": "front_optical",
+}
 
 
 @pytest.mark.usefixtures("launch_stand_ins")
-def test_arguments_become_parameters_of_the_right_node() -> None:
-    nodes = launched(
-        namespace="front",
-        source="playback",
-        scene="room.yaml",
-        recording="2024",
-        driver_parameters="driver.yaml",
-        camera="true.yaml",
-        correction_camera="calibrated.yaml",
-        frame_id="front_optical",
-    )
-    assert {node.namespace for node in nodes.values()} == {"front"}
-    file, driver = nodes["driver_node"].parameters
-    assert file == "driver.yaml"  # before the arguments, which override it
-    assert driver == {
-        "source": ParameterValue("playback", str),
-        "scene": ParameterValue("room.yaml", str),
-        "recording": ParameterValue("2024", str),
-        "camera": ParameterValue("true.yaml", str),
-        "frame_id": ParameterValue("front_optical", str),
+def test_arguments_become_parameters_of_the_right_node_of_one_process() -> None:
+    (node,) = launched(**ARGUMENTS, people="true").values()
+    assert node.namespace == "front"
+    assert node.given() == {
+        "/**/driver": DRIVER,
+        "/**/correction": {"camera": "calibrated.yaml"},
+        "/**": {"people": True},
     }
-    assert nodes["correction_node"].parameters == [{"camera": ParameterValue("calibrated.yaml", str)}]
+
+
+@pytest.mark.usefixtures("launch_stand_ins")
+def test_arguments_become_parameters_of_separate_processes() -> None:
+    nodes = launched(**ARGUMENTS, people="true", separate="true", respawn="true")
+    assert set(nodes) == {"driver_node", "correction_node", "people_node"}
+    assert {(one.namespace, one.respawn, one.respawn_delay) for one in nodes.values()} == {
+        ("front", True, 2.0)
+    }
+    assert nodes["driver_node"].given() == {"/**/driver": DRIVER}
+    assert nodes["correction_node"].given() == {"/**/correction": {"camera": "calibrated.yaml"}}
+    assert nodes["people_node"].given() == {}
+
+
+@pytest.mark.usefixtures("launch_stand_ins")
+def test_arguments_override_the_parameter_file_which_overrides_the_preset(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(
+        "/**: {ros__parameters: {scene: wall, integration_time: 33.0}}\n"
+        "/front/correction: {ros__parameters: {minimum_amplitude: 70.0}}\n"
+    )
+    (node,) = launched(preset="fast", driver_parameters=str(file), scene="corner").values()
+    given = node.given()
+    assert given["/**/driver"] == {"integration_time": 33.0, "frame_rate": 50.0, "scene": "corner"}
+    assert given["/front/correction"] == {"minimum_amplitude": 70.0}  # stays as it is
+    assert given["/**/correction"]["effects"] == {"scattering": False, "incidence_angle": False}
+    assert "/**" not in given
+
+
+@pytest.mark.usefixtures("launch_stand_ins")
+def test_levels_of_the_log_for_all_and_for_some() -> None:
+    (node,) = launched(log_level="warn").values()
+    assert node.ros_arguments == [
+        "--log-level",
+        "camera.driver:=warn",
+        "--log-level",
+        "camera.correction:=warn",
+    ]
+    (node,) = launched(log_level="correction=debug", namespace="/robot/front").values()
+    assert node.ros_arguments == ["--log-level", "robot.front.correction:=debug"]
+
+
+@pytest.mark.usefixtures("launch_stand_ins")
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        ({"preset": "quick"}, "preset: no preset 'quick': presets: fast, outdoors, precise"),
+        ({"log_level": "loud"}, "log_level: 'loud' is no level: one of: debug, info, warn, error, fatal"),
+        ({"log_level": "people=info"}, "log_level: no node 'people': one of: driver, correction"),
+        ({"correction_parameters": "/nowhere.yaml"}, "/nowhere.yaml: cannot be read: No such file"),
+    ],
+)
+def test_wrong_arguments_are_refused(arguments: dict[str, str], problem: str) -> None:
+    with pytest.raises(InputError) as refused:
+        launched(**arguments)
+    assert problem.split(": ")[0] in str(refused.value)
+    assert problem.split(": ")[1] in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["- 1\n", "a: 1\n", "a: [\n"])
+def test_a_file_that_is_no_parameter_file_is_refused(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "bad.yaml"
+    file.write_text(text)
+    with pytest.raises(InputError, match=r"bad\.yaml.*is no (parameter file|YAML)"):
+        for_node("driver", file=str(file))

@@ -145,11 +145,11 @@ FAULTS = {
     "key twice": ("count: 3\ninner:\n  size: 1\n  size: 2\n", r"inner\.size \(line 4\): key given twice \(keep one\)"),
     "key that is a list": ("count: 3\n? [1, 2]\n: 4\n", r"line 2: not valid YAML: a key must be a plain word or number"),
     "alias of itself": ("count: 3\nseveral: &s [*s]\n", r"nested too deeply"),
-    "aliases of aliases": ("a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(f"{c}: &{c} [{', '.join(10 * [f'*{b}'])}]\n" for b, c in zip("abcdef", "bcdefg", strict=True)), r"aliases \(\*name\) repeat more than a million values \(is this the right file\?\)"),
+    "aliases of aliases": ("a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(f"{c}: &{c} [{', '.join(10 * [f'*{b}'])}]\n" for b, c in zip("abcdef", "bcdefg", strict=True)), r"holds more than 200000 values \(aliases repeat theirs\) \(is this the right file\?"),
     "row twice by a text": ("count: 3\nrows: {16: {size: 1}, '16': {size: 2}}\n", r"rows\.16 \(line 2\): key given twice \(keep one\)"),
     "two documents": ("count: 3\n---\ncount: 4\n", r"line 2: not valid YAML: but found another document"),
     "tabulator": ("count:\t3\n\tlimit: 4\n", r"line [12]: not valid YAML"),
-    "control characters": ("count: \x00\n", r"not valid YAML: .*special characters"),
+    "control characters": ("count: \x00\n", r"not valid YAML: .*(special|control) characters"),
     "merge key": ("count: 3\n<<: {limit: 3}\n", r"file\.yaml: line 2: not valid YAML|<< \(line 2\): unknown key"),
 }  # fmt: skip
 

@@ -127,7 +127,7 @@ FAULTS = {
     "free angle": (HEAD + "- {name: a, type: plane, pose: {position: [0, 0, 2], free: [z, tilt]}}\n", r"surfaces\.0\.pose\.free\.1 \(line 3\): unknown value 'tilt'"),
     "motion": (HEAD + WALL + "camera_motion: {linear: [0, 1]}\n", r"camera_motion\.linear \(line 4\): expected 3 values, found 2"),
     "frames 0": (HEAD + WALL + "schedule:\n- {frames: 0}\n", r"schedule\.0\.frames \(line 5\): must be at least 1, found 0"),
-    "rate 0": (HEAD + WALL + "schedule:\n- {rate: 0}\n", r"schedule\.0\.rate \(line 5\): must be greater than 0 Hz"),
+    "rate 0": (HEAD + WALL + "schedule:\n- {rate: 0}\n", r"schedule\.0\.rate \(line 5\): must be at least 0.001 Hz"),
     "setting 0": (HEAD + WALL + "schedule:\n- {integration_time: 0}\n", r"schedule\.0\.integration_time \(line 5\): must be greater than 0"),
     "uptime before": (HEAD + WALL + "schedule:\n- {uptime: -1}\n", r"schedule\.0\.uptime \(line 5\): must be at least 0 s"),
     "key in a station": (HEAD + WALL + "schedule:\n- {frames: 3, ambeint: 20}\n", r"schedule\.0\.ambeint \(line 5\): unknown key \(did you mean 'ambient'\?\)"),

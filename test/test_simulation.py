@@ -22,6 +22,7 @@ from rim_camera_ros.effects.integration_time_offset import IntegrationTimeOffset
 from rim_camera_ros.effects.interference import Interference
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.reference_path import ReferencePath
+from rim_camera_ros.effects.saturation_bleed import SaturationBleed
 from rim_camera_ros.effects.scattering import Ghost, Kernel, Scattering
 from rim_camera_ros.effects.warm_up_drift import Exponential, WarmUpDrift
 from rim_camera_ros.errors import InputError
@@ -220,6 +221,41 @@ class TestNoise:
         for one, variance in ((cam, 0.25 / a), (lit, 0.25 / a + 0.25 * 30000.0 / a**2)):
             distance, _ = self.frames(one)
             assert (distance.var(axis=0, ddof=1) / variance).mean() == pytest.approx(1.0, abs=0.01)
+
+    @pytest.mark.parametrize(
+        ("suppression", "takes"), [(None, 1e12), (0.0, 65535.0), (50.0, 65535.0 * 316.227766)]
+    )
+    def test_unmodulated_light_fills_pixels_beyond_its_suppression(
+        self, suppression: float | None, takes: float
+    ) -> None:
+        """A pixel takes (saturation - A) * 10^(suppression / 20) of it, 50 dB being a factor of 316."""
+        cam = camera(background_suppression=suppression)
+        amplitude = exact(cam, wall()).amplitude
+        room = (65535.0 - float(amplitude[3, 5])) / 65535.0
+        for share, saturated in ((0.9999, False), (1.0001, suppression is not None)):
+            lit = with_effects(cam, {"background_light": BackgroundLight(level=takes * room * share)})
+            frame = exact(lit, wall())
+            assert (frame.amplitude[3, 5] == 65535.0) == saturated
+            flagged = Correction(lit).correct(simulate(lit, wall(), noise=False)).flags[3, 5]
+            assert bool(flagged & Flag.SATURATED) == saturated
+            if not saturated:
+                assert frame.amplitude[3, 5] == pytest.approx(amplitude[3, 5], rel=1e-12)
+
+    def test_pixels_that_unmodulated_light_fills_bleed(self) -> None:
+        """The pixel that sees most light fills first; its row measures 21 mm less, its column 8 mm."""
+        cam, scene = camera(background_suppression=20.0), wall()
+        quiet = exact(cam, scene)
+        v, u = np.unravel_index(np.argmax(quiet.amplitude), quiet.amplitude.shape)
+        second = np.sort(quiet.amplitude.ravel())[-2:]
+        level = 10.0 * (65535.0 - float(second.mean()))
+        effects = {
+            "background_light": BackgroundLight(level=level),
+            "saturation_bleed": SaturationBleed(row=-0.021, column=-0.008),
+        }
+        shift = exact(with_effects(cam, effects), scene).distance - quiet.distance
+        expected = np.zeros(shift.shape)
+        expected[v, :], expected[:, u], expected[v, u] = -0.021, -0.008, 0.0
+        np.testing.assert_allclose(shift, expected, atol=1e-9)
 
     def test_seed_and_emitted_power(self) -> None:
         cam = replace(camera(), radiometry=Radiometry(gain_sigma=0.05))

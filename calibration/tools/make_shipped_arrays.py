@@ -70,14 +70,22 @@ SR2 = [
     ("effects.scattering.kernels.1.weight", 0.002),
 ]
 
-PMD3KS = [
+PMD = [
     ("effects.cyclic_error.harmonics.0.amplitude", 0.003),  # m
     ("effects.cyclic_error.harmonics.0.phase", 0.04),  # rad
     ("effects.scattering.kernels.0.weight", 0.002),
     ("effects.scattering.kernels.1.weight", 0.002),
 ]
 
-COVARIANCES = {"sr3000": SR3000, "sr3000_every_effect": EVERY_EFFECT, "sr2": SR2, "pmd3ks": PMD3KS}
+COVARIANCES = {
+    "sr3000": SR3000,
+    "sr3000_every_effect": EVERY_EFFECT,
+    "sr2": SR2,
+    "pmd768s": PMD,
+    "pmd1ks2": PMD,
+    "pmd3ks": PMD,
+    "pmd19k": PMD,
+}
 
 
 def fixed_pattern(*, width, height, smooth, white, seed):

@@ -3,19 +3,20 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import inspect
 import sys
 import typing
 from pathlib import Path
 
+from pages import DOCS, run
+
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.effects import ORDER, SECTIONS
 from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.files import find_camera
 
-FOLDER = Path(__file__).resolve().parents[1] / "effects"
+FOLDER = DOCS / "effects"
 UNDO = {
     "exact": "exactly, from one frame",
     "planes": "on planes, from one frame: the normals come from the frame itself",
@@ -99,20 +100,5 @@ def pages() -> dict[Path, str]:
     return result
 
 
-def main() -> int:
-    """Write the pages, or compare them."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing; 1 if a page differs")
-    check = parser.parse_args().check
-    FOLDER.mkdir(exist_ok=True)
-    stale = [path for path, text in pages().items() if not path.is_file() or path.read_text() != text]
-    if not check:
-        for path, text in pages().items():
-            path.write_text(text)
-    for path in stale:
-        print(f"{path.name}: {'out of date' if check else 'written'}")
-    return int(check and bool(stale))
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(__doc__ or "", pages))

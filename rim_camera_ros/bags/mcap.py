@@ -2,6 +2,11 @@
 
 The reader of rosbags needs the index at the end of a file, and its version 0.10 a metadata.yaml beside
 it. Recordings that were interrupted have neither: here such a file is read from its beginning to the cut.
+
+The streaming reader of the library `mcap` (1.6) does less: of a chunk that is cut off it delivers no message
+(of 400 messages in a chunk cut at 60 % none, here 236), of the place where a file ends it says nothing
+(``EndOfFile`` without an offset), and it unpacks lz4 to whatever size it has. It is no faster (6 MB in 12 ms,
+here 3 ms; with zstd 27 and 24 ms).
 """
 
 from __future__ import annotations
@@ -9,13 +14,13 @@ from __future__ import annotations
 import heapq
 import struct
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from rim_camera_ros.bags.compress import LARGEST_BLOCK, CompressionError, decompress
-from rim_camera_ros.errors import InputError
+from rim_camera_ros.errors import InputError, RimError
 
 MAGIC = b"\x89MCAP0\r\n"
 REMEDY = "'ros2 bag reindex' or 'mcap recover' repairs what is left; else record it again"
@@ -42,6 +47,20 @@ class Message(NamedTuple):
     topic: str
     time: int
     data: bytes
+
+
+def guarded(iterator: Iterator[Message], to_error: Callable[[Exception], RimError]) -> Generator[Message]:
+    """Iterate, with every exception of the iterator itself turned into an error of this package."""
+    while True:
+        try:
+            item = next(iterator)
+        except StopIteration:
+            return
+        except RimError:
+            raise
+        except Exception as error:
+            raise to_error(error) from error
+        yield item
 
 
 class _DamageError(Exception):

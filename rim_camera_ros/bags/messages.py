@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -18,7 +19,16 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rim_camera_ros.bags.images import decode_image, encode_image
-from rim_camera_ros.bags.topics import CAMERA_INFO, CLOUD, DIAGNOSTICS, IMAGE, POSE, RANGE, TEMPERATURE
+from rim_camera_ros.bags.topics import (
+    CAMERA_INFO,
+    CLOUD,
+    DIAGNOSTICS,
+    IMAGE,
+    POSE,
+    POSE_WITH_COVARIANCE,
+    RANGE,
+    TEMPERATURE,
+)
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import NANOSECONDS, Intrinsics, Pose, Settings
 
@@ -238,12 +248,44 @@ def range_from(message: Any) -> float | None:
 
 def pose_message(pose: Pose, stamp: int, frame_id: str = FRAME_ID) -> Any:
     """Return a geometry_msgs/PoseStamped; ``stamp`` in ns."""
+    return _make(POSE, header=header(stamp, frame_id), pose=_pose_fields(pose))
+
+
+def pose_with_covariance_message(pose: Pose, stamp: int, frame_id: str = FRAME_ID) -> Any:
+    """Return a geometry_msgs/PoseWithCovarianceStamped of a pose that has a covariance; ``stamp`` in ns."""
+    assert pose.covariance is not None
+    both = _make(
+        "geometry_msgs/msg/PoseWithCovariance",
+        pose=_pose_fields(pose),
+        covariance=np.array(pose.covariance, np.float64),
+    )
+    return _make(POSE_WITH_COVARIANCE, header=header(stamp, frame_id), pose=both)
+
+
+def _pose_fields(pose: Pose) -> Any:
     x, y, z = pose.position
     position = _make("geometry_msgs/msg/Point", x=float(x), y=float(y), z=float(z))
     x, y, z, w = pose.orientation
     turn = _make("geometry_msgs/msg/Quaternion", x=float(x), y=float(y), z=float(z), w=float(w))
-    both = _make("geometry_msgs/msg/Pose", position=position, orientation=turn)
-    return _make(POSE, header=header(stamp, frame_id), pose=both)
+    return _make("geometry_msgs/msg/Pose", position=position, orientation=turn)
+
+
+def pose_with_covariance_from(message: Any, place: str | None = None) -> Pose:
+    """Return a geometry_msgs/PoseWithCovarianceStamped.
+
+    Raises InputError as `pose_from` does, and for a covariance that is none.
+    """
+    pose = pose_from(message.pose, place)
+    matrix = np.array(message.pose.covariance, np.float64).reshape(6, 6)
+    remedy = "36 numbers row by row: x y z in m, rotations about x y z in rad"
+    if not np.isfinite(matrix).all():
+        raise InputError("the covariance of the pose is not finite", place=place, remedy=remedy)
+    matrix = (matrix + matrix.T) / 2
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    unit = np.where(scale > 0, scale, 1.0)
+    if np.diag(matrix).min() < 0 or np.linalg.eigvalsh(matrix / np.outer(unit, unit))[0] < -1e-6:
+        raise InputError("the covariance of the pose has a negative variance", place=place, remedy=remedy)
+    return replace(pose, covariance=tuple(matrix.ravel().tolist()))
 
 
 def pose_from(message: Any, place: str | None = None) -> Pose:
@@ -293,21 +335,25 @@ def points_message(points: NDArray[np.float32], stamp: int, frame_id: str = FRAM
 
 
 def points_array(message: Any, place: str | None = None) -> NDArray[np.float32]:
-    """Return a cloud as made by `points_message` as (H, W, 4) float32.
+    """Return x y z intensity of a cloud as made by `points_message` as (H, W, 4) float32.
 
-    Raises InputError for a cloud with other fields or of another layout.
+    Further fields after these are not read. Raises InputError for a cloud that has other fields first, or
+    another layout.
     """
     fields = [(str(f.name), int(f.offset), int(f.datatype)) for f in message.fields]
-    if fields != [(name, 4 * i, _FLOAT32) for i, name in enumerate(_POINT_FIELDS)]:
+    expected = [(name, 4 * i, _FLOAT32) for i, name in enumerate(_POINT_FIELDS)]
+    if fields[: len(expected)] != expected:
         raise InputError(
             f"the cloud's fields are {_names(fields)}", place=place, remedy="x y z intensity float32"
         )
     height, width = int(message.height), int(message.width)
     flat = np.frombuffer(message.data, np.uint8)
-    if message.point_step != 16 or message.row_step != 16 * width or flat.size != 16 * width * height:
+    step = int(message.point_step)
+    packed = step == 16 if len(fields) == len(expected) else step > 16 and step % 4 == 0
+    if not packed or message.row_step != step * width or flat.size != step * width * height:
         raise InputError("the cloud is not packed in 16 bytes a point", place=place)
-    points = flat.view(">f4" if message.is_bigendian else "<f4").reshape(height, width, 4)
-    return points.astype(np.float32, copy=False)
+    points = flat.view(">f4" if message.is_bigendian else "<f4").reshape(height, width, step // 4)
+    return np.ascontiguousarray(points[..., :4], np.float32)
 
 
 def _names(fields: Iterable[tuple[str, int, int]]) -> str:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from numpy.typing import NDArray
 
 from rim_camera_ros.bags import messages
-from rim_camera_ros.bags.topics import is_swissranger_intensity
+from rim_camera_ros.bags.topics import POSE_ROLES, is_swissranger_intensity
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Intrinsics, Pose, RawFrame, Settings
 
@@ -82,7 +82,7 @@ class Pairing:
         self._say = say
         roles = {role for role, _ in routes.values()}
         self._expected = tuple(role for role in ("camera_info", "frame_info") if role in roles)
-        self._waits = bool(roles & {"temperature", "ambient", "reference", "truth"})
+        self._waits = bool(roles & {"temperature", "ambient", "reference", *POSE_ROLES})
         self._pending: dict[int, _Exposure] = {}
         self._order: deque[_Exposure] = deque()
         self._bytes = 0
@@ -90,6 +90,7 @@ class Pairing:
         self._layout: dict[str, tuple[tuple[int, ...], str]] = {}
         self._sides: dict[str, History] = {}
         self._poses: dict[str, History] = {}
+        self._covariances: dict[str, History] = {}
         self._pose_frames: dict[str, str] = {}
         self._frame_id = ""
         self._intrinsics: Intrinsics | None = None
@@ -103,9 +104,12 @@ class Pairing:
         role, surface = self._routes[topic]
         stamp = messages.stamp_of(message)
         place = f"topic {topic} at {messages.stamp_text(stamp)}"
-        if role == "truth":
+        if role in POSE_ROLES:
             self._pose_frames.setdefault(surface, message.header.frame_id)
-            self._poses.setdefault(surface, History()).add(stamp, messages.pose_from(message, place))
+            plain = role == "truth"
+            histories = self._poses if plain else self._covariances
+            pose = (messages.pose_from if plain else messages.pose_with_covariance_from)(message, place)
+            histories.setdefault(surface, History()).add(stamp, pose)
             return []
         if role in ("temperature", "ambient", "reference"):
             read = messages.range_from if role == "reference" else messages.temperature_from
@@ -249,15 +253,15 @@ class Pairing:
             self._intrinsics = intrinsics = self._fitting(intrinsics, exposure)
         truth: dict[str, Pose] = {}
         pose_stamps: dict[str, int] = {}
-        for surface, history in self._poses.items():
-            found = history.latest(stamp)
+        for surface in dict.fromkeys((*self._poses, *self._covariances)):
+            found = self._pose_of(surface, stamp)
             if found is not None:
                 pose_stamps[surface], truth[surface] = found
                 self._compare_frames(surface)
         settings = self._with_sides(settings, stamp)
         if self._pending:
             earliest = min(self._pending)
-            for history in (*self._poses.values(), *self._sides.values()):
+            for history in (*self._poses.values(), *self._covariances.values(), *self._sides.values()):
                 history.forget(min(earliest, stamp))
         return RawFrame(
             stamp=stamp,
@@ -269,6 +273,16 @@ class Pairing:
             intrinsics=intrinsics,
             device=device,
         )
+
+    def _pose_of(self, surface: str, stamp: int) -> tuple[int, Pose] | None:
+        """Return stamp and value of the latest pose, with its covariance where one has the same stamp."""
+        pose, certain = (
+            histories[surface].latest(stamp) if surface in histories else None
+            for histories in (self._poses, self._covariances)
+        )
+        if pose is None or (certain is not None and certain[0] >= pose[0]):
+            return certain
+        return pose
 
     def _with_sides(self, settings: Settings | None, stamp: int) -> Settings:
         sides = {

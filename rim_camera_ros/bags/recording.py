@@ -11,10 +11,11 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from rim_camera_ros.bags import messages
+from rim_camera_ros.bags.mcap import guarded
 from rim_camera_ros.bags.pairing import Backwards, Pairing
-from rim_camera_ros.bags.storage import Storage, guarded, open_storage, unpack_message
+from rim_camera_ros.bags.storage import Storage, open_storage, unpack_message
 from rim_camera_ros.bags.topics import (
-    POSE,
+    POSE_ROLES,
     RAW_ROLES,
     ROLES,
     Topics,
@@ -123,8 +124,7 @@ class Recording:
     def truth_surfaces(self) -> tuple[str, ...]:
         """Names of the surfaces whose poses are recorded, sorted."""
         self._opened()
-        found = (self._topics.surface_of(name) for name, kind in self._types.items() if kind == POSE)
-        return tuple(sorted(name for name in found if name))
+        return tuple(sorted({surface for surface, _ in self._pose_topics().values()}))
 
     @property
     def frame_count(self) -> int:
@@ -150,7 +150,7 @@ class Recording:
             message_count=sum(one.count for one in topics),
             frame_count=self.frame_count,
             topics=topics,
-            roles={role: self._topics[role] for role in ROLES if role in found},
+            roles={role: self._topics[role] for role in ROLES if role in found} | self._pose_patterns(),
             truth_surfaces=self.truth_surfaces,
             assumptions=tuple(self.assumptions),
             damage=storage.damage,
@@ -216,8 +216,8 @@ class Recording:
                     del waiting[min(waiting)]
 
     def _frames(self, storage: Storage, on_backwards: Backwards) -> Iterator[RawFrame]:
-        routes = {self._topics[role]: (role, "") for role in RAW_ROLES[:-1]}
-        routes |= {self._topics.truth(surface): ("truth", surface) for surface in self.truth_surfaces}
+        routes = {self._topics[role]: (role, "") for role in RAW_ROLES}
+        routes |= {topic: (role, surface) for topic, (surface, role) in self._pose_topics().items()}
         routes = {topic: route for topic, route in routes.items() if topic in self._types}
         pairing = Pairing(routes, on_backwards, self._say)
         self.skipped = pairing.skipped
@@ -255,10 +255,31 @@ class Recording:
             )
 
     def _role(self, name: str, by_name: Mapping[str, str]) -> str | None:
-        if self._types[name] == POSE and self._topics.surface_of(name):
-            return "truth"
+        if name in self._pose_topics():
+            return self._pose_topics()[name][1]
         role = by_name.get(name)
         return role if role and ROLES[role][1] == self._types[name] else None
+
+    def _pose_topics(self) -> dict[str, tuple[str, str]]:
+        """Return surface and role of the topics with poses, by their names.
+
+        Where a surface has poses below the namespace of the camera and without it, the former count.
+        """
+        found: dict[tuple[str, str], str] = {}
+        for name, kind in self._types.items():
+            for role in POSE_ROLES:
+                if kind == ROLES[role][1] and (surface := self._topics.surface_of(name, role=role)):
+                    known = found.setdefault((surface, role), name)
+                    found[surface, role] = max(known, name, key=len)
+        return {name: key for key, name in found.items()}
+
+    def _pose_patterns(self) -> dict[str, str]:
+        """Return the names of topics with poses by role, with the placeholder of the surface."""
+        found = (
+            (role, self._topics.pattern_of(name, role=role))
+            for name, (_, role) in self._pose_topics().items()
+        )
+        return {role: pattern for role, pattern in found if pattern is not None}
 
     def _say(self, sentence: str) -> None:
         if sentence not in self.assumptions:

@@ -6,22 +6,22 @@ import errno
 import re
 import sqlite3
 import tempfile
-from collections.abc import Callable, Collection, Generator, Iterator, Mapping
-from contextlib import closing, suppress
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Protocol
 
-from rosbags.rosbag1 import Reader as Bag1Reader
 from ruamel.yaml import YAML
 
 from rim_camera_ros.bags import mcap
+from rim_camera_ros.bags.bag1 import BAG1_MAGIC, Bag1File
 from rim_camera_ros.bags.compress import ZSTD_MAGIC, CompressionError, decompress, decompress_file
-from rim_camera_ros.bags.mcap import McapFile, Message, TopicInfo
+from rim_camera_ros.bags.mcap import McapFile, Message, TopicInfo, guarded
 from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.temporary import Temporary, temporary_folder
 
 METADATA = "metadata.yaml"
 SQLITE_MAGIC = b"SQLite format 3\0"
-BAG1_MAGIC = b"#ROSBAG V"
 
 _REINDEX = "'ros2 bag reindex' writes it anew"
 _SUFFIXES = (".mcap", ".mcap.zstd", ".db3", ".db3.zstd")
@@ -52,20 +52,6 @@ class Storage(Protocol):
     def close(self) -> None:
         """Remove temporary files."""
         ...
-
-
-def guarded(iterator: Iterator[Message], to_error: Callable[[Exception], RimError]) -> Generator[Message]:
-    """Iterate, with every exception of the iterator itself turned into an error of this package."""
-    while True:
-        try:
-            item = next(iterator)
-        except StopIteration:
-            return
-        except RimError:
-            raise
-        except Exception as error:
-            raise to_error(error) from error
-        yield item
 
 
 class SqliteFile:
@@ -137,68 +123,17 @@ class SqliteFile:
         )
 
 
-class Bag1File:
-    """A ROS 1 bag, read by rosbags. Raises InputError for one that cannot be opened."""
-
-    kind = "ROS 1 bag"
-    ros1 = True
-    damage: str | None = None
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.topics: dict[str, TopicInfo] = {}
-        self.start: int | None = None
-        self.end: int | None = None
-        with closing(self._open()) as reader:
-            try:
-                for name, info in reader.topics.items():
-                    self.topics[name] = TopicInfo(info.msgtype or "of several types", info.msgcount)
-                if reader.chunk_infos and any(info.count for info in self.topics.values()):
-                    self.start, self.end = reader.start_time, reader.end_time - 1
-            except Exception as error:
-                raise self._error(error) from error
-
-    def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Iterate over the messages of some topics by time."""
-        return guarded(self._read(topics), self._error)
-
-    def close(self) -> None:
-        """Nothing is held between calls."""
-
-    def _open(self) -> Bag1Reader:
-        reader = Bag1Reader(self.path)
-        try:
-            reader.open()
-        except Exception as error:
-            with suppress(Exception):
-                reader.close()
-            raise self._error(error) from error
-        return reader
-
-    def _read(self, topics: Collection[str]) -> Iterator[Message]:
-        with closing(self._open()) as reader:
-            connections = [one for one in reader.connections if one.topic in topics]
-            if connections:
-                for connection, time, data in reader.messages(connections):
-                    yield Message(connection.topic, time, data)
-
-    def _error(self, error: Exception) -> InputError:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        return InputError(
-            f"the bag is cut off or damaged: {reason}", file=self.path, remedy="'rosbag reindex' repairs it"
-        )
-
-
 class Unpacked:
     """A recording file under file compression, unpacked into a temporary folder until closed."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._folder = tempfile.TemporaryDirectory(prefix="rim_camera_ros_")
+        self._folder: Temporary | None = None
         name = path.name.removesuffix(".zstd")
-        target = Path(self._folder.name, name if name != path.name else "recording")
         self._fault: str | None = None
         try:
+            self._folder = temporary_folder(Path(tempfile.gettempdir()), "rim_camera_ros")
+            target = self._folder.path / (name if name != path.name else "recording")
             try:
                 decompress_file(path, target)
             except CompressionError as error:
@@ -234,7 +169,9 @@ class Unpacked:
 
     def close(self) -> None:
         """Remove the temporary folder."""
-        self._folder.cleanup()
+        if self._folder is not None:
+            self._folder.close()
+            self._folder = None
 
 
 class Folder:

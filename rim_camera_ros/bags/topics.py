@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -15,14 +15,17 @@ DEFAULT_NAMESPACE = "/camera"
 SURFACE = "<surface>"
 
 IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 TEMPERATURE = "sensor_msgs/msg/Temperature"
 RANGE = "sensor_msgs/msg/Range"
 POSE = "geometry_msgs/msg/PoseStamped"
+POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 
-#: Role: (name below the namespace, or an absolute one; message type).
+#: Role: (name below the namespace, or an absolute one; message type). Drivers publish true poses below their
+#: namespace, so that those of two cameras stay apart; a recording is of one camera.
 ROLES: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
         "distance": ("distance/image_raw", IMAGE),
@@ -33,6 +36,7 @@ ROLES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "ambient": ("ambient_temperature", TEMPERATURE),
         "reference": ("reference", RANGE),
         "truth": (f"/ground_truth/{SURFACE}/pose", POSE),
+        "truth_with_covariance": (f"/ground_truth/{SURFACE}/pose_with_covariance", POSE_WITH_COVARIANCE),
         "points": ("points", CLOUD),
         "sigma": ("sigma/image", IMAGE),
         "flags": ("flags/image", IMAGE),
@@ -41,7 +45,10 @@ ROLES: Mapping[str, tuple[str, str]] = MappingProxyType(
     }
 )
 
-#: Roles that make up or accompany a raw frame.
+#: Roles of poses, whose topics hold the placeholder of the surface's name.
+POSE_ROLES = ("truth", "truth_with_covariance")
+
+#: Roles that make up or accompany a raw frame, other than poses.
 RAW_ROLES = (
     "distance",
     "amplitude",
@@ -50,13 +57,14 @@ RAW_ROLES = (
     "temperature",
     "ambient",
     "reference",
-    "truth",
 )
 
 #: Names below the namespace that ROS 1 SwissRanger drivers use, best first.
 SWISSRANGER_DISTANCE = "distance/image_raw16"
 SWISSRANGER_AMPLITUDE = ("intensity/image_raw16", "intensity/image_raw")
 
+#: End of a topic's name that brings a pose with its covariance.
+_COVARIANCE = "/pose_with_covariance"
 _NAME = re.compile(r"/[A-Za-z0-9_~{}]+(/[A-Za-z0-9_~{}]+)*")
 _LISTED = 12
 
@@ -103,12 +111,14 @@ class Topics:
             place = f"--topic {given}={name}"
             role = _clean_role(given, place)
             overrides[role] = _clean_name(name, place)
-            if (role == "truth") != (SURFACE in overrides[role]):
+            if (role in POSE_ROLES) != (SURFACE in overrides[role]):
                 raise InputError(
                     f"{SURFACE} stands for the surface's name and belongs in the topic of the role truth",
                     place=place,
                     remedy=f"for example --topic truth=/ground_truth/{SURFACE}/pose",
                 )
+        if "truth" in overrides and "truth_with_covariance" not in overrides:
+            overrides["truth_with_covariance"] = overrides["truth"].removesuffix("/pose") + _COVARIANCE
         object.__setattr__(self, "namespace", namespace)
         object.__setattr__(self, "overrides", overrides)
         users: dict[str, str] = {}
@@ -150,17 +160,29 @@ class Topics:
         """Whether the namespace may be detected: nothing says where the distance is."""
         return self.namespace == DEFAULT_NAMESPACE and "distance" not in self.overrides
 
-    def truth(self, surface: str) -> str:
-        """Return the topic of one surface's pose."""
-        return self["truth"].replace(SURFACE, surface)
+    def truth(self, surface: str, *, role: str = "truth") -> str:
+        """Return the topic of one surface's pose, or (``role``) of that with its covariance."""
+        return self[role].replace(SURFACE, surface)
 
-    def surface_of(self, topic: str) -> str | None:
-        """Return the surface whose pose the topic carries, None for another topic."""
-        before, _, after = self["truth"].partition(SURFACE)
-        if not (topic.startswith(before) and topic.endswith(after)):
-            return None
-        surface = topic[len(before) : len(topic) - len(after)]
-        return surface if surface and "/" not in surface else None
+    def surface_of(self, topic: str, *, role: str = "truth") -> str | None:
+        """Return the surface whose pose the topic of a role carries, None for another topic.
+
+        Without an override the topic may be below the namespace, as a driver publishes it, or not.
+        """
+        return next((surface for surface, _ in self._patterns_of(topic, role)), None)
+
+    def pattern_of(self, topic: str, *, role: str = "truth") -> str | None:
+        """Return the topic of `surface_of` with the placeholder, None for another topic."""
+        return next((pattern for _, pattern in self._patterns_of(topic, role)), None)
+
+    def _patterns_of(self, topic: str, role: str) -> Iterator[tuple[str, str]]:
+        patterns = [self[role]] if role in self.overrides else [self.namespace + self[role], self[role]]
+        for pattern in patterns:
+            before, _, after = pattern.partition(SURFACE)
+            if topic.startswith(before) and topic.endswith(after):
+                surface = topic[len(before) : len(topic) - len(after)]
+                if surface and "/" not in surface:
+                    yield surface, pattern
 
     def info_beside(self, role: str) -> str:
         """Return the camera_info topic that image_transport pairs with the role's image."""
@@ -236,7 +258,7 @@ def require_images(topics: Topics, types: Mapping[str, str]) -> None:
     Raises InputError that names the missing topic, the topics there are and the remedy, or a topic
     whose message type is not that of its role.
     """
-    for role in RAW_ROLES[:-1]:
+    for role in RAW_ROLES:
         name, expected = topics[role], ROLES[role][1]
         if name in types:
             if types[name] != expected:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from os import PathLike
 from pathlib import Path
@@ -26,12 +24,14 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from rim_camera_ros.bags import mcap, messages
+from rim_camera_ros.bags.bag1 import BAG1_MAGIC
 from rim_camera_ros.bags.compress import ZSTD_MAGIC
 from rim_camera_ros.bags.images import ENCODINGS
-from rim_camera_ros.bags.storage import BAG1_MAGIC, METADATA, SQLITE_MAGIC
-from rim_camera_ros.bags.topics import CAMERA_INFO, ROLES, Topics
+from rim_camera_ros.bags.storage import METADATA, SQLITE_MAGIC
+from rim_camera_ros.bags.topics import CAMERA_INFO, POSE_ROLES, ROLES, Topics
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.frame import CorrectedFrame, Intrinsics, Pose, RawFrame, Settings
+from rim_camera_ros.temporary import Temporary, temporary_folder
 
 if TYPE_CHECKING:
     from typing import Self
@@ -45,7 +45,7 @@ _FOREVER = QosTime(9223372036, 854775807)
 
 def _qos(topic_role: str | None) -> list[Qos]:
     """Return what playback shall offer: reliable suits every subscriber, poses also the late ones."""
-    latched = topic_role == "truth"
+    latched = topic_role in POSE_ROLES
     return [
         Qos(
             QosHistory.KEEP_LAST,
@@ -88,7 +88,7 @@ class RecordingWriter:
         self.frame_id = frame_id
         self.message_count = 0
         self._writer: Writer | None = None
-        self._work: Path | None = None
+        self._work: Temporary | None = None
         self._connections: dict[str, Connection] = {}
         self._told: dict[str, float | None] = {}
         self._poses: dict[str, tuple[Pose, int]] = {}
@@ -98,8 +98,10 @@ class RecordingWriter:
     def __enter__(self) -> Self:
         self._check_target()
         with self._faults():
-            self._work = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.", dir=self._parent))
-            self._writer = Writer(self._work / self.path.name, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._work = temporary_folder(self._parent, self.path.name)
+            self._writer = Writer(
+                self._work.path / self.path.name, version=9, storage_plugin=StoragePlugin.MCAP
+            )
             self._writer.open()
         return self
 
@@ -198,8 +200,13 @@ class RecordingWriter:
             state = (pose, frame.pose_stamps.get(surface, frame.stamp))
             if self._poses.get(surface) != state:
                 self._poses[surface] = state
-                message = messages.pose_message(pose, state[1], self.frame_id)
-                self._write(self.topics.truth(surface), ROLES["truth"][1], frame.stamp, message, "truth")
+                self._write_pose(surface, messages.pose_message(pose, state[1], self.frame_id), frame.stamp)
+                if pose.covariance is not None:
+                    message = messages.pose_with_covariance_message(pose, state[1], self.frame_id)
+                    self._write_pose(surface, message, frame.stamp, role="truth_with_covariance")
+
+    def _write_pose(self, surface: str, message: Any, stamp: int, *, role: str = "truth") -> None:
+        self._write(self.topics.truth(surface, role=role), ROLES[role][1], stamp, message, role)
 
     def _write_settings(self, settings: Settings, stamp: int, device: str) -> None:
         if not self._once("settings"):
@@ -276,20 +283,9 @@ class RecordingWriter:
     def _put_in_place(self) -> None:
         """Move the finished folder to its place; what was there before goes only after that."""
         assert self._work is not None
-        new, old = self._work / self.path.name, self._work / "replaced"
         self._check_target()
-        replaced = self.path.exists()
-        if replaced:
-            self.path.rename(old)
-        try:
-            new.rename(self.path)
-        except BaseException:
-            if replaced:
-                kept, self._work = self._work, None  # not to be removed should the next line fail
-                old.rename(self.path)
-                self._work = kept
-            raise
-        shutil.rmtree(self._work, ignore_errors=True)
+        self._work.put_in_place(self._work.path / self.path.name, self.path)
+        self._work.close()
         self._work = None
 
     @contextlib.contextmanager
@@ -319,7 +315,7 @@ class RecordingWriter:
                 abort = getattr(writer, "abort", None)  # rosbags before 0.11 can only close
                 abort() if abort else writer.close()
         if self._work is not None:
-            shutil.rmtree(self._work, ignore_errors=True)
+            self._work.close()
             self._work = None
 
 

@@ -9,7 +9,6 @@ from typing import Protocol
 from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, Exploration
 from rim_camera_ros.calibrate.mixed_candidates import footprint_of, footprints
-from rim_camera_ros.calibrate.needs import Found, needed
 from rim_camera_ros.calibrate.pixels import more_pixels
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.views import CROSSED
@@ -59,7 +58,6 @@ def with_edges(problem: Problem, fitted: Fit) -> Problem:
 def promising(
     problem: Problem,
     step: Exploration,
-    found: Sequence[Found],
     blurs: Sequence[Candidate],
     fit: Fits,
     *,
@@ -68,13 +66,12 @@ def promising(
     """Return a fit of pixels beside edges in which mixed pixels gain what they must; None: they do not.
 
     The ``footprint`` of a pixel is looked for as well, unless it is left out; a narrow one in those that
-    edges cross amid, where errors of poses tell most. ``step`` is the last exploration away from edges,
-    ``found`` the effects found there.
+    edges cross amid, where errors of poses tell most. ``step`` is the last exploration away from edges.
     """
     camera = step.fit.camera
     variants = [*blurs, *(footprints(at_first_sight=True) if footprint else [])]
     first = fit(problem, camera, step, variants, iterations=0)
-    leader = _leader(first, found, _AT_FIRST_SIGHT)
+    leader = _leader(first, _AT_FIRST_SIGHT)
     if leader is None:
         return None
     side = footprint_of(leader)
@@ -82,7 +79,7 @@ def promising(
         problem = replace(problem, masks=step.fit.forward.pixels_near_edges(CROSSED))
     variants = [*blurs, *(footprints() if footprint else [])]
     then = fit(problem, camera, step, variants, replicates=_REPLICATES)
-    return None if _leader(then, found, 1.0) is None else Look(problem, then, variants)
+    return None if _leader(then, 1.0) is None else Look(problem, then, variants)
 
 
 def sharper(problem: Problem, step: Exploration, fit: Fits) -> tuple[Exploration, Exploration] | None:
@@ -101,7 +98,7 @@ def sharper(problem: Problem, step: Exploration, fit: Fits) -> tuple[Exploration
     return (blur, footprint) if gain > LEAST_THRESHOLD else None
 
 
-def _leader(step: Exploration, found: Sequence[Found], share: float) -> Candidate | None:
+def _leader(step: Exploration, share: float) -> Candidate | None:
     """Return the best variant of mixed pixels where it gains a share of what it must."""
     number = step.best()["mixed_pixels"]
-    return step.candidates[number] if step.gains[number] > share * needed(step, number, found) else None
+    return step.candidates[number] if step.gains[number] > share * step.thresholds[number] else None

@@ -15,6 +15,8 @@ from rim_camera_ros.errors import InputError
 _HYPERBOLA = "effects.amplitude_offset."
 #: Range of the curve's departures from the hyperbola [m] below which it does not matter.
 _MATTERS = 0.001
+#: Steps of the fit with both: linear equations at a wrong hyperbola do not show the curve.
+_ITERATIONS = 6
 
 
 def beyond_hyperbola(problem: Problem, solution: Solution) -> str | None:
@@ -40,7 +42,7 @@ def beyond_hyperbola(problem: Problem, solution: Solution) -> str | None:
         further=[block],
         views=fitted.forward.views,
         warm=fitted,
-        iterations=0,
+        iterations=_ITERATIONS,
     )
     count = len(labels)
     base = range(count)

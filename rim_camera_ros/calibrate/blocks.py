@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.light_curves import RIPPLES
+from rim_camera_ros.calibrate.light_curves import LOBE, LOBE_SIGMA, RIPPLES
 from rim_camera_ros.calibrate.prediction import Column, Prediction
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
@@ -70,11 +70,16 @@ ColumnsOf = Callable[[Prediction], Sequence[Column]]
 
 @dataclass(frozen=True)
 class Block:
-    """Regressors whose columns are computed together; ``in_order`` where they need the stations in order."""
+    """Regressors whose columns are computed together; ``in_order`` where they need the stations in order.
+
+    ``grouped``, where each pixel has one of them at most: its number (-1: none), and the derivatives of
+    distance and amplitude by it, (H, W) each.
+    """
 
     regressors: tuple[Regressor, ...]
     columns: ColumnsOf
     in_order: bool = False
+    grouped: Callable[[Prediction], tuple[Array, Array, Array]] | None = None
 
 
 def effect_block(
@@ -108,7 +113,11 @@ def together(*blocks: Block) -> Block:
 
 def light_block(labels: Sequence[str]) -> Block:
     """Return the regressors of curves of the light: `light_curves.RIPPLES` or `light_curves.SURFACES`."""
-    prior = _RIPPLE_PRIOR if labels[0] in RIPPLES else REFLECTANCE_PRIOR
+    prior = REFLECTANCE_PRIOR
+    if labels[0] in RIPPLES:
+        prior = _RIPPLE_PRIOR
+    elif labels[0] in LOBE:
+        prior = LOBE_SIGMA
     regressors = tuple(Regressor(label, "radiometry", prior) for label in labels)
     return Block(regressors, lambda prediction: prediction.curve_columns(labels))
 
@@ -244,15 +253,25 @@ def optics_block(camera: Camera, name: str) -> Block:
     vocabulary.
     """
     parts = _OPTICS[name]
+    regressors = tuple(Regressor(f"optics.{path}", name, prior) for path, _, prior in parts)
+    return Block(regressors, optics_columns(camera, [path for path, _, _ in parts]))
+
+
+#: Steps of the derivatives by the optics.
+_STEPS = {path: step for parts in _OPTICS.values() for path, step, _ in parts}
+
+
+def optics_columns(camera: Camera, paths: Sequence[str]) -> ColumnsOf:
+    """Return the derivatives of the distances by numbers of the optics (``fx``, ``d.0``)."""
     changes: list[Array] = []
-    for path, step, _ in parts:
+    for path in paths:
+        step = _STEPS.get(path, 1e-3)
         sides = []
         for sign in (1.0, -1.0):
             value = optics_value(camera, path) + sign * step
             optics = with_values(camera.optics, {path: value})
             sides.append(pixel_rays(optics, width=camera.sensor.width, height=camera.sensor.height))
         changes.append((sides[0] - sides[1]) / (2 * step))
-    regressors = tuple(Regressor(f"optics.{path}", name, prior) for path, _, prior in parts)
 
     def columns(prediction: Prediction) -> list[Column]:
         geometry = prediction.view.geometry
@@ -266,7 +285,7 @@ def optics_block(camera: Camera, name: str) -> Block:
             result.append((np.asarray(prediction.reading_change(by, 0.0)[0]), None))
         return result
 
-    return Block(regressors, columns)
+    return columns
 
 
 def optics_value(camera: Camera, path: str) -> float:

@@ -83,7 +83,7 @@ def coarser_camera(camera: Camera, step: int) -> Camera:
     """Return the camera that has every ``step``-th pixel, from pixel ``step // 2`` on."""
     first = step // 2
     width, height = (len(range(first, n, step)) for n in (camera.sensor.width, camera.sensor.height))
-    optics = camera.optics
+    optics, pitch = camera.optics, camera.sensor.pixel_pitch
     small = replace(
         camera,
         effects={},
@@ -91,7 +91,7 @@ def coarser_camera(camera: Camera, step: int) -> Camera:
             camera.sensor,
             width=width,
             height=height,
-            pixel_pitch=(camera.sensor.pixel_pitch[0] * step, camera.sensor.pixel_pitch[1] * step),
+            pixel_pitch=None if pitch is None else (pitch[0] * step, pitch[1] * step),
         ),
         optics=replace(
             optics,
@@ -113,7 +113,7 @@ def coarser_dataset(dataset: Dataset, step: int) -> Dataset:
         replace(one, **_picked(one, pick, names), common=_coarser_common(one, step))
         for one in dataset.stations
     ]
-    return replace(dataset, stations=stations)
+    return replace(dataset, stations=stations, decimation=dataset.decimation * step)
 
 
 def _coarser_common(station: Station, step: int) -> float | None:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.candidate import Candidate
+from rim_camera_ros.calibrate.entry import own_covariates
 from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, Exploration
 from rim_camera_ros.calibrate.forms import form_blocks
-from rim_camera_ros.calibrate.needs import own_covariates
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.calibrate.shuffled_times import follows_time

@@ -77,6 +77,7 @@ class Exploration:
         for fold in self.fit.equations.folds:
             # a view would keep them
             fold.pixel = fold.pixel[:, :0].copy()
+            fold.gain = None if fold.gain is None else fold.gain[:, :0].copy()
 
     def best(self) -> dict[str, int]:
         """Return the best variant of each effect, the best effect first; further candidates left out."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from rim_camera_ros.calibrate.prediction import Column, Prediction
 
@@ -21,8 +22,10 @@ class Fold:
     ``nuisances``: name, 1-sigma of the prior, and where the equations are linearised (their prior's mean is
     0).
     ``gram`` (M, M) over regressors, this fold's nuisances and the observations (last); ``pixel`` (P, M) and
-    ``weight`` (P,) the sums per pixel of the distance channel; ``rows`` the number of observations,
-    ``log_sigma`` the sum of their log standard deviations.
+    ``weight`` (P,) the sums per pixel of products with its offset; ``gain`` (P, M) those with the relative
+    gain of the pixel, in both channels (None: gains are known), ``gain_weight`` (P,) and ``cross`` (P,) its
+    own and those with the offset; ``rows`` the number of observations, ``log_sigma`` the sum of their log
+    standard deviations.
     """
 
     nuisances: list[tuple[str, float, float]]
@@ -31,6 +34,9 @@ class Fold:
     weight: Array
     rows: int = 0
     log_sigma: float = 0.0
+    gain: Array | None = None
+    gain_weight: Array | None = None
+    cross: Array | None = None
 
 
 def _rows(images: Sequence[Array], pixels: Array) -> Array:
@@ -44,35 +50,114 @@ def _rows(images: Sequence[Array], pixels: Array) -> Array:
 
 
 @dataclass(frozen=True)
+class Grouped:
+    """Regressors of which each pixel has one at most: its number (H, W), from ``first`` on, and its column.
+
+    ``number`` is -1 where a pixel has none.
+    """
+
+    first: int
+    count: int
+    number: Array
+    distance: Array
+    amplitude: Array
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """The weighted design of one channel at its pixels: dense rows, and one grouped column for each pixel.
+
+    ``index`` (K,) numbers the ``dense`` rows (K, N) among all; ``group`` (N,) the grouped regressor of each
+    pixel, -1 for none, with its ``value`` (N,). All are in units of the noise, its inverse is ``root`` (N,).
+    """
+
+    pixels: Array
+    root: Array
+    index: Array
+    dense: Array
+    group: Array
+    value: Array
+
+    def add_to(self, gram: Array, grouped: Grouped | None) -> None:
+        """Add the products of all columns with each other to the normal matrix."""
+        gram[np.ix_(self.index, self.index)] += self.dense @ self.dense.T
+        mine = np.flatnonzero(self.group >= 0)
+        if grouped is None or not mine.size:
+            return
+        place = self.group[mine] - grouped.first
+        shape = (mine.size, grouped.count)
+        sparse = csr_matrix((self.value[mine], (np.arange(mine.size), place)), shape)
+        rows = self.dense if mine.size == self.group.size else self.dense[:, mine]
+        cross = np.asarray((sparse.T @ rows.T).T)
+        own = np.arange(grouped.first, grouped.first + grouped.count)
+        gram[np.ix_(self.index, own)] += cross
+        gram[np.ix_(own, self.index)] += cross.T
+        gram[own, own] += np.bincount(place, self.value[mine] ** 2, minlength=grouped.count)
+
+    def times(self, factor: Array) -> _Products:
+        """Return the products of all columns with one that is ``factor`` (N,) at each pixel."""
+        scaled = factor * self.root
+        return _Products(self.pixels, self.index, self.dense * scaled, self.group, self.value * scaled)
+
+
+@dataclass(frozen=True)
+class _Products:
+    """Products of all columns with a column of each pixel's own, as in `_Channel`."""
+
+    pixels: Array
+    index: Array
+    dense: Array
+    group: Array
+    value: Array
+
+
+@dataclass(frozen=True)
 class Share:
     """What one station adds to the sums of its fold.
 
-    ``gram`` (M, M) over regressors, the station's nuisances and the observations (last); ``weighted``
-    (M, N) the products with the weights of the distances ``weight`` (N,) at the pixels with the flat indices
-    ``pixels``; ``nuisances``, ``rows`` and ``log_sigma`` as in `Fold`.
+    ``gram`` (M, M) over regressors, the station's nuisances and the observations (last); ``offsets`` the
+    products with offsets of pixels, whose weights are ``weight`` (N,) at ``pixels``; ``nuisances``, ``rows``
+    and ``log_sigma`` as in `Fold`. ``gain`` are the sums with gains of pixels, None where they are known.
     """
 
     nuisances: list[tuple[str, float, float]]
     gram: Array
-    weighted: Array
+    offsets: _Products
     weight: Array
     pixels: Array
     rows: int
     log_sigma: float
+    gain: GainShare | None = None
+
+
+@dataclass(frozen=True)
+class GainShare:
+    """Products of a station's columns with the relative gain of each pixel, in each channel.
+
+    ``weight`` (N,) and ``light_weight`` (N',) of the gain itself, ``cross`` (N,) of gain and offset.
+    """
+
+    distance: _Products
+    weight: Array
+    cross: Array
+    light: _Products
+    light_weight: Array
 
 
 def share_of(
     prediction: Prediction,
-    columns: Sequence[Column],
+    columns: Sequence[Column | None],
     *,
     gain_sigma: float,
     stray_light: float,
     factors: tuple[Array, Array] | None,
+    gains: bool = False,
+    grouped: Grouped | None = None,
 ) -> Share:
-    """Return the share of a station, whose regressors have the ``columns``.
+    """Return the share of a station, whose regressors have the ``columns`` (None: those that are grouped).
 
     ``gain_sigma`` (relative) and ``stray_light`` [counts] are the 1-sigma of random effects of the station;
-    ``factors`` (H, W) on the weights of both channels.
+    ``factors`` (H, W) on the weights of both channels. ``gains``: the gain of each pixel is not known.
     """
     pixels, lit = (np.flatnonzero(one) for one in (prediction.used, prediction.amplitude_used))
     nuisances = _nuisances(prediction, gain_sigma, stray_light)
@@ -81,41 +166,74 @@ def share_of(
     if factors is not None:
         weight = weight * np.take(factors[0], pixels)
         weight_a = weight_a * np.take(factors[1], lit)
-    of_distance = [distance for distance, _ in columns]
-    of_distance += [distance for *_, distance, _ in nuisances]
-    design = _rows([*of_distance, prediction.residual], pixels)
-    # a product with its own transpose takes half the time
-    root = np.sqrt(weight)
-    design *= root
-    gram = design @ design.T
-    if lit.size:
-        of_light = [(i, amplitude) for i, (_, amplitude) in enumerate(columns) if amplitude is not None]
-        of_light += [(len(columns) + i, one[-1]) for i, one in enumerate(nuisances)]
-        of_light.append((len(design) - 1, prediction.amplitude_residual))
-        index = np.array([i for i, _ in of_light])
-        light = _rows([amplitude for _, amplitude in of_light], lit)
-        light *= np.sqrt(weight_a)
-        gram[np.ix_(index, index)] += light @ light.T
+    share = np.take(prediction.amplitude_share, lit)
+    size = len(columns) + len(nuisances) + 1
+    own = [(i, *one) for i, one in enumerate(columns) if one is not None]
+    own += [(len(columns) + i, one[3], one[4]) for i, one in enumerate(nuisances)]
+    of_distance = [(i, distance) for i, distance, _ in own]
+    of_light = [(i, amplitude) for i, _, amplitude in own if amplitude is not None]
+    of_distance.append((size - 1, prediction.residual))
+    of_light.append((size - 1, prediction.amplitude_residual))
+    distances = _channel(pixels, weight, of_distance, grouped, light=False)
+    light = _channel(lit, weight_a, of_light, grouped, light=True)
+    gram = np.zeros((size, size))
+    for channel in (distances, light):
+        channel.add_to(gram, grouped)
     return Share(
         nuisances=[(name, prior, at) for name, prior, at, _, _ in nuisances],
         gram=gram,
-        weighted=np.multiply(design, root, out=design),
+        offsets=distances.times(np.ones(pixels.size)),
         weight=weight,
         pixels=pixels,
-        rows=len(weight) + len(weight_a),
-        log_sigma=-0.5 * float(np.log(weight).sum() + np.log(weight_a).sum()),
+        rows=len(weight) + round(float(share.sum())),
+        log_sigma=-0.5 * float(np.log(weight).sum() + (share * np.log(weight_a)).sum()),
+        gain=_gain_share(prediction, distances, light) if gains else None,
+    )
+
+
+def _channel(
+    pixels: Array,
+    weight: Array,
+    columns: Sequence[tuple[int, Array]],
+    grouped: Grouped | None,
+    *,
+    light: bool,
+) -> _Channel:
+    root = np.sqrt(weight)
+    dense = _rows([one for _, one in columns], pixels)
+    dense *= root
+    index = np.array([i for i, _ in columns])
+    if grouped is None:
+        nothing = np.full(pixels.size, -1)
+        return _Channel(pixels, root, index, dense, nothing, np.zeros(pixels.size))
+    number = np.take(grouped.number, pixels)
+    value = np.take(grouped.amplitude if light else grouped.distance, pixels)
+    group = np.where(number >= 0, number + grouped.first, -1)
+    return _Channel(pixels, root, index, dense, group, np.nan_to_num(value) * root)
+
+
+def _gain_share(prediction: Prediction, distances: _Channel, light: _Channel) -> GainShare:
+    by_distance, by_amplitude = prediction.gain_column()
+    slope = np.nan_to_num(np.take(by_distance, distances.pixels))
+    factor = np.nan_to_num(np.take(by_amplitude, light.pixels))
+    weight = distances.root**2
+    return GainShare(
+        distance=distances.times(slope),
+        weight=weight * slope**2,
+        cross=weight * slope,
+        light=light.times(factor),
+        light_weight=(light.root * factor) ** 2,
     )
 
 
 class FoldSums:
-    """The sums of one fold of poses: of ``count`` regressors, and per pixel in float32 if ``single``.
+    """The sums of one fold of poses: of ``count`` regressors.
 
-    ``pattern`` asks for the sums per pixel.
+    ``pattern`` asks for the sums per pixel, ``gains`` for those of the gains of pixels.
     """
 
-    def __init__(self, count: int, pixels: int, *, single: bool, pattern: bool) -> None:
+    def __init__(self, count: int, pixels: int, *, pattern: bool, gains: bool = False) -> None:
         self._count = count
-        self._type = np.float32 if single else np.float64
         self._with_pattern = pattern
         self._nuisances: dict[str, tuple[float, float]] = {}
         self._gram = np.zeros((count, count))
@@ -123,9 +241,15 @@ class FoldSums:
         self._square = 0.0
         self._rows = 0
         self._log_sigma = 0.0
-        self._pixel: Array = np.zeros((count, pixels), self._type)
-        self._pixel_y: Array = np.zeros(pixels, self._type)
+        self._pixel: Array = np.zeros((count, pixels))
+        self._pixel_y: Array = np.zeros(pixels)
         self._weight: Array = np.zeros(pixels)
+        self._gain: Array = np.zeros((count if gains else 0, pixels))
+        self._gain_y: Array = np.zeros(pixels)
+        self._gain_weight: Array = np.zeros(pixels)
+        self._gain_cross: Array = np.zeros(pixels)
+        self._nuisance_gain: dict[str, Array] = {}
+        self._with_gains = gains
         # of each nuisance: products with the regressors, with y, and its sums per pixel
         self._cross: dict[str, Array] = {}
         self._cross_y: dict[str, float] = {}
@@ -139,14 +263,33 @@ class FoldSums:
         self._sum(share.gram, share.nuisances)
         if not self._with_pattern:
             return
-        pixels, weighted = share.pixels, share.weighted
-        for sums, row in zip(self._pixel, weighted[: self._count], strict=True):
-            sums[pixels] += row.astype(self._type, copy=False)
-        self._pixel_y[pixels] += weighted[-1].astype(self._type, copy=False)
-        self._weight[pixels] += share.weight
-        for i, (name, *_) in enumerate(share.nuisances):
-            sums = self._nuisance_pixel.setdefault(name, np.zeros(self._weight.size, self._type))
-            sums[pixels] += weighted[self._count + i].astype(self._type, copy=False)
+        self._weight[share.pixels] += share.weight
+        self._add_products(share, share.offsets, self._pixel, self._nuisance_pixel, self._pixel_y)
+        if share.gain is not None:
+            gain = share.gain
+            for part in (gain.distance, gain.light):
+                self._add_products(share, part, self._gain, self._nuisance_gain, self._gain_y)
+            self._gain_weight[share.pixels] += gain.weight
+            self._gain_weight[gain.light.pixels] += gain.light_weight
+            self._gain_cross[share.pixels] += gain.cross
+
+    def _add_products(
+        self, share: Share, part: _Products, sums: Array, of_nuisances: dict[str, Array], of_values: Array
+    ) -> None:
+        """Add products with a column of each pixel's own to the sums per pixel."""
+        for number, row in zip(part.index.tolist(), part.dense, strict=True):
+            if number < self._count:
+                target = sums[number]
+            elif number < self._count + len(share.nuisances):
+                name = share.nuisances[number - self._count][0]
+                target = of_nuisances.setdefault(name, np.zeros(self._weight.size))
+            else:
+                target = of_values
+            target[part.pixels] += row
+        mine = part.group >= 0
+        if mine.any():
+            # a pixel has one of them: no place is named twice
+            sums[part.group[mine], part.pixels[mine]] += part.value[mine]
 
     def _sum(self, gram: Array, nuisances: Sequence[tuple[str, float, float]]) -> None:
         count = self._count
@@ -179,7 +322,7 @@ class FoldSums:
             gram[place[one], place[other]] = value
         pixels = len(self._weight)
         # column by column, as they were summed: turned they would take most of a pass
-        pixel = np.zeros((size, pixels if pattern else 1), self._type).T
+        pixel = np.zeros((size, pixels if pattern else 1)).T
         if pattern:
             pixel[:, :count] = self._pixel.T
             pixel[:, -1] = self._pixel_y
@@ -187,7 +330,15 @@ class FoldSums:
                 pixel[:, place[name]] = sums
         weight = self._weight if pattern else np.zeros(1)
         nuisances = [(name, *self._nuisances[name]) for name in names]
-        return Fold(nuisances, gram, pixel, weight, self._rows, self._log_sigma)
+        fold = Fold(nuisances, gram, pixel, weight, self._rows, self._log_sigma)
+        if pattern and self._with_gains:
+            fold.gain = np.zeros((size, pixels)).T
+            fold.gain[:, :count] = self._gain.T
+            fold.gain[:, -1] = self._gain_y
+            for name, sums in self._nuisance_gain.items():
+                fold.gain[:, place[name]] = sums
+            fold.gain_weight, fold.cross = self._gain_weight, self._gain_cross
+        return fold
 
 
 #: Name, 1-sigma of the prior, value at the linearisation, derivatives of both channels.

@@ -41,15 +41,23 @@ _LOCAL = ("emission_pattern", "emitter_offset")
 _SAME_LIGHT = 0.01
 
 
+#: Relative 1-sigma to which amplitudes can be predicted at best: areas of pixels, flatness, dust.
+AMPLITUDE_MODEL = 0.01
+
+
 _SPREADING = ("mixed_pixels", "scattering")
 
 
 @dataclass
 class AmplitudeModel:
-    """How well the amplitude is predicted: relative 1-sigma ``tau`` per pixel, gain of every pose."""
+    """How well the amplitude is predicted: relative 1-sigma ``tau`` per pixel, gain of every pose.
+
+    ``pixels`` (H, W) are the logarithms of the gains of pixels, None where nothing is known of them.
+    """
 
     gains: dict[tuple[int, int], float] = field(default_factory=dict)
     tau: float = 0.0
+    pixels: Array | None = None
 
 
 class Forward:
@@ -60,6 +68,8 @@ class Forward:
     this one's prediction at the start, with the variances of its own noise. ``variance_factors`` by recording
     and placement multiply the variances of a pose's distances. ``light_curves`` change the light beside the
     camera file's effects.
+    ``camera_of_noise`` says how amplitudes respond where noise is evaluated (None: the camera).
+    ``linear`` blocks of regressors are nuisances whose values `residuals.after_nuisances` takes off.
     ``margins`` of another kind take in pixels beside edges, where no masks are given.
     ``tick`` is called for each station and may raise to end the work; what is computed of every prediction
     may take so many ``threads``.
@@ -67,7 +77,8 @@ class Forward:
 
     def __init__(self, dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None) -> None:
         self.dataset, self.scene, self.camera = dataset, scene, camera
-        self.views = views if views is not None and views.fits(camera, scene) else Views(camera, scene)
+        fits = views is not None and views.fits(camera, scene)
+        self.views = views if views and fits else Views(camera, scene, decimation=dataset.decimation)
         self.notes: set[str] = set()
         self.amplitude_model = AmplitudeModel()
         self.masks: Sequence[tuple[Array, Array]] | None = None
@@ -75,8 +86,12 @@ class Forward:
         self.margins: Margins | None = None
         self.variance_factors: Mapping[tuple[int, int], float] = {}
         self.light_curves: LightCurves | None = None
+        self.linear: Sequence[Any] = ()
+        self.camera_of_noise: Camera | None = None
         self.tick: Callable[[], None] | None = None
         self.threads = 1
+        # the last is that of a ray that meets nothing, which has the number -1
+        self._undescribed = np.array([*(not one.is_described for one in scene.surfaces), False])
         self._order = {name: i for i, name in enumerate(registry())}
 
     def estimate_amplitudes(self, gains: Mapping[tuple[int, int], float] | None = None) -> AmplitudeModel:
@@ -87,7 +102,8 @@ class Forward:
         """
         ratios: dict[tuple[int, int], list[Array]] = {}
         errors, variances = [], []
-        for one in self.predictions(AmplitudeModel(tau=0.0), slopes=False):
+        known_pixels = self.amplitude_model.pixels
+        for one in self.predictions(AmplitudeModel(tau=0.0, pixels=known_pixels), slopes=False):
             pixels = one.amplitude_used & (one.model_amplitude > 0) & (one.station.amplitude > 0)
             if not pixels.any():
                 continue
@@ -110,11 +126,11 @@ class Forward:
             if self.camera.radiometry.gain_sigma == 0 and gains:
                 everything = np.concatenate([r for parts in ratios.values() for r in parts])
                 gains = dict.fromkeys(gains, float(np.exp(np.median(everything))))
-        tau = 0.0
+        tau = AMPLITUDE_MODEL
         if errors:
             rest = np.concatenate([r - np.log(gains.get(key, 1.0)) for key, r in errors])
-            tau = excess(rest, np.concatenate(variances))
-        self.amplitude_model = AmplitudeModel(dict(gains), tau)
+            tau = max(tau, excess(rest, np.concatenate(variances)))
+        self.amplitude_model = AmplitudeModel(dict(gains), tau, known_pixels)
         return self.amplitude_model
 
     def predictions(
@@ -208,6 +224,9 @@ class Forward:
         gain = model.gains.get((station.recording, station.pose), 1.0)
         power = camera.radiometry.gain * camera.integration_time(settings) * gain
         ideal = self._light(geometry, power)
+        nameless = self._undescribed[geometry.surface] & (station.amplitude > 0)
+        if nameless.any():
+            ideal = np.where(nameless, self._noise_amplitude(station, ideal), ideal)
         motion = self.scene.camera_motion
 
         def geometry_at(seconds: float) -> tuple[Any, Any]:
@@ -259,8 +278,15 @@ class Forward:
                         view.memory[name] = memory[name]
                 if name in _SPREADING:
                     spread.append(effect)
+        if nameless.any():
+            # nobody said how much these surfaces reflect: their light is what was measured
+            measured = self._noise_amplitude(station, signal.amplitude)
+            signal = Signal(signal.distance, np.where(nameless, measured, signal.amplitude))
+        if model.pixels is not None:
+            lighter = np.where(nameless, 1.0, np.exp(model.pixels))
+            signal = Signal(signal.distance, signal.amplitude * lighter)
         return self._compare(
-            station, view, context, before, spread, terms, published, signal, model, slopes, gain
+            station, view, context, before, spread, terms, published, signal, model, slopes, gain, nameless
         )
 
     def _compare(
@@ -276,12 +302,13 @@ class Forward:
         model: AmplitudeModel,
         slopes: bool,
         gain: float,
+        nameless: Array,
     ) -> Prediction:
         camera = self.camera
         n = np.maximum(station.count, 1)
         lit = light.amplitude > 0
         safe = np.where(lit, light.amplitude, 1.0)
-        latent = self._latent(station, safe, n, model)
+        latent, follows = self._latent(station, safe, n, model)
         delivered = Signal(light.distance, np.where(lit, latent, 0.0))
         total: Any = 0.0
         by_distance: Any = 1.0
@@ -311,10 +338,13 @@ class Forward:
         if published is not None and self.light_curves is not None:
             model_reading = model_reading * self.light_curves.response(safe)
             slope_published = slope_published * self.light_curves.response(latent)
-        variance, amplitude_variance = self._variances(latent, context)
+        variance, amplitude_variance = self._variances(self._noise_amplitude(station, latent), context)
         variance = (variance + camera.sensor.lsb**2 / 12) / n
         single_variance = amplitude_variance * slope_published**2 + 1.0 / 12
-        amplitude_variance = single_variance / n + (model.tau * model_reading) ** 2
+        # neighbours share the error of a prediction: their mean is no better than one of them
+        noise_variance, model_variance = single_variance / n, (model.tau * model_reading) ** 2
+        alike = self.views.alike(view)
+        amplitude_variance = noise_variance + model_variance * alike
         clean = view.clean if self.margins is None else self.views.clean(view, self.margins)
         used = clean & lit & (station.count > 0) & (station.saturated == 0)
         used &= np.isfinite(residual) & np.isfinite(variance) & (station.count * 2 > station.frames)
@@ -323,6 +353,7 @@ class Forward:
         amplitude_used = used & (np.minimum(safe, latent) > threshold + 3 * single)
         used &= latent > threshold
         amplitude_used &= station.count == station.frames
+        amplitude_used &= ~self._undescribed[view.geometry.surface]
         return Prediction(
             station=station,
             view=view,
@@ -336,6 +367,8 @@ class Forward:
             amplitude_residual=station.amplitude - model_reading,
             sigma=np.sqrt(variance),
             amplitude_sigma=np.sqrt(amplitude_variance),
+            amplitude_noise=np.sqrt(noise_variance),
+            amplitude_share=1.0 / alike,
             used=used,
             amplitude_used=amplitude_used,
             slope_distance=by_distance,
@@ -345,9 +378,19 @@ class Forward:
             model_amplitude=safe,
             model_reading=model_reading,
             gain=gain,
+            amplitude_follows=np.where(nameless, 0.0, follows),
             spread=spread,
             light_curves=self.light_curves,
+            linear=self.linear,
         )
+
+    def _noise_amplitude(self, station: Station, predicted: Array) -> Array:
+        """Return the light [counts] at which noise is evaluated: as measured, whatever a camera predicts.
+
+        Cameras that are compared must state the same noise, or what predicts other light gains by the noise.
+        """
+        light = np.asarray((self.camera_of_noise or self.camera).light_of(station.amplitude.astype(float)))
+        return np.where(np.isfinite(light) & (light > 0), light, predicted)
 
     def _variances(self, amplitude: Array, context: Context) -> tuple[Array, Array]:
         """Return the variances of one frame's distance [m^2] and amplitude [counts^2]."""
@@ -355,22 +398,24 @@ class Forward:
         by_amplitude = sigma_amplitude(sigma, amplitude, ambiguity=context.ambiguity)
         return sigma**2, by_amplitude**2
 
-    def _latent(self, station: Station, predicted: Array, n: Array, model: AmplitudeModel) -> Array:
+    def _latent(
+        self, station: Station, predicted: Array, n: Array, model: AmplitudeModel
+    ) -> tuple[Array, Array | float]:
         """Weigh the predicted amplitude against the measured one by their variances.
 
         A measured amplitude carries noise that would bias coefficients (errors in variables); a predicted
         one carries the error of reflectivities. With ``tau`` -> 0 it is the prediction, with a large one
-        the measurement.
+        the measurement. Returned with the share of a relative change of the prediction that it follows.
         """
         if model.tau == 0.0:
-            return predicted
+            return predicted, 1.0
         sigma = self.camera.noise.sigma_distance(predicted, background=self.camera.background)
         noise = 2 * np.pi / self.camera.sensor.ambiguity * sigma / np.sqrt(n)
         share = model.tau**2 / (model.tau**2 + noise**2)
         measured = self._expanded(station.amplitude.astype(float))
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.log(np.where(measured > 0, measured / predicted, 1.0))
-        return predicted * np.exp(share * np.clip(ratio, -3.0, 3.0))
+        return predicted * np.exp(share * np.clip(ratio, -3.0, 3.0)), 1.0 - share
 
 
 def excess(deviations: Array, variances: Array) -> float:

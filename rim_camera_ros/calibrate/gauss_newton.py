@@ -12,6 +12,8 @@ from scipy import linalg
 
 from rim_camera_ros.calibrate.blocks import GAIN, Block, Regressor
 from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
+from rim_camera_ros.calibrate.imperfections import is_linear
+from rim_camera_ros.calibrate.light_curves import FALLOFF, LOBE, tile_labels
 from rim_camera_ros.calibrate.normal_equations import NormalEquations, Reduced, accumulate
 from rim_camera_ros.calibrate.problem import Fit, Problem, blocks_of, forward_of, light_groups
 from rim_camera_ros.calibrate.residuals import amplitude_error, huber
@@ -32,7 +34,6 @@ from rim_camera_ros.calibrate.steps import (
 from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
-from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.errors import InputError, RimError
 
 Array = NDArray[Any]
@@ -40,7 +41,6 @@ Array = NDArray[Any]
 #: How well amplitudes are predicted is estimated anew in this many iterations, then kept.
 _SETTLED = 3
 _SETTLED_WARM = 1
-_SETTLED_NEW = 7
 #: Iterations in which the shapes (widths, lags) of effects that are new to a fit are held, and how firmly.
 _SHAPES_HELD = 2
 _HOLD = 1e9
@@ -91,7 +91,8 @@ class Linearised:
 class GaussNewton:
     """The point that an adjustment has reached from the camera ``start``, and the way it came.
 
-    Other parameters as in `adjustment.fit`. Steps of a warm fit that make things worse are taken back.
+    Other parameters as in `adjustment.fit`. Steps that make things worse are taken back, those of a cold fit
+    once it is settled how well amplitudes are predicted.
     """
 
     def __init__(
@@ -116,6 +117,7 @@ class GaussNewton:
         # the point
         self._camera, self._scene = start, problem.scene
         self._pattern = np.zeros(start.shape)
+        self._pixels: Array | None = None
         self._nuisances: dict[str, float] = {}
         self._offsets: dict[str, float] = {}
         self._gains: Mapping[tuple[int, int], float] | None = None
@@ -138,7 +140,7 @@ class GaussNewton:
 
     def _begin_at(self, warm: Fit) -> None:
         model = warm.forward.amplitude_model
-        self._tau, self._pattern = model.tau, warm.pattern
+        self._tau, self._pattern, self._pixels = model.tau, warm.pattern, model.pixels
         self._settled = settled_after(warm.camera, self._start)
         self._gains = {
             key: g * power_factor(warm.nuisances.get(f"{key[0]}.{key[1]}.gain", 0.0))
@@ -149,6 +151,9 @@ class GaussNewton:
         if curves is not None:
             groups = light_groups(self._problem, self._start)
             allowed = {label for labels in groups for label in labels}
+            if self._problem.imperfections:
+                lobe = FALLOFF if self._problem.reflectance else LOBE
+                allowed |= {*lobe, *tile_labels(self._problem.scene)}
             self._offsets.update({k: v for k, v in curves.values.items() if k in allowed})
         self._offsets.update({k: v for k, v in warm.parameters.items() if k.startswith("scene.")})
         self._scene = moved_scene(self._problem.scene, self._offsets)
@@ -171,9 +176,9 @@ class GaussNewton:
                 self._gains = dict.fromkeys(self._gains, 1.0)
                 forward = self._forward()
         elif count <= self._settled and self._iterations:
-            forward.amplitude_model = AmplitudeModel(dict(self._gains), self._tau)
+            forward.amplitude_model = AmplitudeModel(dict(self._gains), self._tau, self._pixels)
             self._tau = amplitude_error(forward, self._nuisances)
-        forward.amplitude_model = AmplitudeModel(dict(self._gains), self._tau)
+        forward.amplitude_model = AmplitudeModel(dict(self._gains), self._tau, self._pixels)
         return forward
 
     def _forward(self) -> Forward:
@@ -205,7 +210,6 @@ class GaussNewton:
             fold_of=fold_of,
             pattern=problem.pattern,
             weigh=huber(self._pattern, self._nuisances) if robust else None,
-            single=problem.single,
             stray_light=problem.stray_light,
             pattern_prior=problem.pattern_prior,
         )
@@ -219,6 +223,7 @@ class GaussNewton:
         prior = np.array([one.prior for one in regressors])
         away = np.array([self._from_origin.get(one.label, 0.0) for one in regressors])
         away += [self._offsets.get(one.label, 0.0) for one in regressors]
+        equations.away = away
         own = slice(0, owned)
         matrix = reduced.gram[own, own] + np.diag(prior**-2)
         if count < _SHAPES_HELD:
@@ -253,7 +258,9 @@ class GaussNewton:
 
     def went_too_far(self, here: Linearised, count: int) -> bool:
         """Return whether the last step made things worse, and a shorter one may be tried."""
-        worse = self._warm and here.objective > self._objective + _LEVEL
+        # before that, objectives are of different errors of amplitudes
+        comparable = self._warm or count > _SETTLED
+        worse = comparable and here.objective > self._objective + _LEVEL
         if not worse or self._tried >= len(_DAMPING) or count > self._iterations or self._solved is None:
             return False
         if not self._near or self._tried or self._return is not None or count >= self._iterations:
@@ -308,9 +315,11 @@ class GaussNewton:
             dict(self._gains),
             dict(self._offsets),
             self._damping,
+            self._pixels,
         )
         self._find_errors(self._solved)
-        small = bool(np.all(np.abs(here.step) <= self._tolerance * here.sigma)) if here.regressors else True
+        stepped = np.array([not is_linear(label) for label in here.labels], bool)
+        small = bool(np.all((np.abs(here.step) <= self._tolerance * here.sigma)[stepped]))
         self._converged = small and (count >= _SHAPES_HELD or not self._held(here.regressors))
         # parameters that the data hardly tell apart wander along a valley whose floor is level
         self._converged |= (
@@ -334,22 +343,29 @@ class GaussNewton:
         self._scene = moved_scene(self._problem.scene, self._offsets)
 
     def _find_errors(self, solved: Solved) -> None:
-        self._nuisances, self._gains, found = solved.errors(self._pattern)
+        self._nuisances, self._gains, found, pixels = solved.errors(self._pattern)
         if self._problem.pattern:
-            self._pattern = found
+            self._pattern, self._pixels = found, pixels
 
     def result(self, here: Linearised, count: int, *, final: bool) -> Fit:
         """Return the fit at the point; ``final`` with the errors and offsets of these equations."""
         nuisances, pattern = self._nuisances, self._pattern
         if final:
-            nuisances, flat = here.reduced.recover(np.zeros(len(here.equations.regressors)))
+            values = np.zeros(len(here.equations.regressors))
+            linear = [i for i, label in enumerate(here.labels) if is_linear(label)]
+            values[linear] = here.step[linear]
+            nuisances, flat, _ = here.reduced.recover(values)
+            nuisances |= {here.labels[i]: float(values[i]) for i in linear}
             shape = self._camera.shape
             pattern = flat.reshape(shape) if self._problem.pattern else np.zeros(shape)
         return Fit(
             start=self._start,
             camera=self._camera,
             scene=self._scene,
-            parameters={one: value_of(one, self._camera, self._offsets) for one in here.labels},
+            parameters={
+                one: nuisances.get(one, 0.0) if is_linear(one) else value_of(one, self._camera, self._offsets)
+                for one in here.labels
+            },
             covariance=in_units(here.covariance, here.regressors, self._camera),
             pattern=pattern,
             nuisances=nuisances,
@@ -377,20 +393,18 @@ class GaussNewton:
         worst = max(ratios, key=lambda path: ratios[path])
         # where no step made it better rounding may be all that is left
         if not self._exhausted or ratios[worst] > 1:
+            best.moving = ratios
             best.notes.append(f"not converged after {best.iterations} iterations: {worst} still moves")
 
 
 def settled_after(warm: Camera, camera: Camera) -> int:
     """Return until which iteration it is estimated anew how well amplitudes are predicted."""
-    if keeps_amplitude_error(warm, camera):
-        return -1
-    return _SETTLED_NEW if warm.effects.keys() ^ camera.effects.keys() else _SETTLED_WARM
+    return -1 if keeps_amplitude_error(warm, camera) else _SETTLED_WARM
 
 
 def keeps_amplitude_error(warm: Camera, camera: Camera) -> bool:
-    """Return whether a fit keeps how well another predicts amplitudes: where new effects bend distances.
+    """Return whether a fit keeps how well another predicts amplitudes: where it has other effects.
 
     Then likelihoods are those of the same noise.
     """
-    new = [camera.effects[name] for name in camera.effects.keys() - warm.effects.keys()]
-    return bool(new) and all(isinstance(one, DistanceTerm) for one in new)
+    return bool(warm.effects.keys() ^ camera.effects.keys())

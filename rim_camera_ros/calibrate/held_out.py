@@ -51,8 +51,10 @@ class Accuracy:
     ``reference`` what the stated errors of the reference instrument make. ``systematic`` is the RMS beyond
     both (0 where nothing is left), each value weighted by how well it tells, so that noise of dark pixels
     does not hide it. ``single`` is the predicted noise of one frame, its median. ``held_out`` is false where
-    there were too few poses to leave any out. ``samples``: covariates and both errors of some of the
-    values, by name; ``maps``: mean errors over the array (H, W).
+    there were too few poses to leave any out. ``rigid_before`` and ``rigid_after`` are what offset and tilts
+    of each pose leave of ``before`` and ``after``: no error of the reference instrument is in them.
+    ``samples``: covariates and both errors of some of the values, by name; ``maps``: mean errors over the
+    array (H, W).
     """
 
     raw: float
@@ -65,6 +67,8 @@ class Accuracy:
     values: int
     poses: int
     held_out: bool
+    rigid_before: float
+    rigid_after: float
     samples: dict[str, Array] = field(default_factory=dict)
     maps: dict[str, Array] = field(default_factory=dict)
 
@@ -146,6 +150,7 @@ class _Sums:
     def __init__(self, shape: tuple[int, int], *, per_station: int) -> None:
         self._per_station = per_station
         self._squares = np.zeros(5)
+        self._rigid = np.zeros(2)
         self._beyond = np.zeros(2)
         self._single: list[float] = []
         self._count = 0
@@ -182,6 +187,9 @@ class _Sums:
             np.sum(expected[valid] ** 2),
             np.sum(reference[valid]),
         ]
+        columns = [one.distance for one in view.pose_columns if not one.path.startswith("scene.")]
+        rigid = [_without(error, columns, expected, known) for error in (before, after)]
+        self._rigid += [float(np.sum(one**2)) for one in rigid]
         known_variance = expected[valid].astype(float) ** 2 + reference[valid]
         weight = known_variance**-2
         self._beyond += [np.sum(weight * (after[valid] ** 2 - known_variance)), np.sum(weight)]
@@ -252,9 +260,22 @@ class _Sums:
             values=self._count,
             poses=poses,
             held_out=held_out,
+            rigid_before=float(np.sqrt(self._rigid[0] / counts[1])),
+            rigid_after=float(np.sqrt(self._rigid[1] / counts[1])),
             samples={name: np.concatenate(parts) for name, parts in self._samples.items()},
             maps=maps,
         )
+
+
+def _without(error: Array, columns: Sequence[Array], sigma: Array, pixels: Array) -> Array:
+    """Return what a weighted fit of ``columns`` leaves of errors [m] at some pixels; images are (H, W)."""
+    rest = error[pixels]
+    if not columns or not rest.size:
+        return rest
+    design = np.nan_to_num(np.stack([one[pixels] for one in columns], axis=1))
+    root = 1.0 / np.maximum(sigma[pixels], 1e-6)
+    found = np.linalg.lstsq(design * root[:, None], rest * root, rcond=None)[0]
+    return np.asarray(rest - design @ found)
 
 
 def wrapped(difference: Array, camera: Camera) -> Array:

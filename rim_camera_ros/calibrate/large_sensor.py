@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.coarser import coarser_camera, coarser_dataset, finer_camera
+from rim_camera_ros.calibrate.coarser import coarser_camera, coarser_dataset, finer_camera, finer_number
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.pixels import BESIDE, WIDEST, usable_pixels
 from rim_camera_ros.calibrate.prediction import Prediction
@@ -27,7 +27,6 @@ from rim_camera_ros.scene import Scene, beside_edges, see
 Array = NDArray[Any]
 
 _PATTERN = "fixed_pattern_offset"
-_BY_PIXEL = "effects.cyclic_error.gradient."
 
 
 @dataclass(frozen=True)
@@ -85,8 +84,10 @@ class LargeSensor:
         if _PATTERN in self.camera.effects:
             camera = with_effects(camera, {**camera.effects, _PATTERN: self.camera.effects[_PATTERN]})
         forward = Forward(self.dataset, fitted.scene, camera)
-        forward.amplitude_model = fitted.forward.amplitude_model
+        # Gains of pixels are those of the coarse grid.
+        forward.amplitude_model = replace(fitted.forward.amplitude_model, pixels=None)
         forward.light_curves = fitted.forward.light_curves
+        forward.linear = fitted.forward.linear
         forward.variance_factors = fitted.forward.variance_factors
         forward.tick = tick
         masks, _ = usable_pixels(forward)
@@ -107,7 +108,7 @@ class LargeSensor:
 
     def covariance(self, paths: Sequence[str], matrix: Array) -> Array:
         """Return a covariance of parameters of the coarser grid's camera as that of the full one's."""
-        scale = np.array([1.0 / self.step if path.startswith(_BY_PIXEL) else 1.0 for path in paths])
+        scale = np.array([finer_number(path, 1.0, self.step) for path in paths])
         return np.asarray(matrix * scale[:, None] * scale[None, :])
 
     def validity(self, coarse: Validity) -> Validity:

@@ -9,15 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from rim_camera_ros.calibrate.candidate import Candidate
+from rim_camera_ros.calibrate.entry import LEAST_SIZE, Found, curve_of_forms
 from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.needs import Found, least_size, needed
 from rim_camera_ros.calibrate.sizes import effect_size
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.scattering import Scattering
 
 #: A smooth function of one covariate that gains this many times what any two effects do is another physics'
 #: mark: of an effect's own covariate it gains what the effect does.
-_SMOOTHER = 1.5
+SMOOTHER = 1.5
 #: Sigma [px] up to which stray light is none: the footprint of a pixel and what crosses to its neighbours.
 #: Halos between lens and chip are wider.
 _LEAST_SPREAD = 2.0
@@ -26,7 +26,7 @@ _LEAST_WEIGHT = 0.01
 #: Variants of an effect that are looked at again once another effect was found.
 _MOST_VARIANTS = 4
 #: Why an effect that would gain beside those found was not added.
-AS_REST = "as what was found leaves such a rest where its form is not quite the true one"
+NOT_IN_ALL_POSES = "as the poses do not agree that it gains"
 NOT_ELSEWHERE = "as it gains only where what was found acts"
 ONCE_FITTED = "as it gains or moves too little once it is fitted"
 NOT_IN_TIME = "as it follows the time of the poses no better than chance does"
@@ -34,38 +34,48 @@ NOT_IN_TIME = "as it follows the time of the poses no better than chance does"
 
 @dataclass(frozen=True)
 class Refused:
-    """An effect that was not added though it would gain: gain and what it had to gain [nats], and why."""
+    """An effect that was not added though it would gain: gain and its threshold [nats], and why."""
 
     effect: str
     gain: float
-    needed: float
+    threshold: float
     why: str
 
 
 def smooth_says_more(step: Exploration) -> bool:
     """Return whether a smooth function explains so much more than effects do that none of them is it."""
     smooth = step.best_further()
-    if smooth is None or smooth[0] <= _SMOOTHER * float(step.thresholds[smooth[1]]):
+    if smooth is None or smooth[0] <= SMOOTHER * float(step.thresholds[smooth[1]]):
         return False
     pair = step.best_pair()
     leader = float(step.gains[: step.named].max()) if step.named else 0.0
-    return smooth[0] > _SMOOTHER * max(leader, 0.0 if pair is None else pair[0])
+    return smooth[0] > SMOOTHER * max(leader, 0.0 if pair is None else pair[0])
 
 
-def leaders(
-    step: Exploration, found: Sequence[Found], failed: Set[str]
-) -> tuple[tuple[int, ...], int] | None:
+def discrepancy(step: Exploration, found: Sequence[Found], failed: Set[str]) -> int | None:
+    """Return the smooth curve that says more of what is left than any candidate does; None: there is none.
+
+    It is one of what the effects found depend on, whose form is not quite the true one then.
+    """
+    curve = curve_of_forms(step, found)
+    if curve is None or curve[0] <= float(step.thresholds[curve[1]]):
+        return None
+    named = [gain for k, gain in _named(step) if step.candidates[k].effect not in failed]
+    return curve[1] if curve[0] > max(named, default=0.0) else None
+
+
+def leaders(step: Exploration, failed: Set[str]) -> tuple[tuple[int, ...], int] | None:
     """Return the candidate or the pair to fit next, and the leader alone; None where nothing gains enough.
 
     ``failed`` effects are left out.
     """
-    named = [one for one in _named(step, found) if step.candidates[one[0]].effect not in failed]
+    named = [one for one in _named(step) if step.candidates[one[0]].effect not in failed]
     if not named:
         return None
     leader, gain = named[0]
-    need = needed(step, leader, found)
+    need = float(step.thresholds[leader])
     pair = step.best_pair(without=failed) if gain > 0.5 * step.threshold else None
-    both = 0.0 if pair is None else max(needed(step, k, found) for k in pair[1])
+    both = 0.0 if pair is None else max(float(step.thresholds[k]) for k in pair[1])
     if pair is not None and leader not in pair[1] and pair[0] > gain + max(both, 0.25 * gain):
         return pair[1], leader
     if gain > need:
@@ -76,37 +86,36 @@ def leaders(
 def refused(step: Exploration, found: Sequence[Found], failed: Mapping[str, str]) -> list[Refused]:
     """Return the effects that would gain beside those ``found`` and were not added, the best first.
 
-    ``failed`` tells why, of those that were tried.
+    ``failed`` says why.
     """
     result = []
     for effect, k in step.best().items():
-        gain, need = float(step.gains[k]), needed(step, k, found)
-        why = failed.get(effect, AS_REST if gain <= need else None)
-        if found and why is not None and gain > step.thresholds[k]:
-            result.append(Refused(effect, gain, need, why))
+        gain, threshold = float(step.gains[k]), float(step.thresholds[k])
+        if found and effect in failed and gain > threshold:
+            result.append(Refused(effect, gain, threshold, failed[effect]))
     return result
 
 
 def near_rivals(
-    step: Exploration, numbers: tuple[int, ...], leader: int, found: Sequence[Found], failed: Set[str]
+    step: Exploration, numbers: tuple[int, ...], leader: int, failed: Set[str]
 ) -> list[tuple[int, ...]]:
     """Return what to fit beside the chosen: the leader alone for a pair, else who gains nearly as much."""
     if len(numbers) == 2:
-        return [(leader,)] if step.gains[leader] > needed(step, leader, found) else []
+        return [(leader,)] if step.gains[leader] > step.thresholds[leader] else []
     lead = step.joint(*numbers)
     result: list[tuple[int, ...]] = []
     for effect, k in step.best().items():
         close = step.gains[k] > 0.6 * lead or lead - step.gains[k] < 2 * step.threshold
-        possible = close and step.gains[k] > needed(step, k, found)
+        possible = close and step.gains[k] > step.thresholds[k]
         if possible and effect not in {step.candidates[numbers[0]].effect, *failed}:
             result.append((k,))
     return result
 
 
-def _named(step: Exploration, found: Sequence[Found]) -> list[tuple[int, float]]:
-    """Return candidates and gains, those first that gain what they must, by gain."""
+def _named(step: Exploration) -> list[tuple[int, float]]:
+    """Return candidates and gains, those first that exceed their threshold, by gain."""
     order = [(k, float(step.gains[k])) for k in range(step.named)]
-    return sorted(order, key=lambda one: (one[1] < needed(step, one[0], found), -one[1]))
+    return sorted(order, key=lambda one: (one[1] < step.thresholds[one[0]], -one[1]))
 
 
 def leading_variants(step: Exploration) -> list[Candidate]:
@@ -140,7 +149,7 @@ def tied(step: Exploration, name: str, need: float) -> list[str]:
 
 
 def what_it_became(
-    fitted: Exploration, trial: tuple[int, ...], step: Exploration, found: Sequence[Found], start: Camera
+    fitted: Exploration, trial: tuple[int, ...], step: Exploration, start: Camera
 ) -> tuple[int, ...] | None:
     """Return what a trial became once it was fitted; None where each effect is what it was.
 
@@ -150,7 +159,7 @@ def what_it_became(
     if len(trial) == 2:
         for k, other in (trial, trial[::-1]):
             names = [step.candidates[k].effect]
-            if effect_size(fitted.fit, names, start) < least_size(fitted, names, found):
+            if effect_size(fitted.fit, names, start) < LEAST_SIZE:
                 return (other,)
     scattering = fitted.fit.camera.effects.get("scattering")
     mixed = step.best().get("mixed_pixels")

@@ -16,10 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.blocks import (
-    REFLECTANCE_PRIOR,
     TERM_SIZE,
-    Block,
-    Regressor,
     effect_block,
     light_block,
     optics_block,
@@ -29,9 +26,8 @@ from rim_camera_ros.calibrate.blocks import (
 )
 from rim_camera_ros.calibrate.candidate import Candidate, Coefficients, Facts, added
 from rim_camera_ros.calibrate.coarser import MANY_PIXELS
-from rim_camera_ros.calibrate.light_curves import RESPONSE, SURFACES, LightCurves
+from rim_camera_ros.calibrate.light_curves import SURFACES
 from rim_camera_ros.calibrate.mixed_candidates import blurred
-from rim_camera_ros.calibrate.prediction import Column, Prediction
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
@@ -261,29 +257,7 @@ def _motion(camera: Camera, facts: Facts) -> list[Candidate]:
 
 
 def _compression(camera: Camera, facts: Facts) -> list[Candidate]:
-    plain = _linear(AmplitudeNonlinearity(0.0), {"compression": 0.1 / max(facts.amplitude, 1.0)})
-    return [plain, _response(facts.amplitude)]
-
-
-def _response(level: float) -> Candidate:
-    """A free response, relative to that to a level [counts]: the one parameter is not every amplifier's."""
-    curves = LightCurves(level=level)
-    labels = {label: f"{label}@curve" for label in RESPONSE}
-
-    def columns(prediction: Prediction) -> list[Column]:
-        zero = np.zeros(prediction.distance.shape)
-        changes = curves.response_columns(prediction.model_amplitude)
-        return [(zero, prediction.model_reading * one) for one in changes]
-
-    def build(camera: Camera, values: Coefficients) -> Camera:
-        found = LightCurves({label: values[own] for label, own in labels.items()}, level)
-        bright, dark = 2.0 * level, 0.5 * level
-        ratio = max(0.5, float(found.response(np.array(bright)) / found.response(np.array(dark))))
-        # (1 + c dark) / (1 + c bright) = ratio
-        return added(camera, AmplitudeNonlinearity(max(1.0 - ratio, 0.0) / (ratio * bright - dark)))
-
-    regressors = tuple(Regressor(own, "amplitude_nonlinearity", REFLECTANCE_PRIOR) for own in labels.values())
-    return Candidate("amplitude_nonlinearity", "curve", Block(regressors, columns), build)
+    return [_linear(AmplitudeNonlinearity(0.0), {"compression": 0.1 / max(facts.amplitude, 1.0)})]
 
 
 def _geometry(name: str) -> Callable[[Camera, Facts], list[Candidate]]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.phasor import cosine_and_sine
-from rim_camera_ros.scene import Geometry
+from rim_camera_ros.scene import Geometry, Scene
 
 Array = NDArray[Any]
 
@@ -39,13 +39,31 @@ SURFACES = (*DIFFUSE, *GLOSS)
 #: could not be told from it otherwise.
 _LOGARITHMS = (-2.0, -1.6, -1.2, -0.8, -0.4, 0.0, 0.4, 0.8, 1.2, 1.6, 2.0)
 RESPONSE = tuple(f"{PREFIX}response.{k:+.1f}" for k in _LOGARITHMS if k != 0.0)
+#: A weak lobe that every surface may have beside Lambert's law, at coarser angles, and its 1-sigma.
+_LOBE_DEGREES = (0.0, 10.0, 20.0, 35.0, 55.0, 80.0)
+_LOBE_KNOTS = np.radians(_LOBE_DEGREES)
+LOBE_SIGMA = 0.1
+LOBE_DIFFUSE = tuple(f"{PREFIX}lobe.diffuse.{k:.0f}" for k in _LOBE_DEGREES[1:])
+LOBE_GLOSS = tuple(f"{PREFIX}lobe.gloss.{k:.0f}" for k in _LOBE_DEGREES)
+#: Emitters are extended and stand beside the lens: light falls off a little otherwise than with 1 / d^2.
+_FALLOFF_DISTANCES = (0.35, 0.7, 1.4, 2.8, 5.6)
+_FALLOFF_KNOTS = np.log(_FALLOFF_DISTANCES)
+FALLOFF = tuple(f"{PREFIX}lobe.falloff.{k:g}" for k in _FALLOFF_DISTANCES)
+LOBE = (*LOBE_DIFFUSE, *LOBE_GLOSS, *FALLOFF)
+#: Labels of the relative errors of reflectivities begin so; then surface and tile.
+TILES = "reflectivity."
 _GRID = np.logspace(-1.0, 6.0, 3000)
-_ALL = frozenset((*RIPPLES, *SURFACES, *RESPONSE))
+_ALL = frozenset((*RIPPLES, *SURFACES, *RESPONSE, *LOBE))
 
 
 def of_light(path: str) -> bool:
     """Whether a parameter is of a curve of the light, which no camera file has."""
-    return path in _ALL
+    return path in _ALL or path.startswith(TILES)
+
+
+def tile_labels(scene: Scene) -> tuple[str, ...]:
+    """Return the labels of the tiles of all surfaces, by the numbers of `Geometry.tile`."""
+    return tuple(f"{TILES}{one.name}.{k}" for one in scene.surfaces for k in range(one.tiles))
 
 
 @dataclass(frozen=True)
@@ -53,15 +71,33 @@ class LightCurves:
     """Factors on the light: 1 + ripples(phase), and 1 + diffuse(incidence) + gloss(incidence) 0.3 / colour.
 
     ``values`` by label, 0 where absent; over the incidence linear between the angles. Amplitudes are
-    published times a response, relative to that of light of ``level`` counts.
+    published times a response, relative to that of light of ``level`` counts. ``tiles`` are the labels of
+    the tiles whose reflectivity is not exactly that of the scene file.
     """
 
     values: Mapping[str, float] = field(default_factory=dict)
     level: float = 1000.0
+    tiles: tuple[str, ...] = ()
 
     def factor(self, geometry: Geometry, ambiguity: float) -> Array:
         """Return the factor (H, W) on the light of Lambert's surfaces under a pure sine."""
-        return self._ripples(geometry, ambiguity) * self.surfaces(geometry)
+        return self._ripples(geometry, ambiguity) * self.surfaces(geometry) * self._imperfect(geometry)
+
+    def _imperfect(self, geometry: Geometry) -> Array:
+        """Return the factor (H, W) of reflectivities and of a weak lobe."""
+        factor = np.ones(geometry.distance.shape)
+        if not self.values.keys().isdisjoint(LOBE):
+            angle, ratio = _angle_and_ratio(geometry)
+            diffuse = np.interp(angle, _LOBE_KNOTS, [0.0, *(self.values.get(k, 0.0) for k in LOBE_DIFFUSE)])
+            gloss = np.interp(angle, _LOBE_KNOTS, [self.values.get(k, 0.0) for k in LOBE_GLOSS])
+            falloff = np.interp(
+                _log_distance(geometry), _FALLOFF_KNOTS, [self.values.get(k, 0.0) for k in FALLOFF]
+            )
+            factor = np.maximum(1.0 + diffuse + gloss * ratio + falloff, _LEAST)
+        if self.tiles:
+            logarithms = np.array([*(self.values.get(label, 0.0) for label in self.tiles), 0.0])
+            factor = factor * np.exp(np.clip(logarithms, -3.0, 3.0))[geometry.tile]
+        return factor
 
     def _ripples(self, geometry: Geometry, ambiguity: float) -> Array:
         if self.values.keys().isdisjoint(RIPPLES):
@@ -84,11 +120,19 @@ class LightCurves:
         return np.asarray(np.interp(angle, _KNOTS, heights))
 
     def columns(self, geometry: Geometry, ambiguity: float, labels: Sequence[str]) -> list[Array]:
-        """Return the derivatives (H, W) of the logarithm of the light by `RIPPLES` or by `SURFACES`."""
+        """Return the derivatives (H, W) of the logarithm of the light by `RIPPLES`, `SURFACES` or `LOBE`."""
         if labels[0] in RIPPLES:
             ripples = self._ripples(geometry, ambiguity)
             return [wave / ripples for wave in _waves(geometry, ambiguity)]
         angle, ratio = _angle_and_ratio(geometry)
+        if labels[0] in FALLOFF:
+            far = _log_distance(geometry)
+            return [np.interp(far, _FALLOFF_KNOTS, row) for row in np.eye(len(_FALLOFF_KNOTS))]
+        if labels[0] in LOBE:
+            rows = [np.interp(angle, _LOBE_KNOTS, row) for row in np.eye(len(_LOBE_KNOTS))]
+            far = _log_distance(geometry)
+            falloff = [np.interp(far, _FALLOFF_KNOTS, row) for row in np.eye(len(_FALLOFF_KNOTS))]
+            return [*rows[1:], *(one * ratio for one in rows), *falloff]
         factor = self.surfaces(geometry)
         weights = [np.interp(angle, _KNOTS, row) for row in np.eye(len(_KNOTS))]
         return [one / factor for one in weights[1:]] + [one * ratio / factor for one in weights]
@@ -152,6 +196,10 @@ def _waves(geometry: Geometry, ambiguity: float) -> list[Array]:
     cosine, sine = cosine_and_sine(_PERIODS[0] * phase)
     # of twice the angle
     return [cosine, sine, 2 * cosine * cosine - 1, 2 * sine * cosine]
+
+
+def _log_distance(geometry: Geometry) -> Array:
+    return np.asarray(np.log(np.maximum(np.nan_to_num(geometry.distance), 1e-3)))
 
 
 def _angle_and_ratio(geometry: Geometry) -> tuple[Array, Array]:

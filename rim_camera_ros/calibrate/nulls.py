@@ -7,7 +7,7 @@ a replicate of noise, pose errors and powers costs a few products instead of a s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,19 +15,17 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from rim_camera_ros.calibrate.fold_sums import Fold
-from rim_camera_ros.calibrate.normal_equations import NormalEquations, Reduced, pixel_blocks
+from rim_camera_ros.calibrate.normal_equations import (
+    Draw,
+    NormalEquations,
+    PixelElimination,
+    PixelPriors,
+    Reduced,
+)
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.threads import in_order
 
 Array = NDArray[Any]
-
-
-@dataclass(frozen=True)
-class _Draw:
-    """Right-hand sides (M - 1, R) and sums per pixel (P, R) of the replicates of one fold."""
-
-    right: Array
-    pixel: Array
 
 
 def null_scores(
@@ -46,17 +44,19 @@ def null_scores(
     """
     rng = np.random.default_rng([seed, 41])
     shapes = _error_shapes(equations, errors or {})
-    draws = [_draw(fold, replicates, rng, shapes) for fold in equations.folds]
+    common = _common(equations, base, replicates, rng)
+    draws = [_draw(fold, replicates, rng, shapes, common) for fold in equations.folds]
     scores = Scores.__new__(Scores)
     scores.regressors = equations.regressors
     scores.base = np.array(sorted(base), int)
     scores.prior = np.array([one.prior for one in equations.regressors])
     scores.temper = 1.0
+    scores.away = np.zeros(len(scores.prior))
 
     def reduced(leave_out: int | None) -> Reduced:
         kept = [one for i, one in enumerate(draws) if i != leave_out]
         observed = equations.reduced(leave_out)
-        return replace(observed, right=observed.sides([(one.right, one.pixel) for one in kept]))
+        return replace(observed, right=observed.sides(kept))
 
     folds = range(len(equations.folds)) if len(equations.folds) > 1 else ()
     scores.full, *scores.trained = in_order(reduced, (None, *folds), threads=equations.threads)
@@ -85,34 +85,73 @@ def kind_of_error(name: str) -> str:
     return kind.rpartition(".")[0] if kind.startswith("light.") else kind
 
 
-def _draw(fold: Fold, replicates: int, rng: np.random.Generator, shapes: Mapping[str, Array]) -> _Draw:
+#: Owners of regressors that stand for what every set-up has, whatever the camera: replicates contain them.
+IMPERFECTIONS = ("reflectivity.", "common_pose.", "optics_covariance.", "radiometry.lobe.")
+
+
+def _common(
+    equations: NormalEquations, base: Sequence[int], replicates: int, rng: np.random.Generator
+) -> tuple[Array, Array, Array | None]:
+    """Return what all folds share: numbers of regressors, their values (K, R), and gains of pixels (P, R)."""
+    own = [int(i) for i in base if equations.regressors[int(i)].label.startswith(IMPERFECTIONS)]
+    prior = np.array([equations.regressors[i].prior for i in own])
+    values = prior[:, None] * rng.standard_normal((len(own), replicates))
+    gains = None
+    if equations.pixels.gain > 0:
+        pixels = len(equations.folds[0].weight)
+        gains = rng.standard_normal((pixels, replicates), dtype=np.float32)
+        gains *= np.float32(equations.pixels.gain)
+    return np.array(own, int), values, gains
+
+
+def _draw(
+    fold: Fold,
+    replicates: int,
+    rng: np.random.Generator,
+    shapes: Mapping[str, Array],
+    common: tuple[Array, Array, Array | None],
+) -> Draw:
     size = fold.gram.shape[0] - 1
     count = size - len(fold.nuisances)
-    design = fold.pixel[:, :size]
-    weight = fold.weight
-    lit = weight > 0
-    root = np.sqrt(weight).astype(np.float32)
-    noise = root[:, None] * rng.standard_normal((len(weight), replicates), dtype=np.float32)
-    inverse = np.where(lit, 1.0 / np.where(lit, weight, 1.0), 0.0)
-    mean = design.T @ (noise * inverse[:, None].astype(np.float32))
+    # a pixel that no pose saw says nothing, whatever its prior
+    flat = PixelElimination([fold], count, PixelPriors(1e6, 1e6 if fold.gain is not None else 0.0))
     rest = fold.gram[:size, :size].copy()
-    for rows, block in pixel_blocks([fold], count):
-        scaled = block[:, :size] * np.sqrt(inverse[rows])[:, None]
-        rest -= scaled.T @ scaled
+    mean = np.zeros((size, replicates))
+    offset, gain = flat.draw(replicates, rng)
+    for rows, noise in zip(flat.rows(), flat.whitened(offset, gain), strict=True):
+        own = rows[:, :size]
+        rest -= own.T @ own
+        mean += own.T @ noise
     # columns differ by many orders of magnitude
     diagonal = np.diag(rest)
     unit = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = linalg.eigh((rest + rest.T) / 2 / unit[:, None] / unit[None, :])
     spread = unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    right = mean.astype(float) + spread @ rng.standard_normal((size, replicates))
+    right = mean + spread @ rng.standard_normal((size, replicates))
+
+    def add(columns: Array, errors: Array) -> None:
+        nonlocal right, offset, gain
+        right += fold.gram[:size, columns] @ errors
+        offset = offset + fold.pixel[:, columns] @ errors
+        if gain is not None and fold.gain is not None:
+            gain = gain + fold.gain[:, columns] @ errors
+
     if fold.nuisances:
-        errors = np.empty((len(fold.nuisances), replicates))
+        drawn = np.empty((len(fold.nuisances), replicates))
         for i, (name, prior, _) in enumerate(fold.nuisances):
             shape = shapes.get(kind_of_error(name))
             if shape is None:
-                errors[i] = prior * rng.standard_normal(replicates)
+                drawn[i] = prior * rng.standard_normal(replicates)
             else:
-                errors[i] = prior * rng.choice(shape, replicates) * rng.choice((-1.0, 1.0), replicates)
-        right += fold.gram[:size, count:size] @ errors
-        noise += design[:, count:] @ errors.astype(design.dtype)
-    return _Draw(right, noise)
+                drawn[i] = prior * rng.choice(shape, replicates) * rng.choice((-1.0, 1.0), replicates)
+        add(np.arange(count, size), drawn)
+    numbers, shared, gains = common
+    if numbers.size:
+        add(numbers, shared)
+    if gains is not None and gain is not None and fold.gain is not None:
+        assert fold.gain_weight is not None
+        assert fold.cross is not None
+        right += fold.gain[:, :size].T @ gains
+        offset = offset + fold.cross[:, None] * gains
+        gain = gain + fold.gain_weight[:, None] * gains
+    return Draw(right, offset, gain)

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from rim_camera_ros.calibrate.entry import PAIRED_ERRORS, Found, paired_error
 from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.leaders import Refused
-from rim_camera_ros.calibrate.needs import Found
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.camera import Camera
-
-#: Share of what the best of several fits gains from which another is as good: no form is quite the true one.
-_AS_GOOD = 0.9
 
 
 @dataclass(frozen=True)
@@ -28,16 +25,21 @@ class Trial:
     likelihood: float
 
 
-def as_good(alone: Mapping[str, float], best: Trial, before: float) -> list[str]:
-    """Return the effects that explain nearly what the best trial does, where that is of one effect.
+def as_good(alone: Mapping[str, Trial], best: Trial) -> list[str]:
+    """Return the effects, of those fitted ``alone``, of which poses do not agree that the best is better.
 
-    ``alone`` are log likelihoods with each effect fitted alone, ``before`` that with none. Which of them it
-    is hangs on how true their forms are.
+    None where the best are two effects. Those whose paired difference is within two standard errors.
     """
     if len(best.effects) > 1:
         return []
-    least = before + _AS_GOOD * (best.likelihood - before)
-    return [name for name, one in alone.items() if name not in best.effects and one >= least]
+    mine = best.fitted.scores.log_likelihoods()
+    result = []
+    for name, one in alone.items():
+        theirs = one.fitted.scores.log_likelihoods()
+        close = sum(mine) - sum(theirs) <= PAIRED_ERRORS * paired_error(mine, theirs)
+        if name not in best.effects and close:
+            result.append(name)
+    return result
 
 
 @dataclass

@@ -9,6 +9,7 @@ keeps both apart.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,8 @@ def log_evidence(fitted: Fit, size: float) -> float:
     ``size`` is their 1-sigma. Parameters, errors of poses and the offsets themselves are integrated out.
     """
     count = len(fitted.parameters)
-    reduced = reduce_folds(fitted.equations.folds, len(fitted.equations.regressors), size)
+    pixels = replace(fitted.equations.pixels, offset=size)
+    reduced = reduce_folds(fitted.equations.folds, len(fitted.equations.regressors), pixels)
     matrix = reduced.gram[:count, :count] + np.diag(fitted.priors**-2)
     factor = linalg.cholesky(matrix, lower=True)
     solved = linalg.solve_triangular(factor, reduced.right[:count], lower=True)

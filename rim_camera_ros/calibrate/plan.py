@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, groupby
 from typing import Any
 
@@ -78,7 +78,7 @@ def plan(
     physics = {name: one for name, one in camera.effects.items() if name not in BY_POSITION}
     camera = with_effects(camera, physics)
     small = coarser_camera(camera, step) if step > 1 else camera
-    built = {name: planned_dataset(scene, small) for name, scene in scenes.items()}
+    built = {name: planned_dataset(scene, small, decimation=step) for name, scene in scenes.items()}
     regressors, experiments = _equations(small, scenes, built, progress)
     owners = [one.owner for one in regressors]
     prior = np.array([one.prior for one in regressors])
@@ -143,10 +143,13 @@ def _equations(
     return regressors, experiments
 
 
-def planned_dataset(scene: Scene, camera: Camera, *, most: int = _STATIONS) -> tuple[Dataset, float]:
-    """Return the stations of a schedule as if they had been recorded, and its duration in minutes.
+def planned_dataset(
+    scene: Scene, camera: Camera, *, most: int = _STATIONS, decimation: int = 1
+) -> tuple[Dataset, float]:
+    """Return the stations of a schedule with the amplitudes expected of them, and its duration in minutes.
 
-    Of more than about ``most`` stations some are left out, and the others get their frames.
+    Of more than about ``most`` stations some are left out, and the others get their frames. The camera has
+    every ``decimation``-th pixel of the sensor's.
     """
     groups = [list(group) for _, group in groupby(Timeline(scene, camera), key=lambda one: one.station)]
     start, end = groups[0][0].stamp, groups[-1][-1].stamp
@@ -173,7 +176,12 @@ def planned_dataset(scene: Scene, camera: Camera, *, most: int = _STATIONS) -> t
                 saturated=np.zeros(shape, np.uint16),
             )
         )
-    return Dataset(stations), (end - start) / NANOSECONDS / 60
+    predictions = Forward(Dataset(stations, decimation=decimation), scene, camera).predictions(slopes=False)
+    expected = [
+        replace(one.station, amplitude=np.nan_to_num(one.model_reading).astype(np.float32))
+        for one in predictions
+    ]
+    return Dataset(expected, decimation=decimation), (end - start) / NANOSECONDS / 60
 
 
 def table(result: Plan) -> str:

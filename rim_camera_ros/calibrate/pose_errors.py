@@ -2,19 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.problem import Fit, Problem
-from rim_camera_ros.scene import Scene
+from rim_camera_ros.frame import Pose
+from rim_camera_ros.scene import Scene, Surface
 
 #: Errors found in this ratio to those stated count as larger, and poses that it takes to say so.
 WIDER = 1.5
 LEAST_POSES = 8
 _ROUNDS = 5
 _TILTS = ("tilt_x", "tilt_y")
+
+
+@dataclass(frozen=True)
+class WiderSurface(Surface):
+    """A surface whose recorded poses err more than the recording states, by ``factors`` (normal, tilt)."""
+
+    factors: tuple[float, float] = (1.0, 1.0)
+
+    def pose_covariance(self, pose: Pose) -> NDArray[np.float64]:
+        covariance = super().pose_covariance(pose)
+        if pose.covariance is None:
+            return covariance
+        wider = np.array([self.factors[0], self.factors[1], self.factors[1]])
+        return covariance * np.outer(wider, wider)
+
+
+def _wider(one: Surface, offset: float, tilt: float, *, own: bool) -> Surface:
+    """Return the surface with larger errors of its poses; ``own``: the recording states some with them."""
+    sigma = (one.pose_sigma[0] * offset, one.pose_sigma[1] * tilt)
+    if not own:
+        return replace(one, pose_sigma=sigma)
+    before = one.factors if isinstance(one, WiderSurface) else (1.0, 1.0)
+    values = {field.name: getattr(one, field.name) for field in fields(Surface)} | {"pose_sigma": sigma}
+    return WiderSurface(**values, factors=(before[0] * offset, before[1] * tilt))
 
 
 def pose_error_ratios(fitted: Fit) -> dict[str, tuple[float, float]]:
@@ -47,11 +73,12 @@ def with_wider_poses(scene: Scene, fitted: Fit) -> Scene | None:
     ratios = pose_error_ratios(fitted)
     if not any(max(pair) > WIDER for pair in ratios.values()):
         return None
+    stations = fitted.forward.dataset.stations
+    own = {name for one in stations for name, pose in one.truth.items() if pose.covariance is not None}
     surfaces = []
     for one in scene.surfaces:
-        offset, tilt = ratios.get(one.name, (0.0, 0.0))
-        sigma = (one.pose_sigma[0] * max(offset, 1.0), one.pose_sigma[1] * max(tilt, 1.0))
-        surfaces.append(replace(one, pose_sigma=sigma))
+        offset, tilt = (max(ratio, 1.0) for ratio in ratios.get(one.name, (1.0, 1.0)))
+        surfaces.append(_wider(one, offset, tilt, own=one.name in own))
     return replace(scene, surfaces=tuple(surfaces))
 
 
@@ -73,10 +100,27 @@ def settled_poses(problem: Problem, fitted: Fit) -> Scene | None:
     return wider
 
 
+def widening_of_poses(stated: Scene, found: Scene) -> dict[str, float]:
+    """Return how many times larger errors of poses were found than stated, by surface, where they were."""
+    result = {}
+    for old, new in zip(stated.surfaces, found.surfaces, strict=True):
+        ratios = [
+            after / before for before, after in zip(old.pose_sigma, new.pose_sigma, strict=True) if before
+        ]
+        if isinstance(new, WiderSurface):
+            ratios = list(new.factors)
+        if max(ratios, default=1.0) > 1.0:
+            result[new.name] = max(ratios)
+    return result
+
+
 def wider_poses_note(stated: Scene, found: Scene) -> str:
     """Return in words by how much poses err more than the scene file states."""
     parts = [
-        f"pose_sigma of '{new.name}' is [{old.pose_sigma[0]:.2g}, {old.pose_sigma[1]:.2g}] in the scene "
+        f"poses of '{new.name}' err by {new.factors[0]:.2g} (along the normal) and {new.factors[1]:.2g} "
+        "(tilt) times what the recording states with them"
+        if isinstance(new, WiderSurface)
+        else f"pose_sigma of '{new.name}' is [{old.pose_sigma[0]:.2g}, {old.pose_sigma[1]:.2g}] in the scene "
         f"file, but "
         f"its poses err by [{new.pose_sigma[0]:.2g}, {new.pose_sigma[1]:.2g}] (m, rad)"
         for old, new in zip(stated.surfaces, found.surfaces, strict=True)

@@ -29,9 +29,12 @@ class Prediction:
     """One station: prediction, residuals, weights and derivatives, (H, W) each.
 
     ``residual`` [m] and ``amplitude_residual`` [counts] are measured - predicted; ``used`` and
-    ``amplitude_used`` mark the pixels to fit; ``sigma`` and ``amplitude_sigma`` the standard deviation of
-    the station's mean by the noise model, with ``variance_of_other`` [m^2], that of a recording which it is
-    compared with. ``amplitude`` is the latent amplitude [counts]: what the terms see.
+    ``amplitude_used`` mark the pixels to fit; ``sigma`` the standard deviation of the station's mean by the
+    noise model, with ``variance_of_other`` [m^2], that of a recording which it is compared with;
+    ``amplitude_noise`` that of the amplitude. ``amplitude_sigma`` holds the errors of predicted amplitudes as
+    well, which neighbours share: a pixel counts as ``amplitude_share`` of an observation. ``amplitude`` is
+    the latent amplitude [counts]: what the terms see; it follows a relative change of the predicted light by
+    the share ``amplitude_follows``, as the rest of it is what was measured.
     """
 
     station: Station
@@ -46,6 +49,8 @@ class Prediction:
     amplitude_residual: Array
     sigma: Array
     amplitude_sigma: Array
+    amplitude_noise: Array
+    amplitude_share: Array
     used: NDArray[np.bool_]
     amplitude_used: NDArray[np.bool_]
     slope_distance: Array | float
@@ -55,9 +60,11 @@ class Prediction:
     model_amplitude: Array
     model_reading: Array
     gain: float
+    amplitude_follows: Array | float = 1.0
     spread: list[Effect] = field(default_factory=list)
     light_curves: LightCurves | None = None
     variance_of_other: Array | float = 0.0
+    linear: Sequence[Any] = ()
     _images: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
     def light_change(self, after: str | None, change: Array) -> tuple[Array, Array]:
@@ -93,7 +100,7 @@ class Prediction:
     def reading_change(self, by_distance: Array | float, relative: Array | float) -> tuple[Array, Array]:
         """Return the changes of the readings for changes of delivered distance [m] and log amplitude."""
         counts = relative * self.delivered.amplitude
-        measured = by_distance * self.slope_distance + counts * self.slope_amplitude
+        measured = by_distance * self.slope_distance + counts * self.amplitude_follows * self.slope_amplitude
         return np.asarray(measured), np.asarray(counts * self.slope_published)
 
     def columns(self, effect: Effect) -> dict[str, tuple[Array, Array]]:
@@ -179,3 +186,4 @@ class Shift:
         one.variance_of_other = self.distance_variance
         one.sigma = np.sqrt(one.sigma**2 + self.distance_variance)
         one.amplitude_sigma = np.sqrt(one.amplitude_sigma**2 + self.amplitude_variance)
+        one.amplitude_noise = np.sqrt(one.amplitude_noise**2 + self.amplitude_variance)

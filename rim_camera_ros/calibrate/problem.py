@@ -19,6 +19,7 @@ from rim_camera_ros.calibrate.blocks import (
 )
 from rim_camera_ros.calibrate.empirical_fit import empirical_block
 from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.imperfections import imperfection_blocks, linear_blocks
 from rim_camera_ros.calibrate.light_curves import RESPONSE, RIPPLES, SURFACES
 from rim_camera_ros.calibrate.normal_equations import PATTERN_PRIOR, NormalEquations, Reduced
 from rim_camera_ros.calibrate.prediction import Shift
@@ -41,7 +42,8 @@ class Problem:
     ``stray_light`` [counts] as in `accumulate`; ``reflectance`` estimates how surfaces reflect beside
     Lambert's law, ``response`` [counts] what an `amplitude_nonlinearity` leaves, relative to that level.
     ``pattern_prior`` [m] is the 1-sigma of an offset per pixel. ``variance_factors`` as in `Forward`. The
-    effect ``empirical`` is fitted only where ``effects`` names it.
+    effect ``empirical`` is fitted only where ``effects`` names it. ``imperfections`` estimates what no scene
+    and no camera file states exactly (`imperfections`), within its stated sizes.
     Priors of the parameters of effects and optics are those of the camera ``origin``, where it has them,
     and about its values, whatever a fit begins at: what earlier fits took up must not hold later ones. None:
     those of the start.
@@ -56,7 +58,6 @@ class Problem:
     gain: bool = True
     pattern: bool = True
     robust: bool = True
-    single: bool = False
     masks: Sequence[tuple[Array, Array]] | None = None
     shifts: Sequence[Shift] | None = None
     stray_light: float = 0.0
@@ -64,6 +65,7 @@ class Problem:
     response: float | None = None
     pattern_prior: float = PATTERN_PRIOR
     variance_factors: Mapping[tuple[int, int], float] = field(default_factory=dict)
+    imperfections: bool = True
     tick: Callable[[], None] | None = None
     threads: int = 1
 
@@ -75,7 +77,8 @@ class Fit:
     ``parameters`` by dotted path (``radiometry.gain`` in counts); ``covariance`` in their order;
     ``pattern`` (H, W) m is what the fixed pattern is beyond the camera file's; ``nuisances`` the errors
     found of poses and powers; ``chi_square`` of all residuals after the fit, prior terms left out, with
-    ``rows`` observations. ``equations`` are those at the solution, ``forward`` its predictions.
+    ``rows`` observations. ``equations`` are those at the solution, ``forward`` its predictions. ``moving``
+    are the parameters of a fit that has not converged which the last step moved, in units of their sigma.
     """
 
     start: Camera
@@ -94,6 +97,7 @@ class Fit:
     forward: Forward
     priors: Array
     notes: list[str] = field(default_factory=list)
+    moving: dict[str, float] = field(default_factory=dict)
 
     @property
     def sigma(self) -> dict[str, float]:
@@ -120,7 +124,10 @@ def forward_of(
     forward = Forward(problem.dataset, scene, camera, views=views)
     forward.masks, forward.shifts, forward.tick = problem.masks, problem.shifts, problem.tick
     forward.variance_factors, forward.threads = problem.variance_factors, problem.threads
-    forward.light_curves = moved_light(offsets, problem.response)
+    forward.camera_of_noise = problem.origin
+    forward.light_curves = moved_light(offsets, problem.response, scene)
+    if problem.imperfections:
+        forward.linear = linear_blocks(camera, scene)
     return forward
 
 
@@ -144,6 +151,8 @@ def blocks_of(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
         blocks.append(gain_block())
     blocks += [optics_block(camera, name) for name in problem.geometry]
     blocks += [light_block(labels) for labels in light_groups(problem, camera)]
+    if problem.imperfections:
+        blocks += imperfection_blocks(camera, scene, lobe=not problem.reflectance)
     free = [
         (f"scene.{one.name}.{axis}", 1.0 if axis in "xyz" else 0.3)
         for one in scene.surfaces

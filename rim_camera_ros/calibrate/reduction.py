@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from rim_camera_ros.bags import Recording, Topics
+from rim_camera_ros.calibrate.common_variation import common_variation
 from rim_camera_ros.calibrate.stations import KEPT_FRAMES, Array, Dataset, Station
 from rim_camera_ros.camera import FULL_SCALE, Camera
 from rim_camera_ros.errors import InputError
@@ -102,7 +103,7 @@ class _Block:
             amplitude_variance = (self._sums[3] - self._sums[2].astype(float) ** 2 / n) / (n - 1)
         several = n > 1
         middle = (self._stamps[0] + self._stamps[-1]) // 2
-        common, common_light = self._common_variation() or (None, None)
+        common = common_variation(np.stack(self._kept), self._camera.sensor.ambiguity)
         return Station(
             recording=recording,
             pose=self.pose,
@@ -119,37 +120,10 @@ class _Block:
             amplitude_variance=np.where(several, amplitude_variance, np.nan).astype(np.float32),
             count=n,
             saturated=self._saturated.astype(np.uint16),
-            common=common,
-            common_light=common_light,
+            common=None if common is None else common.ratio,
+            common_light=None if common is None else common.light,
+            movement=None if common is None else common.movement,
         )
-
-    def _common_variation(self) -> tuple[float, float] | None:
-        """Mean complex deviation of all pixels per frame, squared: over its expectation, and as a power.
-
-        Of what is not in proportion to the light itself: power and phase of the emitter vary a little.
-        """
-        if len(self._kept) < 2:
-            return None
-        stack = np.stack(self._kept)
-        stack = stack[:, (stack != 0).all(axis=0)]
-        if stack.shape[1] < 50:
-            return None
-        light = stack.mean(axis=0)
-        deviation = stack - light
-        frames = len(stack)
-        variance = (np.abs(deviation) ** 2).sum(axis=0) / (frames - 1)
-        # noise grows with the amplitude where the floor prevails: those pixels say little
-        weight = 1.0 / np.maximum(variance, np.quantile(variance, 0.2) + 1e-12)
-        own = 1.0 - light * (weight * light.conj()).sum() / (weight * np.abs(light) ** 2).sum()
-        total = (deviation * (weight * own.conj())).sum(axis=1)
-        expected = (weight**2 * np.abs(own) ** 2 * variance).sum() * (frames - 1) / frames
-        if not expected > 0:
-            return None
-        found = float((np.abs(total) ** 2).mean())
-        # light that is the same in all pixels is seen by so much, less what it adds to the variances
-        seen = (weight * np.abs(own) ** 2).sum() ** 2 - (weight**2 * np.abs(own) ** 2).sum()
-        seen *= (frames - 1) / frames
-        return float(found / expected), float((found - expected) / seen)
 
 
 def _mean_settings(settings: list[Settings]) -> Settings:

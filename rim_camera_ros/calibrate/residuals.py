@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.forward import Forward, excess
+from rim_camera_ros.calibrate.forward import AMPLITUDE_MODEL, Forward, excess
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.threads import in_order
 
@@ -36,7 +36,6 @@ def huber(pattern: Array, nuisances: Mapping[str, float]) -> Callable[[Predictio
 
 def amplitude_error(forward: Forward, nuisances: Mapping[str, float]) -> float:
     """Return the relative 1-sigma of predicted amplitudes beyond noise and errors of poses (robustly)."""
-    tau = forward.amplitude_model.tau
     pattern = np.zeros(forward.camera.shape)
 
     def sharpest(one: Prediction) -> tuple[Array, Array]:
@@ -45,16 +44,15 @@ def amplitude_error(forward: Forward, nuisances: Mapping[str, float]) -> float:
             return np.zeros(0), np.zeros(0)
         _, amplitude = after_nuisances(one, pattern, nuisances)
         reading = one.station.amplitude[pixels] - one.amplitude_residual[pixels]
-        # tau was added to the prediction, which another simulation shifts
-        relative = np.maximum((one.amplitude_sigma[pixels] / reading) ** 2 - tau**2, 1e-12)
+        relative = np.maximum((one.amplitude_noise[pixels] / reading) ** 2, 1e-12)
         sharp = relative <= np.quantile(relative, 0.5)
         return (amplitude[pixels] / reading)[sharp], relative[sharp]
 
     found = list(in_order(sharpest, forward.predictions(slopes=False), threads=forward.threads))
     if not found:
-        return 0.0
+        return AMPLITUDE_MODEL
     deviations, variances = (np.concatenate(part) for part in zip(*found, strict=True))
-    return excess(deviations, variances) if deviations.size else 0.0
+    return max(AMPLITUDE_MODEL, excess(deviations, variances) if deviations.size else 0.0)
 
 
 def after_nuisances(
@@ -82,4 +80,12 @@ def after_nuisances(
             by_distance, by_amplitude = prediction.pose_change(column)
             distance = distance - error * by_distance
             amplitude = amplitude - error * by_amplitude
+    for block in prediction.linear:
+        values = [nuisances.get(one.label, 0.0) for one in block.regressors]
+        if not any(values):
+            continue
+        for value, (by_regressor, counts) in zip(values, block.columns(prediction), strict=True):
+            distance = distance - value * by_regressor
+            if counts is not None:
+                amplitude = amplitude - value * counts
     return distance, amplitude

@@ -16,7 +16,7 @@ from rim_camera_ros.bags import Topics
 from rim_camera_ros.calibrate import checks
 from rim_camera_ros.calibrate.beyond_hyperbola import beyond_hyperbola
 from rim_camera_ros.calibrate.candidate import Facts
-from rim_camera_ros.calibrate.coarser import coarseness_of, coarser_camera
+from rim_camera_ros.calibrate.coarser import coarseness, coarseness_of, coarser_camera
 from rim_camera_ros.calibrate.determined import EffectStatus
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.held_out import Accuracy, evaluate
@@ -31,6 +31,7 @@ from rim_camera_ros.calibrate.provenance import Source, checksum, provenance
 from rim_camera_ros.calibrate.reference_scale import NAME as REFERENCE
 from rim_camera_ros.calibrate.reference_scale import PATHS, FittedReference, fit_reference, with_reference
 from rim_camera_ros.calibrate.refinement import Refinement
+from rim_camera_ros.calibrate.refusal import refusals
 from rim_camera_ros.calibrate.several_scenes import joined
 from rim_camera_ros.calibrate.solution import Solution, high_correlations, stated
 from rim_camera_ros.calibrate.stations import Dataset, merged
@@ -44,8 +45,6 @@ Array = NDArray[Any]
 
 _INTEGRAL = "integral_table"
 _REPLACED = "the table stands in the place of all effects"
-#: Pixels of the sensor from which on sums per pixel are kept in single precision.
-_MANY_PIXELS = 20_000
 #: Common variation of frames beyond which something changes all pixels from frame to frame.
 _COMMON = 3.0
 
@@ -82,7 +81,8 @@ class Calibration:
 
     ``paths`` and ``covariance`` of the fitted parameters that the data determine; ``accuracy`` of the camera
     on held-out poses and ``integral_accuracy`` that of a table by position from the same poses (None where it
-    was not made); ``correlations`` above 0.9; ``pattern_variance`` (H, W) [m^2] of the offsets of pixels.
+    was not made); ``refused`` the reasons not to use it (none: it is a good one);
+    ``correlations`` above 0.9; ``pattern_variance`` (H, W) [m^2] of the offsets of pixels.
     """
 
     camera: Camera
@@ -102,6 +102,7 @@ class Calibration:
     pattern_variance: Array
     integral: bool = False
     notes: list[str] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
 
     @property
     def chi_square(self) -> float | None:
@@ -159,7 +160,9 @@ def calibrate(
     else:
         notes.append("noise as in the camera file: there are too few repeated frames to fit it")
     large: LargeSensor | None = None
-    step = 1 if request.effects is None or request.geometry else coarseness_of(camera, request.effects)
+    step = 1
+    if not request.geometry:
+        step = coarseness(camera) if request.effects is None else coarseness_of(camera, request.effects)
     if step > 1:
         large = LargeSensor(camera, dataset, scene, step)
         camera, dataset = large.coarse
@@ -174,7 +177,6 @@ def calibrate(
         dataset,
         scene,
         geometry=tuple(GEOMETRY) if request.geometry else (),
-        single=camera.shape[0] * camera.shape[1] > _MANY_PIXELS,
         tick=watch.tick,
         threads=request.threads,
     )
@@ -191,6 +193,7 @@ def calibrate(
         notes.append(f"left out: {gross} distances that are far from any surface of the scene")
     refinement = Refinement(problem, masks, beside=beside_in_view if large is None else large.beside_edges)
     problem = refinement.first(problem)
+    stated_scene = problem.scene
     begin: Camera | None = None
     while True:
         if words is None:
@@ -218,6 +221,7 @@ def calibrate(
         noise,
         notes,
         watch,
+        scene=stated_scene,
         large=large,
         edges_within=refinement.edges_within,
         integral=integral,
@@ -233,6 +237,7 @@ def _finished(
     notes: list[str],
     watch: Watch,
     *,
+    scene: Scene,
     large: LargeSensor | None,
     edges_within: int,
     integral: bool,
@@ -320,6 +325,7 @@ def _finished(
         pattern_variance=variance,
         integral=only_integral,
         notes=notes,
+        refused=refusals(fitted, by_table if only_integral and by_table else accuracy, scene),
     )
 
 

@@ -8,14 +8,17 @@ from dataclasses import dataclass, field, replace
 from rim_camera_ros.calibrate.beside_edges import Look, promising, sharper, with_edges
 from rim_camera_ros.calibrate.candidate import Candidate, without_idle_halos
 from rim_camera_ros.calibrate.elsewhere import follows_time_elsewhere, shows_elsewhere
+from rim_camera_ros.calibrate.entry import LEAST_SIZE, OF_TIME, PAIRED_ERRORS, Found, paired_error
 from rim_camera_ros.calibrate.exploration import Exploration, explore, explored, further_equations
 from rim_camera_ros.calibrate.few_poses import at_stations, few_stations, left_behind
 from rim_camera_ros.calibrate.forms import form_blocks
 from rim_camera_ros.calibrate.gauss_newton import keeps_amplitude_error
 from rim_camera_ros.calibrate.leaders import (
     NOT_ELSEWHERE,
+    NOT_IN_ALL_POSES,
     NOT_IN_TIME,
     ONCE_FITTED,
+    discrepancy,
     leaders,
     leading_variants,
     near_rivals,
@@ -23,7 +26,6 @@ from rim_camera_ros.calibrate.leaders import (
     what_it_became,
 )
 from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES
-from rim_camera_ros.calibrate.needs import OF_TIME, Found, least_size, needed
 from rim_camera_ros.calibrate.outcome import Trial, as_good
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.sizes import effect_size
@@ -56,7 +58,8 @@ class Search:
     ``explorations`` begin with that of the camera file; each effect found adds one. ``pool`` are all
     candidates, ``variants`` those worth their columns at first. ``failed`` are leaders that proved wrong
     since then, and why; ``settled`` the numbers of effects found at which the fit was repeated. ``may_look``
-    allows pixels beside edges; explorations from number ``beside_edges`` on take them in.
+    allows pixels beside edges; explorations from number ``beside_edges`` on take them in. ``curves`` are
+    those of the smooth ``further`` candidates that entered as discrepancies of effects found.
     """
 
     problem: Problem
@@ -73,6 +76,7 @@ class Search:
     settled: set[int] = field(default_factory=set)
     may_look: bool = True
     beside_edges: int | None = None
+    curves: list[Candidate] = field(default_factory=list)
 
     @property
     def step(self) -> Exploration:
@@ -82,7 +86,11 @@ class Search:
     def add(self, most: int) -> None:
         """Add effects, ``most`` in all, until nothing gains enough or too many leaders proved wrong."""
         while len(self.found) < most and len(self.failed) <= _MOST_FAILURES:
-            chosen = leaders(self.step, self.found, self.failed.keys())
+            curve = discrepancy(self.step, self.found, self.failed.keys())
+            if curve is not None:
+                self._enter(self.step.candidates[curve])
+                continue
+            chosen = leaders(self.step, self.failed.keys())
             if chosen is None:
                 return
             numbers, leader = chosen
@@ -104,12 +112,11 @@ class Search:
         for one in list(self.found[:-1]):
             if one.effect not in self.step.fit.camera.effects or len(self.found) < 2:
                 continue
-            others = [other for other in self.found if other is not one]
             left = {name: e for name, e in self.step.fit.camera.effects.items() if name != one.effect}
             without = self._fitted(self.problem, with_effects(self.step.fit.camera, left), self.step)
             before = self.explorations[one.step]
-            gain = self.step.scores.log_likelihood() - without.scores.log_likelihood()
-            if gain > needed(before, before.best()[one.effect], others):
+            threshold = float(before.thresholds[before.best()[one.effect]])
+            if self._gain(self.step, without) > self._entry(threshold, self.step, without):
                 continue
             self.found.remove(one)
             self._replace_step(without.fit, before)
@@ -123,7 +130,7 @@ class Search:
         number = start.best().get(first.effect)
         if number is None or first.step == 0:
             return
-        ties = tied(start, first.effect, needed(start, number, []))
+        ties = tied(start, first.effect, float(start.thresholds[number]))
         self.found[0] = Found(first.effect, max(gain, first.gain), ties, step=0)
 
     def look_beside_edges(self) -> None:
@@ -143,7 +150,7 @@ class Search:
             return
         # the rest that one form leaves looks like the other
         for with_footprints in (True, False):
-            look = promising(problem, self.step, self.found, own, self._fitted, footprint=with_footprints)
+            look = promising(problem, self.step, own, self._fitted, footprint=with_footprints)
             if look is None or self._joins(look):
                 return
 
@@ -183,32 +190,49 @@ class Search:
         names = [one.effect for one in self.found]
         return shows_elsewhere(self.problem, self.step, number, names, self.folds)
 
-    def _needed(self, numbers: Sequence[int]) -> float:
-        return max(needed(self.step, k, self.found) for k in numbers)
+    def _threshold(self, numbers: Sequence[int]) -> float:
+        return max(float(self.step.thresholds[k]) for k in numbers)
+
+    def _gain(self, after: Exploration, before: Exploration) -> float:
+        return after.scores.log_likelihood() - before.scores.log_likelihood()
+
+    def _entry(self, threshold: float, after: Exploration, before: Exploration) -> float:
+        """Return what an effect must gain [nats]: beside others more than poses disagree about."""
+        if not self.found:
+            return threshold
+        by_fold = (one.scores.log_likelihoods() for one in (after, before))
+        return max(threshold, PAIRED_ERRORS * paired_error(*by_fold))
+
+    def _enter(self, curve: Candidate) -> None:
+        """Score all that follows beside a curve of what an effect found depends on."""
+        self.say(f"another form of what is found, over {curve.variant}")
+        self.curves.append(curve)
+        self._replace_step(self.step.fit, self.step)
 
     def _try(self, numbers: tuple[int, ...], leader: int) -> None:
         """Fit candidates and what rivals them; the best joins, where it gains and moves enough."""
         trial, close = self._best_trial(numbers, leader)
         fitted = trial.fitted
-        need = self._needed(self.step.best_of(trial.effects))
-        gain = fitted.scores.log_likelihood() - self.step.scores.log_likelihood()
+        threshold = self._threshold(self.step.best_of(trial.effects))
+        need = self._entry(threshold, fitted, self.step)
+        gain = self._gain(fitted, self.step)
         again = self._without(trial.effects, fitted, gain)
         if again is not None:
-            more = again.scores.log_likelihood() - self.step.scores.log_likelihood()
+            more = self._gain(again, self.step)
             gain -= max(more, 0.0)
             if gain <= need < more and len(self.found) not in self.settled:
                 # the fit before had not come to its end: look at what is left of it
                 self.settled.add(len(self.found))
                 self._replace_step(again.fit, self.step)
                 return
-        why = self._why_not(trial, gain, need)
+        why = self._why_not(trial, gain, threshold, need)
         if why is not None:
             # what looked like it is something else: perhaps the next in line
             self.failed |= {self._effect(k): why for k in numbers}
             return
         self.failed.clear()
         for name in trial.effects:
-            ties = tied(self.step, name, need)
+            ties = tied(self.step, name, threshold)
             # of a first one, what joins it decides
             ties += [other for other in close if self.found and other not in ties]
             self.found.append(Found(name, gain, ties, step=len(self.explorations) - 1))
@@ -222,11 +246,11 @@ class Search:
         self.step.forget()
         self.explorations.append(final)
 
-    def _why_not(self, trial: Trial, gain: float, need: float) -> str | None:
-        after = trial.fitted
-        size = effect_size(after.fit, trial.effects, self.camera)
-        if gain <= need or size < least_size(after, trial.effects, self.found):
+    def _why_not(self, trial: Trial, gain: float, threshold: float, need: float) -> str | None:
+        if gain <= threshold or effect_size(trial.fitted.fit, trial.effects, self.camera) < LEAST_SIZE:
             return ONCE_FITTED
+        if gain <= need:
+            return NOT_IN_ALL_POSES
         drifts = [name for name in trial.effects if name in OF_TIME] if self.found else []
         return None if all(self._follows_time(trial, name) for name in drifts) else NOT_IN_TIME
 
@@ -249,23 +273,23 @@ class Search:
         A pair must beat the leader alone by what a further effect must gain: linearly, one that bends the
         light much looks worse than it is.
         """
-        beside = near_rivals(self.step, numbers, leader, self.found, self.failed.keys())
+        beside = near_rivals(self.step, numbers, leader, self.failed.keys())
         choices, starts = self._ahead([numbers, *beside][:_MOST_TRIALS])
         best: Trial | None = None
-        alone: dict[str, float] = {}
+        alone: dict[str, Trial] = {}
         for choice in choices:
             trial = self._trial(choice, start=starts.get(choice))
-            other = what_it_became(trial.fitted, choice, self.step, self.found, self.camera)
+            other = what_it_became(trial.fitted, choice, self.step, self.camera)
             if other is not None:
                 if other not in choices:
                     choices.append(other)
                 continue
             if len(choice) == 1:
-                alone[trial.effects[0]] = trial.likelihood
+                alone[trial.effects[0]] = trial
             if best is None or trial.likelihood > best.likelihood:
                 best = trial
         assert best is not None
-        return best, as_good(alone, best, self.step.scores.log_likelihood())
+        return best, as_good(alone, best)
 
     def _ahead(
         self, choices: Sequence[tuple[int, ...]]
@@ -321,7 +345,7 @@ class Search:
             fitted = explore(problem, camera, [], self.folds, views=views, warm=fitted.fit, replicates=0)
         likelihood = fitted.scores.log_likelihood()
         if len(choice) == 2:
-            likelihood -= self._needed(choice)
+            likelihood -= self._threshold(choice)
         return Trial(names, problem, fitted, likelihood)
 
     def _without(self, effects: Sequence[str], after: Exploration, gain: float) -> Exploration | None:
@@ -384,11 +408,13 @@ class Search:
         if mixed:
             left = [*(one for one in left if one.effect != "mixed_pixels"), *mixed]
         forms = form_blocks(fitted, present, self.variants)
-        blocks = [*(one.block for one in (*left, *self.further)), *forms]
+        forms += [one.block for one in self.curves]
+        further = [one for one in self.further if one not in self.curves]
+        blocks = [*(one.block for one in (*left, *further)), *forms]
         return explored(
             further_equations(fitted, blocks, self.folds, problem),
             left,
-            further=self.further,
+            further=further,
             forms=forms,
             seed=self.seed,
         )

@@ -51,6 +51,7 @@ class Scores:
         folds = range(len(equations.folds)) if len(equations.folds) > 1 else ()
         self.full, *self.trained = in_order(equations.reduced, (None, *folds), threads=equations.threads)
         self.temper = temper
+        self.away = equations.away_from_prior()
         count = len(equations.regressors)
         self._energy = sum((one.gram[:count, :count] for one in equations.folds), np.zeros((count, count)))
 
@@ -64,7 +65,7 @@ class Scores:
         matrix = reduced.gram[np.ix_(columns, columns)] * scale[:, None] * scale[None, :] / self.temper
         matrix[np.diag_indices_from(matrix)] += 1.0
         right = reduced.right[columns]
-        return matrix, (right.T * scale).T / self.temper
+        return matrix, ((right.T * scale) / self.temper - self.away[columns] / scale).T
 
     def _evidence(self, reduced: Reduced, columns: Array) -> Any:
         matrix, right = self._scaled(reduced, columns)
@@ -135,7 +136,8 @@ class Scores:
 
         def minimum(reduced: Reduced) -> float:
             solution = self._solve(reduced, columns)
-            return float(reduced.square - reduced.right[columns] @ solution)
+            pulled = self.away[columns] / self.prior[columns] ** 2
+            return float(reduced.square - (reduced.right[columns] - pulled) @ solution)
 
         if not held_out or not self.trained:
             return minimum(self.full), self.full.rows

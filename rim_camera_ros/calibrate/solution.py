@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from rim_camera_ros.calibrate.blocks import GAIN
 from rim_camera_ros.calibrate.empirical_fit import with_empirical_changes
+from rim_camera_ros.calibrate.imperfections import is_linear
 from rim_camera_ros.calibrate.light_curves import of_light
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import after_nuisances
@@ -31,6 +32,11 @@ UNTOLD = 0.9
 HIGH_CORRELATION = 0.9
 #: Width [px] over which the smooth part of the fixed pattern is averaged.
 _SMOOTH = 3.0
+#: Weight, as a share of that of an area that was seen, at which the mean about a pixel is drawn half-way to
+#: that of all pixels, and its slope half-way to none. At the rim of what was seen that takes 5 % of a slope;
+#: six pixels beyond it two thirds, where it would be drawn out from the noise of the rim.
+_FEW = 1e-3
+_FEW_OF_LINES = 0.01
 #: Share of a change of parameters below which none of it is made.
 _LEAST_SHARE = 1e-3
 
@@ -85,7 +91,7 @@ class Solution:
         everything = np.zeros(len(self.scores.regressors))
         for i in self.scores.base:
             everything[int(i)] = values[self.scores.regressors[int(i)].label]
-        _, flat = reduced.recover(everything)
+        _, flat, _ = reduced.recover(everything)
         pattern = flat.reshape(camera.shape) if flat.size == self.fit.pattern.size else self.fit.pattern * 0.0
         return with_pattern(moved, pattern, self.pattern_variance(leave_out))
 
@@ -107,13 +113,14 @@ class Solution:
         told = np.sqrt(np.diag(matrix)) < UNTOLD * self.scores.prior[self.scores.base] * np.sqrt(self.factor)
         matrix = matrix * wider[:, None] * wider[None, :]
         # how surfaces reflect is no number of the camera file
-        keep = np.flatnonzero(told & [not of_light(label) for label in self.labels])
+        keep = np.flatnonzero(told & [not of_light(one) and not is_linear(one) for one in self.labels])
         return [self.labels[i] for i in keep], np.asarray(matrix[np.ix_(keep, keep)])
 
     def untold(self) -> list[str]:
         """Return the paths of fitted parameters of which the data say nothing: they stay as in the file."""
         told, _ = self.covariance()
-        return [label for label in self.labels if label not in set(told) and not of_light(label)]
+        own = [one for one in self.labels if not of_light(one) and not is_linear(one)]
+        return [label for label in own if label not in set(told)]
 
     def _unit(self, label: str) -> float:
         return self.fit.camera.radiometry.gain if label == GAIN else 1.0
@@ -181,15 +188,47 @@ def shrink(pattern: Array, variance: Array) -> Array:
     weight = np.where(seen, 1.0 / np.where(seen, np.maximum(variance, 1e-12), 1.0), 0.0)
     values = np.where(seen, pattern, 0.0)
     level = float(np.average(values[seen], weights=weight[seen]))
-    # far from any pixel that was seen the mean of all is the best guess
-    few = 1e-3 * float(np.median(weight[seen]))
-    total = gaussian_filter(weight, _SMOOTH, mode="constant") + few
-    smooth = (gaussian_filter(weight * values, _SMOOTH, mode="constant") + few * level) / total
+    smooth = _smooth_part(values, weight, level)
     rest = values - smooth
     spread = (1.4826 * float(np.median(np.abs(rest[seen])))) ** 2 - float(np.median(variance[seen]))
     spread = max(spread, 0.0)
     share = np.where(seen, spread / (spread + np.where(seen, variance, 1.0) + 1e-15), 0.0)
     return np.asarray(smooth + share * rest)
+
+
+def _smooth_part(values: Array, weight: Array, level: float) -> Array:
+    """Return the weighted mean (H, W) of values about each pixel, by a Gaussian of `_SMOOTH` pixels.
+
+    A line in both directions is fitted with it (local linear regression; Fan 1992), or where pixels were seen
+    on one side only the mean would be that of the other place. Far from any pixel that was seen the
+    ``level`` is the best guess.
+    """
+    usual = float(np.median(weight[weight > 0]))
+    few = _FEW * usual
+    rows, columns = np.indices(values.shape) - np.array(values.shape).reshape(2, 1, 1) / 2
+
+    def blurred(image: Array) -> Array:
+        return np.asarray(gaussian_filter(image, _SMOOTH, mode="constant"))
+
+    total = blurred(weight)
+    safe = np.maximum(total, 1e-6 * few)
+    mean, row, column = (blurred(weight * one) / safe for one in (values, rows, columns))
+
+    def moment(a: Array, b: Array, of_a: Array, of_b: Array) -> Array:
+        return np.asarray(total * (blurred(weight * a * b) / safe - of_a * of_b))
+
+    # lines that few pixels tell are level
+    held = _FEW_OF_LINES * usual * _SMOOTH**2
+    rr = np.maximum(moment(rows, rows, row, row), 0.0) + held
+    cc = np.maximum(moment(columns, columns, column, column), 0.0) + held
+    rc = moment(rows, columns, row, column)
+    along_rows, along_columns = moment(rows, values, row, mean), moment(columns, values, column, mean)
+    determinant = np.maximum(rr * cc - rc**2, 1e-12 * rr * cc)
+    by_row = (cc * along_rows - rc * along_columns) / determinant
+    by_column = (rr * along_columns - rc * along_rows) / determinant
+    here = mean + by_row * (rows - row) + by_column * (columns - column)
+    result: Array = (total * here + few * level) / (total + few)
+    return result
 
 
 def stated(camera: Camera, paths: list[str], matrix: Array) -> Camera:

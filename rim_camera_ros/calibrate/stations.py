@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.calibrate.common_variation import Movement
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Pose, Settings
 from rim_camera_ros.scene import Scene
@@ -36,7 +37,7 @@ class Station:
     to its last. ``common`` is the frame-to-frame variation that all pixels share and that is not in
     proportion to their light, as chi-square per degree of freedom of the mean complex deviation (1: none;
     None for one frame); ``common_light`` [counts^2] is its power if it is the same in all pixels, beyond
-    what noise makes (negative where that happened to be less).
+    what noise makes (negative where that happened to be less). ``movement`` says whether tilts explain it.
     """
 
     recording: int
@@ -54,6 +55,7 @@ class Station:
     saturated: Array
     common: float | None = None
     common_light: float | None = None
+    movement: Movement | None = None
     placement: int | None = None
     duration: float = 0.0
 
@@ -68,6 +70,7 @@ class Dataset:
     """Stations of one or more recordings, in order; ``notes`` say what was assumed or left out.
 
     ``codes`` (65536,) counts how often each raw distance count occurred; None for distances in metres.
+    ``decimation``: its pixels are every so many-th of the sensor's, along rows and columns.
     """
 
     stations: list[Station]
@@ -75,6 +78,7 @@ class Dataset:
     notes: list[str] = field(default_factory=list)
     frames: int = 0
     codes: Array | None = None
+    decimation: int = 1
 
     @property
     def poses(self) -> int:

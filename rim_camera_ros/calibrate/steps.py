@@ -13,7 +13,8 @@ from scipy import linalg
 
 from rim_camera_ros.calibrate.blocks import GAIN
 from rim_camera_ros.calibrate.empirical_fit import LABEL, with_empirical_changes
-from rim_camera_ros.calibrate.light_curves import LightCurves, of_light
+from rim_camera_ros.calibrate.imperfections import is_linear
+from rim_camera_ros.calibrate.light_curves import TILES, LightCurves, of_light, tile_labels
 from rim_camera_ros.calibrate.normal_equations import Reduced
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.calibrate.views import OPTICAL_AXES
@@ -50,6 +51,7 @@ class Solved:
     gains: Mapping[tuple[int, int], float]
     offsets: Mapping[str, float]
     damping: float = 0.0
+    pixels: Array | None = None
 
     @cached_property
     def step(self) -> Array:
@@ -84,22 +86,32 @@ class Solved:
 
     @property
     def changes(self) -> dict[str, float]:
-        """The step by label."""
-        return dict(zip(self.labels, self.step.tolist(), strict=True))
+        """The step by label, of what is stepped."""
+        pairs = zip(self.labels, self.step.tolist(), strict=True)
+        return {label: value for label, value in pairs if not is_linear(label)}
 
-    def errors(self, pattern: Array) -> tuple[dict[str, float], dict[tuple[int, int], float], Array]:
-        """Return errors of poses, powers and the pattern for the step.
+    def errors(
+        self, pattern: Array
+    ) -> tuple[dict[str, float], dict[tuple[int, int], float], Array, Array | None]:
+        """Return errors of poses and set-up, powers, the pattern, and gains of pixels for the step.
 
         The pattern has the shape of ``pattern``, which is returned where none is estimated.
         """
         values = np.zeros(self.reduced.gram.shape[0])
         values[: len(self.step)] = self.step
-        found, flat = self.reduced.recover(values)
+        found, flat, more = self.reduced.recover(values)
+        pairs = zip(self.labels, self.step.tolist(), strict=True)
+        found |= {label: value for label, value in pairs if is_linear(label)}
+        pixels = self.pixels
+        if more is not None:
+            pixels = more.reshape(pattern.shape) + (0.0 if pixels is None else pixels)
         gains = {
             key: g * power_factor(found.get(f"{key[0]}.{key[1]}.gain", 0.0)) for key, g in self.gains.items()
         }
         nuisances = {name: e for name, e in found.items() if not name.endswith(".gain")}
-        return nuisances, gains, flat.reshape(pattern.shape) if flat.size == pattern.size else pattern
+        if flat.size == pattern.size:
+            pattern = flat.reshape(pattern.shape)
+        return nuisances, gains, pattern, pixels
 
 
 def stepped(
@@ -195,7 +207,7 @@ def poles_of(
 
 def value_of(path: str, camera: Camera, offsets: Mapping[str, float]) -> float:
     """Return a parameter's value: of the camera, or how far one of the scene or of a table has moved."""
-    beside_numbers = of_scene(path) or path.startswith(LABEL)
+    beside_numbers = of_scene(path) or is_linear(path) or path.startswith(LABEL)
     return offsets.get(path, 0.0) if beside_numbers else camera_numbers(camera)[path]
 
 
@@ -209,12 +221,13 @@ def of_scene(path: str) -> bool:
     return path.startswith("scene.") or of_light(path)
 
 
-def moved_light(offsets: Mapping[str, float], level: float | None) -> LightCurves | None:
-    """Return how surfaces reflect; None: as Lambert says."""
+def moved_light(offsets: Mapping[str, float], level: float | None, scene: Scene) -> LightCurves | None:
+    """Return how surfaces reflect; None: as Lambert and the scene file say."""
     values = {path: value for path, value in offsets.items() if of_light(path)}
+    tiles = tile_labels(scene) if any(path.startswith(TILES) for path in values) else ()
     if level is not None:
-        return LightCurves(values, level)
-    return LightCurves(values) if values else None
+        return LightCurves(values, level, tiles)
+    return LightCurves(values, tiles=tiles) if values else None
 
 
 def in_units(covariance: Array, regressors: Sequence[Any], camera: Camera) -> Array:
@@ -233,7 +246,7 @@ def _moved(
     """Return the camera with its numbers moved, kept within their bounds and within reach."""
     values: dict[str, float] = {}
     for path, offset in offsets.items():
-        if of_scene(path) or path.startswith(LABEL):
+        if of_scene(path) or is_linear(path) or path.startswith(LABEL):
             continue
         value = (
             numbers[path] * float(np.exp(np.clip(offset, -3, 3))) if path == GAIN else numbers[path] + offset

@@ -25,12 +25,17 @@ class Margins(NamedTuple):
     tile: float
 
 
-#: Pixels whose rays pass nearer are left out.
-CLEAN = Margins(0.4, 0.3)
+#: Pixels whose rays pass nearer are left out: a pixel has an area, and a lens spreads its light.
+CLEAN = Margins(1.1, 1.1)
+#: ... of surfaces and tiles so small that an edge reaches every pixel.
+SMALL = Margins(0.4, 0.3)
 #: ... where pixels beside edges are looked at: as far as errors of poses move edges.
 NEAR = Margins(0.25, 0.12)
 #: ... and where it shows that edges cross pixels: those that they cross show it best.
 CROSSED = Margins(0.1, 0.05)
+
+#: Errors of predicted amplitudes are alike within a tile over this share of the array's width.
+PATCH = 0.1
 
 #: Geometries are kept up to this many bytes; beyond, they are computed again in each pass.
 _KEPT_BYTES = 400_000_000
@@ -72,10 +77,13 @@ class PoseColumn:
 
 
 class Views:
-    """The views of a scene's stations through one camera geometry; the latest are kept."""
+    """The views of a scene's stations through one camera geometry; the latest are kept.
 
-    def __init__(self, camera: Camera, scene: Scene) -> None:
-        self.camera, self.scene = camera, scene
+    The camera has every ``decimation``-th pixel of the sensor's: a pixel reaches no farther for that.
+    """
+
+    def __init__(self, camera: Camera, scene: Scene, *, decimation: int = 1) -> None:
+        self.camera, self.scene, self._decimation = camera, scene, decimation
         height, width = camera.shape
         self._most = max(4, _KEPT_BYTES // (height * width * _PIXEL_BYTES))
         self._kept: dict[Any, View] = {}
@@ -93,7 +101,11 @@ class Views:
         found = self._kept.get(key)
         if found is None:
             geometry = see(self.scene, poses, self.camera.rays)
-            found = View(geometry, self._clean(geometry, poses, CLEAN), poses)
+            clean = self._clean(geometry, poses, CLEAN)
+            if not clean.any():
+                # of what is so small that edges reach all of it, the pixels that they reach least
+                clean = self._clean(geometry, poses, SMALL)
+            found = View(geometry, clean, poses)
             found.pose_columns.extend(self._pose_columns(found))
             if len(self._kept) >= self._most:
                 self._kept.pop(next(iter(self._kept)))
@@ -103,6 +115,20 @@ class Views:
     def clean(self, view: View, margins: Margins) -> NDArray[np.bool_]:
         """Return the pixels (H, W) of a view that are clean by other margins."""
         return self._clean(view.geometry, view.poses, margins)
+
+    def alike(self, view: View) -> Array:
+        """Return how many clean pixels (H, W) share a pixel's tile and its part of the array."""
+        found = view.memory.get("alike")
+        if found is None:
+            height, width = self.camera.shape
+            side = max(PATCH * width, 1.0)
+            rows, columns = (np.arange(n) // side for n in (height, width))
+            patch = (rows[:, None] * width + columns[None, :]).astype(np.int64)
+            patch = patch + height * width * view.geometry.tile.astype(np.int64)
+            group = np.unique(patch, return_inverse=True)[1].reshape(height, width)
+            found = np.maximum(np.bincount(group[view.clean], minlength=int(group.max()) + 1)[group], 1)
+            view.memory["alike"] = found
+        return np.asarray(found)
 
     def footprint(self, view: View, cells: Cells, *, ambiguity: float) -> FootprintLight:
         """Return the light around the centres of a view's pixels, for an ambiguity range [m]; it is kept."""
@@ -121,21 +147,26 @@ class Views:
 
     def _rays_around(self, margin: float) -> list[Array]:
         if margin not in self._around:
-            self._around[margin] = _rays_around(self.camera.rays, margin)
+            self._around[margin] = _rays_around(self.camera.rays, margin / self._decimation)
         return self._around[margin]
 
     def _clean(self, geometry: Geometry, poses: Mapping[str, Pose], margins: Margins) -> NDArray[np.bool_]:
         clean = geometry.hit.copy()
+        if min(margins) > self._decimation:
+            # corners may lie between the rays around a pixel, and between tiles of one reflectivity
+            clean &= _alone(geometry.tile)
         surfaces = self.scene.surfaces
         there = [one for one in surfaces if one.name in poses]
         uncertain = len(there) > 1 or there[0].type != "plane"
         if uncertain:
             for rays in self._rays_around(margins.outline):
                 clean &= surface_seen(self.scene, poses, rays) == geometry.surface
-        textured = [i for i, one in enumerate(surfaces) if one.texture is not None and one in there]
-        for i in textured:
-            texture = surfaces[i].texture
-            assert texture is not None
+        first = 0
+        for i, surface in enumerate(surfaces):
+            start, first = first, first + surface.tiles
+            texture = surface.texture
+            if texture is None or surface not in there:
+                continue
             pose = poses[surfaces[i].name]
             rotation = rotation_matrix(pose.orientation)
             mine = geometry.surface == i
@@ -146,7 +177,7 @@ class Views:
                     np.where(met, length, 0.0)[:, None] * rays[mine] - np.array(pose.position)
                 ) @ rotation
                 local = np.nan_to_num(local)  # beside pixels that have no ray
-                same = texture.reflectivity(local[:, 0], local[:, 1]) == geometry.reflectivity[mine]
+                same = start + texture.tile(local[:, 0], local[:, 1]) == geometry.tile[mine]
                 clean[mine] &= same | ~met
         return clean
 
@@ -168,17 +199,35 @@ class Views:
         return result
 
 
+def _alone(tile: Array) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) all of whose neighbours see the same tile."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    return np.asarray(minimum_filter(tile, 3) == maximum_filter(tile, 3))
+
+
 def _truth_columns(surface: Surface, view: View, mine: Array, rays: Array) -> list[PoseColumn]:
-    offset, tilt = surface.pose_sigma
-    rotation = rotation_matrix(view.poses[surface.name].orientation)
+    """Return the errors of a recorded pose, made independent of each other: C = L D L', L of unit diagonal.
+
+    A column is what its error changes together with what goes with it on average in the errors after it.
+    """
+    pose = view.poses[surface.name]
+    rotation = rotation_matrix(pose.orientation)
+    names, changes = ["offset"], [_by_shift(rotation[:, 2], view, mine, rays)]
+    if surface.type != "sphere":
+        names += ["tilt_x", "tilt_y"]
+        changes += [_by_rotation(axis, pose, view, mine, rays) for axis in (rotation[:, 0], rotation[:, 1])]
+    rest = surface.pose_covariance(pose)[: len(names), : len(names)].copy()
     result = []
-    if offset > 0:
-        shift = _by_shift(rotation[:, 2], view, mine, rays)
-        result.append(PoseColumn(f"pose.{surface.name}.offset", offset, *shift))
-    if tilt > 0 and surface.type != "sphere":
-        for name, axis in (("tilt_x", rotation[:, 0]), ("tilt_y", rotation[:, 1])):
-            turn = _by_rotation(axis, view.poses[surface.name], view, mine, rays)
-            result.append(PoseColumn(f"pose.{surface.name}.{name}", tilt, *turn))
+    for k, name in enumerate(names):
+        variance = float(rest[k, k])
+        if variance <= 0:
+            continue
+        share = rest[:, k] / variance
+        rest -= np.outer(share, share) * variance
+        together = [(factor, one) for factor, one in zip(share, changes, strict=True) if factor != 0]
+        column, light = (np.sum([f * one[part] for f, one in together], axis=0) for part in (0, 1))
+        result.append(PoseColumn(f"pose.{surface.name}.{name}", float(np.sqrt(variance)), column, light))
     return result
 
 

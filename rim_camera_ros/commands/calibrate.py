@@ -7,16 +7,19 @@ import shlex
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 from rim_camera_ros.bags import DEFAULT_NAMESPACE, Topics
-from rim_camera_ros.calibrate.run import Request, calibrate
+from rim_camera_ros.calibrate.run import Calibration, Request, calibrate
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.calibrate.watch import Reducer
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.commands.common import (
     add_command,
     add_output,
+    add_profile,
     add_threads,
     add_topics,
     camera_of,
@@ -26,14 +29,16 @@ from rim_camera_ros.commands.common import (
     scene_of,
     topics_of,
 )
+from rim_camera_ros.commands.from_images import posed_recordings
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
-from rim_camera_ros.reports.calibration_files import page_of, write_calibration
+from rim_camera_ros.reports.calibration_files import page_of, require_a_good_one, write_calibration
 from rim_camera_ros.reports.calibration_text import calibration_text
 from rim_camera_ros.scene import Scene
 
 _EXAMPLES = """
 rim calibrate board_bag --camera sr3000 --scene board.yaml --out calibrated.yaml
+rim calibrate bag --board board.yaml --camera camera.yaml --out calibrated.yaml    # poses from the images
 rim calibrate board_bag cold_bag --scene board.yaml --scene wall.yaml --camera sr3000 --out calibrated.yaml
 rim calibrate bag --camera a.yaml --scene s.yaml --out b.yaml --effects cyclic_error,amplitude_offset
 rim calibrate bag --camera a.yaml --scene s.yaml --out b.yaml --effects distance_scale,empirical:amplitude
@@ -61,6 +66,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="scene file of the recordings, or the name of a shipped one; given several times: the scene of "
         "each recording, in their order",
     )
+    parser.add_argument(
+        "--board",
+        metavar="BOARD",
+        help="in the place of --scene: scene file of a board (rim board) whose poses are found in the images",
+    )
     parser.add_argument("--out", required=True, type=Path, metavar="CAMERA2", help="camera file to write")
     parser.add_argument(
         "--effects",
@@ -77,10 +87,17 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="ADDRESS",
         help="Dask scheduler on whose workers the recordings are read, e.g. tcp://host:8786",
     )
+    parser.add_argument(
+        "--force-result",
+        action="store_true",
+        help="write the result also where it makes held-out poses worse, did not converge, or takes poses to "
+        "err ten times as much as stated",
+    )
     parser.add_argument("--no-report", action="store_true", help="write no HTML report")
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated nulls (0)")
     add_threads(parser)
     add_topics(parser)
+    add_profile(parser)
     add_output(parser)
     parser.set_defaults(run=run)
 
@@ -88,19 +105,42 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(given: argparse.Namespace) -> int:
     """Calibrate, write, and print the table of results."""
     request, report = _checked(given)
+    with ExitStack() as stack:
+        if given.board is not None:
+            board = scene_of(given.board)
+            posed = posed_recordings(given, request.recordings, board, request.camera, topics_of(given))
+            request = replace(request, recordings=stack.enter_context(posed), topics=None)
+        return _calibrated(given, request, report)
+
+
+def _calibrated(given: argparse.Namespace, request: Request, report: Path | None) -> int:
     with _Line(quiet=given.quiet) as line:
         try:
             result = calibrate(request, progress=line.show, reducer=_reducer(given.scheduler))
+            if not given.force_result:
+                _require_a_good_one(given, result)
             line.show("report", None, None)
             page, notes = page_of(result, title=given.out.name) if report is not None else (None, [])
         except KeyboardInterrupt:
             raise KeyboardInterrupt("nothing was written") from None
         write_calibration(result, out=given.out, report=report, page=page, author="rim calibrate")
-    say(given, [*result.notes, *notes])
+    refused = [f"written as asked, though {reason}" for reason in result.refused]
+    say(given, [*result.notes, *notes, *refused])
     if not given.quiet:
         print(calibration_text(result))
         print(f"written: {given.out}" + (f", {report}" if page is not None else ""))
     return 0
+
+
+def _require_a_good_one(given: argparse.Namespace, result: Calibration) -> None:
+    """Raise `RimError` where the result should not be used, after the table that shows why."""
+    if result.refused:
+        say(given, result.notes)
+        if not given.quiet:
+            print(calibration_text(result))
+    require_a_good_one(
+        result, remedy="name fewer --effects, or record more different poses; --force-result writes it"
+    )
 
 
 def _reducer(scheduler: str | None) -> Reducer | None:
@@ -122,10 +162,13 @@ def _checked(given: argparse.Namespace) -> tuple[Request, Path | None]:
         raise InputError(
             "a camera file ends in .yaml", file=given.out, place="--out", remedy=f"give {given.out}.yaml"
         )
+    if given.board is not None and given.scene:
+        raise InputError("--board is the scene", place="--scene", remedy="give one of the two")
     source = find_camera(given.camera)
     check_file(given.out, force=given.force)
     same = given.out.exists() and given.out.resolve() == source.resolve()
-    scenes = [find_scene(one) for one in given.scene or ()]
+    names = given.scene or ([given.board] if given.board is not None else [])
+    scenes = [find_scene(one) for one in names]
     inputs: list[str | Path | None] = [*given.bags, *dict.fromkeys(scenes), *([] if same else [source])]
     report = None if given.no_report else given.out.with_name(f"{given.out.stem}.report.html")
     check_outputs({"--out": given.out, "the report": report}, inputs)
@@ -145,14 +188,14 @@ def _checked(given: argparse.Namespace) -> tuple[Request, Path | None]:
     request = Request(
         recordings=tuple(given.bags),
         camera=camera_of(given.camera),
-        scene=tuple(scene_of(one) for one in given.scene) if given.scene else None,
+        scene=tuple(scene_of(one) for one in names) if names else None,
         effects=effects,
         geometry=given.geometry,
         topics=topics_of(given),
         seed=given.seed,
         threads=given.threads,
         camera_name=given.camera,
-        scene_name=", ".join(given.scene) if given.scene else None,
+        scene_name=", ".join(names) if names else None,
         command=shlex.join(["rim", *_command_line(given)]),
     )
     return request, report
@@ -161,11 +204,12 @@ def _checked(given: argparse.Namespace) -> tuple[Request, Path | None]:
 def _command_line(given: argparse.Namespace) -> list[str]:
     words = ["calibrate", *map(str, given.bags), "--camera", given.camera]
     words += [word for scene in given.scene or () for word in ("--scene", scene)]
-    for name in ("out", "effects"):
+    for name in ("board", "out", "effects"):
         value = getattr(given, name)
         if value is not None:
             words += [f"--{name}", str(value)]
     words += ["--geometry"] * given.geometry
+    words += ["--force-result"] * given.force_result
     words += ["--seed", str(given.seed)] if given.seed else []
     for one in given.topic:
         words += ["--topic", one]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 import textwrap
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -18,6 +17,7 @@ from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.scene import Scene, load_scene
+from rim_camera_ros.temporary import claim
 from rim_camera_ros.threads import available
 
 T = TypeVar("T")
@@ -62,6 +62,15 @@ def add_topics(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_profile(parser: argparse.ArgumentParser) -> None:
+    """Add the option that reads another driver's topics as they are, beside those of `add_topics`."""
+    parser.add_argument(
+        "--profile",
+        metavar="NAME|FILE",
+        help="driver whose radial, raw images are read as they are (others: rim import)",
+    )
+
+
 def add_output(parser: argparse.ArgumentParser) -> None:
     """Add the options common to commands that write."""
     parser.add_argument("--force", action="store_true", help="replace an existing output")
@@ -80,8 +89,14 @@ def add_threads(parser: argparse.ArgumentParser) -> None:
 
 
 def topics_of(given: argparse.Namespace) -> Topics:
-    """Return the topics that the options name. Raises `InputError` for an unknown role."""
-    return Topics.parse(given.topic, namespace=given.namespace)
+    """Return the topics that the options name. Raises `InputError` for an unknown role or profile."""
+    topics = Topics.parse(given.topic, namespace=given.namespace)
+    if getattr(given, "profile", None) is None:
+        return topics
+    from rim_camera_ros.imports.direct import direct_topics
+
+    bags = [getattr(given, name) for name in ("bag", "what") if hasattr(given, name)]
+    return direct_topics(given.profile, Path([*bags, *getattr(given, "bags", ())][0]), topics)
 
 
 def positive(kind: type[float] | type[int]) -> Callable[[str], float]:
@@ -100,7 +115,8 @@ def positive(kind: type[float] | type[int]) -> Callable[[str], float]:
 def check_outputs(outputs: Mapping[str, Path | None], inputs: Iterable[str | Path | None]) -> None:
     """Refuse outputs that would overwrite an input or one another, or that have no folder to lie in.
 
-    Raises `InputError` before any work is done. ``outputs`` by the name of their option.
+    Outputs that pass are claimed: another run that would write them is refused until this one ends. Raises
+    `InputError` before any work is done. ``outputs`` by the name of their option.
     """
     sources = [Path(one).resolve() for one in inputs if one is not None and Path(one).exists()]
     seen: dict[Path, str] = {}
@@ -123,8 +139,7 @@ def check_outputs(outputs: Mapping[str, Path | None], inputs: Iterable[str | Pat
                 "its folder does not exist", file=path, remedy=f"make it: mkdir -p {path.parent}"
             )
         try:
-            with tempfile.NamedTemporaryFile(dir=path.absolute().parent, prefix=".rim."):
-                pass
+            claim(path)
         except OSError as error:
             raise InputError(
                 f"cannot be written: {error.strerror}", file=path, remedy="give a folder you may write to"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from rim_camera_ros.bags import Topics
 from rim_camera_ros.calibrate.checks import require_fixed_poses
 from rim_camera_ros.calibrate.reduction import reduce_recording
 from rim_camera_ros.calibrate.stations import Dataset
@@ -14,6 +15,7 @@ from rim_camera_ros.commands.common import (
     Stages,
     add_command,
     add_output,
+    add_profile,
     add_threads,
     add_topics,
     camera_of,
@@ -22,6 +24,7 @@ from rim_camera_ros.commands.common import (
     scene_of,
     topics_of,
 )
+from rim_camera_ros.commands.from_images import posed_recordings
 from rim_camera_ros.commands.output_folder import OutputFolder
 from rim_camera_ros.diagnose.files import MODEL, PAGE, REPORT, WHERE
 from rim_camera_ros.errors import InputError
@@ -30,6 +33,7 @@ from rim_camera_ros.scene import Scene
 
 _EXAMPLES = """
 rim diagnose bag --camera camera.yaml --scene scene.yaml --out diagnosis
+rim diagnose bag --camera camera.yaml --board board.yaml --out diagnosis      # poses from the images
 rim diagnose bag --camera sr3000 --scene board --out diagnosis --against simulated_bag
 rim diagnose bag --camera camera.yaml --scene scene.yaml --out diagnosis --without-poses 36,38
 """
@@ -48,7 +52,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("bag", metavar="BAG", type=Path, help="recording with true poses: rosbag2 or ROS 1")
     parser.add_argument("--camera", required=True, help="camera file, or the name of a shipped one")
-    parser.add_argument("--scene", required=True, help="scene file, or the name of a shipped one")
+    parser.add_argument("--scene", help="scene file, or the name of a shipped one")
+    parser.add_argument(
+        "--board",
+        metavar="BOARD",
+        help="in the place of --scene: scene file of a board (rim board) whose poses are found in the images",
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     parser.add_argument(
         "--against",
@@ -66,6 +75,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--seed", type=int, default=0, help="of the simulated nulls (0)")
     add_threads(parser)
     add_topics(parser)
+    add_profile(parser)
     add_output(parser)
     parser.set_defaults(run=run)
 
@@ -74,6 +84,11 @@ def run(given: argparse.Namespace) -> int:
     """Diagnose, and write the report."""
     if not 0 <= given.seed < 2**64:
         raise InputError(f"--seed {given.seed} is not a number from 0 to 2^64 - 1")
+    if (given.board is None) == (given.scene is None):
+        raise InputError(
+            "give --scene or --board", place="--scene", remedy="one of the two: what was recorded"
+        )
+    given.scene = given.scene if given.board is None else given.board
     if given.against is not None and given.against.resolve() == given.bag.resolve():
         raise InputError(
             "is the recording itself", file=given.against, place="--against", remedy="give its simulation"
@@ -85,7 +100,7 @@ def run(given: argparse.Namespace) -> int:
     camera, scene = camera_of(given.camera), scene_of(given.scene)
     # before the work: what is not installed is said at once
     try:
-        from rim_camera_ros.diagnose.page import write_page
+        from rim_camera_ros.reports.diagnosis.page import write_page
     except ImportError as error:
         remedy = "pip install 'rim_camera_ros[reports]', or apt install python3-matplotlib"
         raise InputError(f"no report can be drawn: {error}", remedy=remedy) from None
@@ -95,7 +110,11 @@ def run(given: argparse.Namespace) -> int:
 
     require_formulas()
 
-    dataset = _stations(given, given.bag, camera, scene)
+    if given.board is None:
+        dataset = _stations(given, given.bag, camera, scene)
+    else:
+        with posed_recordings(given, (given.bag,), scene, camera, topics_of(given)) as (posed,):
+            dataset = _stations(given, posed, camera, scene, topics=Topics())
     against = None if given.against is None else _stations(given, given.against, camera, scene)
     with Stages(quiet=given.quiet) as stages:
         try:
@@ -132,10 +151,13 @@ def _numbers(text: str) -> tuple[int, ...]:
     return numbers
 
 
-def _stations(given: argparse.Namespace, path: Path, camera: Camera, scene: Scene) -> Dataset:
+def _stations(
+    given: argparse.Namespace, path: Path, camera: Camera, scene: Scene, *, topics: Topics | None = None
+) -> Dataset:
     """Read a recording and keep the stations that have all poses."""
+    names = topics_of(given) if topics is None else topics
     with Progress("read", None, quiet=given.quiet) as progress:
-        dataset = reduce_recording(path, camera, topics=topics_of(given), scene=scene, progress=progress.over)
+        dataset = reduce_recording(path, camera, topics=names, scene=scene, progress=progress.over)
     dataset.with_poses(scene, path)
     require_fixed_poses(dataset, scene, path)
     poses = {one.pose for one in dataset.stations}

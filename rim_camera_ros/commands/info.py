@@ -9,7 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from rim_camera_ros.camera_file import CAMERA_FORMAT, load_camera
-from rim_camera_ros.commands.common import Progress, add_command, add_topics, camera_of, topics_of
+from rim_camera_ros.commands.common import (
+    Progress,
+    add_command,
+    add_profile,
+    add_topics,
+    camera_of,
+    topics_of,
+)
 from rim_camera_ros.errors import InputError, RimError, nearest_name
 from rim_camera_ros.files import find_camera, find_scene, shipped
 from rim_camera_ros.info.camera import camera_facts, camera_text
@@ -52,6 +59,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--json", action="store_true", help="print JSON for a program")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     add_topics(parser)
+    add_profile(parser)
     parser.set_defaults(run=run)
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Iterator, Set
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.temporary import temporary_folder
 
 
 @dataclass(frozen=True)
@@ -50,19 +49,11 @@ class OutputFolder:
     def written(self) -> Iterator[Path]:
         """Give a new folder to write into, which then takes the place of the old one, whole or not at all."""
         path = self.path.resolve()
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-        old = temporary / "old"
+        temporary = temporary_folder(path.parent, path.name)
         try:
-            new = temporary / "new"
+            new = temporary.path / "new"
             new.mkdir()
             yield new
-            if path.exists():
-                path.rename(old)
-            try:
-                new.rename(path)
-            except BaseException:
-                if old.exists():
-                    old.rename(path)
-                raise
+            temporary.put_in_place(new, path)
         finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+            temporary.close()

@@ -27,10 +27,11 @@ class Simulator:
 
     ``real_time``: a frame is delivered when it is due by ``frame_rate`` (Hz; None: as the schedule says)
     and stamped with that time; where simulating takes longer than a period, frames are skipped, not
-    queued, and stations follow each other at once even where the schedule waits for an ``uptime``.
+    queued; stations follow each other at once, and the uptime runs with the clock from that of the first one.
     Otherwise frames come as fast as they can be made and stamps advance by the rate from ``start``
     [ns since 1970; None: now]. ``integration_time`` (device's own unit; None: as the schedule says)
-    holds for all stations. ``repeat``: the schedule starts anew at its end, and the camera with it.
+    holds for all stations. ``repeat``: the schedule starts anew at its end, and unless in ``real_time`` the
+    camera with it.
 
     The first frame is made by ``open``, so that a scene that cannot be simulated is told there.
     """
@@ -97,7 +98,7 @@ class Simulator:
             integration_time=self._given_integration_time,
             rate=self._given_rate,
             repeat=self.repeat,
-            wait=not self.real_time,
+            real_time=self.real_time,
         )
         exposure = timeline.next()
         assert exposure is not None  # a schedule has at least one station of at least one frame

@@ -30,9 +30,10 @@ class Timeline:
 
     Without a schedule one station holds for ever (`Scene`'s default is 100 frames at 25 Hz: see
     ``length``). A station's ``uptime`` that lies ahead means waiting until then; one that lies behind
-    means that the camera was switched off and on. ``wait`` off: the stamps do not wait, only ``uptime``
-    jumps. ``rate`` [Hz] and ``integration_time`` (device's own unit), where given, override the schedule.
-    ``repeat``: at its end the schedule starts anew, with everything as it was at the beginning (also for
+    means that the camera was switched off and on. ``real_time``: nobody waits and nobody switches, the camera
+    runs on from the uptime of the first station, through the stations and when they repeat. ``rate`` [Hz]
+    and ``integration_time`` (device's own unit), where given, override the schedule.
+    ``repeat``: at its end the schedule starts anew, with everything else as it was at the beginning (also for
     a moving camera without a schedule, after 100 frames).
 
     Raises `InputError` where a surface has no pose.
@@ -48,12 +49,12 @@ class Timeline:
         integration_time: float | None = None,
         rate: float | None = None,
         repeat: bool = False,
-        wait: bool = True,
+        real_time: bool = False,
     ) -> None:
         self.scene = scene
         self.camera = camera
         self.repeat = repeat
-        self._wait = wait
+        self._real_time = real_time
         self._stations = scene.schedule or (Station(),)
         self._endless = not scene.schedule and not (repeat and scene.camera_motion.moves)
         self._station = 0
@@ -162,8 +163,8 @@ class Timeline:
             self._station_integration_time = station.integration_time
         if station.ambient is not None:
             self._ambient = station.ambient
-        if station.uptime is not None:
-            if self._wait and station.uptime > self._uptime and not self._first:
+        if station.uptime is not None and (self._first or not self._real_time):
+            if station.uptime > self._uptime and not self._first:
                 self._stamp += round((station.uptime - self._uptime) * NANOSECONDS)
             self._uptime = station.uptime
         for name, pose in station.poses.items():

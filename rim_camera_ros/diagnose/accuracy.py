@@ -165,7 +165,7 @@ def _held_out(fitted: Fit, problem: Problem, folds: Mapping[tuple[int, int], int
     for k, trained in enumerate(scores.trained):
         own = scores.values(leave_out=k)
         values = np.array([own[r.label] for r in scores.regressors])
-        _, flat = trained.recover(values)
+        _, flat, _ = trained.recover(values)
         others.append((own, scores.full.recover(values)[0], flat.reshape(fitted.camera.shape)))
     blocks = blocks_of(problem, fitted.camera, fitted.scene) if others else []
     all_poses: _Parameters = ({}, fitted.nuisances, fitted.pattern)

@@ -27,8 +27,9 @@ LEAST_CHANGE = 0.0004
 #: The verdict speaks of wrong parameters where all terms together move distances by this many single-frame
 #: sigmas (RMS).
 LEAST_TOTAL = 0.2
-#: A relative change of the radiometric gain that matters.
+#: A relative change of the radiometric gain that matters, and in units of its 1-sigma.
 LEAST_GAIN = 0.03
+_FAR = 4.0
 
 
 @dataclass(frozen=True)
@@ -72,15 +73,15 @@ def adjusted_terms(camera: Camera, fitted: Fit) -> list[Adjusted]:
     gain = fitted.parameters.get(GAIN)
     if gain is not None:
         ratio = gain / camera.radiometry.gain - 1
-        poses = max(len({(s.recording, s.pose) for s in fitted.forward.dataset.stations}), 1)
-        limit = max(LEAST_GAIN, 4 * camera.radiometry.gain_sigma / np.sqrt(poses))
+        # a gain is known as well as reflectivities and powers are
+        limit = max(LEAST_GAIN, _FAR * fitted.sigma[GAIN] / gain)
         if abs(ratio) > limit:
             result.append(Adjusted("radiometry", {"gain": camera.radiometry.gain}, {"gain": gain}))
     return result
 
 
 def _moved(camera: Camera, fitted: Fit, name: str) -> float:
-    """RMS [m] over the pixels of the change of one term, without its mean per pixel."""
+    """RMS [m] over the pixels of the change of one term, without its mean over the stations of each."""
     return _varying(
         camera,
         fitted,
@@ -91,7 +92,8 @@ def _moved(camera: Camera, fitted: Fit, name: str) -> float:
 def total_change(camera: Camera, fitted: Fit) -> float:
     """RMS, in single-frame sigmas, of how a fit changes the predicted distances.
 
-    Without the mean of each pixel and station, which pattern and poses take up.
+    Without the mean of each pixel, which the fixed pattern takes up. Changes of whole stations count: errors
+    of poses take them up only as far as they are stated, which the likelihood says.
     """
 
     def change(old: Prediction, new: Prediction) -> NDArray[Any]:
@@ -104,7 +106,7 @@ def total_change(camera: Camera, fitted: Fit) -> float:
 def _varying(
     camera: Camera, fitted: Fit, change_of: Callable[[Prediction, Prediction], NDArray[Any]]
 ) -> float:
-    """RMS of a change over pixels and stations, its mean over each pixel and each station removed."""
+    """RMS of a change over pixels and stations, its mean over the stations of each pixel removed."""
     before = Forward(fitted.forward.dataset, fitted.scene, camera, views=fitted.forward.views)
     before.amplitude_model = fitted.forward.amplitude_model
     before.masks = fitted.forward.masks
@@ -117,7 +119,7 @@ def _varying(
         used = new.used & old.used & np.isfinite(change)
         if not used.any():
             continue
-        values = change[used] - np.mean(change[used])
+        values = change[used]
         total[used] += values
         square[used] += values**2
         count[used] += 1

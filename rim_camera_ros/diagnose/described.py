@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.candidate import added
+from rim_camera_ros.calibrate.entry import curve_of_forms
 from rim_camera_ros.calibrate.exploration import Exploration, explore
-from rim_camera_ros.calibrate.needs import left_by_forms
 from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.camera import Camera
@@ -112,7 +112,8 @@ def is_unknown(unknown: Rest, named: float, final: Exploration, result: Result) 
     if unknown.on_top < max(_LEAST_UNKNOWN, 1.5 * unknown.threshold):
         return False
     # a named effect whose form is not quite the true one leaves a smooth rest in its own covariates
-    of_forms = 0.0 if unknown.fine is not None else left_by_forms(final, result.found)
+    curve = None if unknown.fine is not None else curve_of_forms(final, result.found)
+    of_forms = 0.0 if curve is None else max(curve[0], 0.0)
     return unknown.on_top - of_forms > DOUBT * named
 
 

@@ -210,7 +210,7 @@ def notes_of_refused(result: Result) -> list[str]:
     """Return what is said of effects that would gain beside those named: one sentence for each reason."""
     by_reason: dict[str, list[str]] = {}
     for one in result.refused:
-        told = f"{one.effect} ({one.gain:,.0f} nats, {one.needed:,.0f} asked)"
+        told = f"{one.effect} ({one.gain:,.0f} nats, its threshold {one.threshold:,.0f})"
         by_reason.setdefault(one.why, []).append(told)
     return [f"not added, {why}: {', '.join(told)}" for why, told in by_reason.items()]
 

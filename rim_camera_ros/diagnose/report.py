@@ -59,6 +59,13 @@ def as_json(result: Diagnosis) -> dict[str, Any]:
         "threshold": result.baseline.threshold,
         "variance_ratio": result.variance.ratio if result.variance.repeated else None,
         "not_visible_here": result.unseen,
+        "nuisances": [
+            {"name": one.name, "found": one.found, "stated": one.stated, "unit": one.unit}
+            for one in result.nuisances
+        ],
+        "setup": [
+            {"hypothesis": one.hypothesis, "surface": one.surface, "gain": one.gain} for one in result.setups
+        ],
         "notes": result.notes,
     }
     if result.reason is not None:

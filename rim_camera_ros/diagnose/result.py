@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from rim_camera_ros.calibrate.entry import Found
 from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.needs import Found
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import Accuracy
 from rim_camera_ros.diagnose.adjusted import Adjusted
+from rim_camera_ros.diagnose.hypotheses import Hypothesis
+from rim_camera_ros.diagnose.nuisances import Nuisance
 from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.diagnose.where import Where
 
@@ -58,7 +60,8 @@ class Diagnosis:
     fit of the known terms with what each candidate would gain, ``final`` that after all steps; ``found`` the
     effects in the order of the steps, ``gained`` [nats] what they gained together. ``unseen`` are effects
     that this recording could not show, ``smooth_rest`` the covariates and the gain [nats] of the smooth
-    function that still helps after naming.
+    function that still helps after naming. ``setups`` are what else the scene could be, the best first;
+    ``nuisances`` what was estimated of ordinary imperfections.
     """
 
     verdict: str
@@ -80,13 +83,15 @@ class Diagnosis:
     gained: float = 0.0
     smooth_rest: tuple[str, float] | None = None
     looked_at: Camera | None = None
+    setups: list[Hypothesis] = field(default_factory=list)
+    nuisances: list[Nuisance] = field(default_factory=list)
 
     @property
     def step(self) -> int:
         """Of how many pixels along each axis one was looked at."""
         if self.looked_at is None:
             return 1
-        return round(self.looked_at.sensor.pixel_pitch[0] / self.camera.sensor.pixel_pitch[0])
+        return round(self.camera.sensor.width / self.looked_at.sensor.width)
 
     @property
     def model(self) -> Camera:

@@ -20,14 +20,16 @@ from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import accuracy
-from rim_camera_ros.diagnose.codes import missing_codes
+from rim_camera_ros.diagnose.codes import missing_codes, note_on_grid
 from rim_camera_ros.diagnose.described import best_rest, describe, explained_share, is_unknown
 from rim_camera_ros.diagnose.full_grid import on_full_grid
+from rim_camera_ros.diagnose.hypotheses import Hypothesis, best_setup, compare_setups
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, only_rectified_noise
+from rim_camera_ros.diagnose.nuisances import nuisances_of, optics_beyond, reflectivities_beyond
 from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.setup import Setup, check_setup
 from rim_camera_ros.diagnose.smooth import axes_of, single_terms
-from rim_camera_ros.diagnose.variance import Variance, examine_variance
+from rim_camera_ros.diagnose.variance import Variance, examine_variance, moving
 from rim_camera_ros.diagnose.verdict import Findings, verdict_of
 from rim_camera_ros.diagnose.where import of_residuals
 from rim_camera_ros.errors import RimError
@@ -107,12 +109,19 @@ def _diagnose(
     shifts = None
     if against is not None:
         shifts = Forward(dataset, scene, camera).shifts_to(against)
+    setups = [] if against is not None else compare_setups(dataset, scene, camera)
+    other = best_setup(setups)
     say("looking at the covariates")
     forward = Forward(dataset, scene, camera)
     forward.estimate_amplitudes()
     variance = examine_variance(forward)
+    if variance.moves and against is None:
+        problem = Problem(dataset, scene, threads=threads)
+        return with_setups(_hopeless(problem, camera, variance, seed, reason=moving(variance)), setups)
     light = _COMMON_LIGHT * facts.amplitude if variance.pixels_vary_together else 0.0
     problem = Problem(dataset, scene, shifts=shifts, stray_light=light, threads=threads)
+    if other is not None:
+        return with_setups(_hopeless(problem, camera, variance, seed, reason=other.reason), setups)
     samples = axes_of(forward, seed=seed)
     smooth = single_terms(samples)
     # the light of a second camera has a pattern and a phase of its own, which many effects can imitate
@@ -138,8 +147,14 @@ def _diagnose(
             progress=say,
         )
     except (RimError, np.linalg.LinAlgError):
-        return _hopeless(problem, camera, variance, seed)
+        return with_setups(_hopeless(problem, camera, variance, seed), setups)
     baseline, final = result.explorations[0], result.explorations[-1]
+    beyond_stated = optics_beyond(baseline.fit, camera)
+    if beyond_stated is not None and camera.covariance is not None:
+        say("once more without the stated covariance of the optics")
+        free = replace(camera, covariance=camera.covariance.without(["optics."]))
+        noted = replace(dataset, notes=[*dataset.notes, beyond_stated])
+        return _diagnose(noted, scene, free, against, seed, threads, say, again)
     if alone:
         dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
     say("looking for what no named effect explains")
@@ -150,7 +165,11 @@ def _diagnose(
         scaled = examine_variance(final.fit.forward, free_scale=True)
         # a scale that does not explain all of it says nothing of the noise
         variance = variance if scaled.noise_is_wrong else scaled
-    codes = missing_codes(dataset.codes, noise=camera.noise.floor / camera.sensor.lsb)
+    noise = camera.noise.floor / camera.sensor.lsb
+    codes = missing_codes(dataset.codes, noise=noise)
+    if codes is not None and codes.is_fine_grid(noise):
+        dataset = replace(dataset, notes=[*dataset.notes, note_on_grid(codes, camera)])
+        codes = None
     named = result.gained
     explained = explained_share(result, unknown)
     described = None
@@ -163,14 +182,15 @@ def _diagnose(
             try:
                 described = describe(unknown, baseline, result, seed)
             except (RimError, np.linalg.LinAlgError):
-                return _hopeless(problem, camera, variance, seed)
+                return with_setups(_hopeless(problem, camera, variance, seed), setups)
     setup = check_setup(
         final.fit if described is None else described.fit,
         explained=explained,
         physics=[one.effect for one in result.found] if described is None else ["empirical"],
         before=baseline.fit,
     )
-    reason = None if variance.pixels_vary_together or codes is not None else setup.reason
+    reason = setup.reason or reflectivities_beyond(final.fit, scene)
+    reason = None if variance.pixels_vary_together or codes is not None else reason
     if reason is not None and setup.may_do_without and against is None and again > 0:
         say("once more without what does not agree")
         return _diagnose(_without(problem.dataset, setup), scene, camera, None, seed, threads, say, again - 1)
@@ -193,7 +213,18 @@ def _diagnose(
         seed=seed,
     )
     diagnosis = verdict_of(findings, say)
-    return _hopeless(problem, camera, variance, seed) if diagnosis.accuracy.hopeless else diagnosis
+    if diagnosis.accuracy.hopeless:
+        diagnosis = _hopeless(problem, camera, variance, seed)
+    return with_setups(replace(diagnosis, nuisances=nuisances_of(result.fit, camera)), setups)
+
+
+def with_setups(diagnosis: Diagnosis, setups: list[Hypothesis]) -> Diagnosis:
+    """Return the diagnosis with the set-ups; a reason not to trust the set-up names the best of them."""
+    reason = diagnosis.reason
+    best = setups[0] if setups else None
+    if reason is not None and best is not None and best.is_better and best.hypothesis not in reason:
+        reason = f"{reason}; of the set-ups tried {best.hypothesis} fits best: {best.sentence}"
+    return replace(diagnosis, setups=setups, reason=reason)
 
 
 def _without(dataset: Dataset, setup: Setup) -> Dataset:
@@ -202,7 +233,9 @@ def _without(dataset: Dataset, setup: Setup) -> Dataset:
     return replace(kept, notes=[*kept.notes, f"{setup.fault}; left out"])
 
 
-def _hopeless(problem: Problem, camera: Camera, variance: Variance, seed: int) -> Diagnosis:
+def _hopeless(
+    problem: Problem, camera: Camera, variance: Variance, seed: int, *, reason: str | None = None
+) -> Diagnosis:
     """Return the diagnosis of a recording for which no parameters can be found: the setup is another.
 
     Raises `InputError` where not one pixel can be compared.
@@ -211,9 +244,13 @@ def _hopeless(problem: Problem, camera: Camera, variance: Variance, seed: int) -
     folds = folds_of(problem.dataset)
     step = explore(frozen, camera, [], folds, replicates=0, iterations=0, seed=seed)
     setup = check_setup(step.fit)
-    reason = setup.reason or (
-        "no parameters of the camera bring recording and scene together: another scene, a board swapped or "
-        "turned, or poses of another recording"
+    reason = (
+        reason
+        or setup.reason
+        or (
+            "no parameters of the camera bring recording and scene together: another scene, a board swapped "
+            "or turned, or poses of another recording"
+        )
     )
     likelihood = step.scores.log_likelihood()
     result = Result(camera, [], [step], likelihood, likelihood, frozen, folds)

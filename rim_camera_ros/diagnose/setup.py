@@ -284,4 +284,4 @@ def _of_few(bad: list[PoseCheck], count: int, factor: float) -> str:
 def standard_errors(fitted: Fit) -> Mapping[str, float]:
     """Return every error found of poses and powers in units of its prior."""
     sigma = {name: prior for fold in fitted.equations.folds for name, prior, _ in fold.nuisances}
-    return {name: value / sigma[name] for name, value in fitted.nuisances.items()}
+    return {name: value / sigma[name] for name, value in fitted.nuisances.items() if name in sigma}

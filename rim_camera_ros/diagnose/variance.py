@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar, nnls
 
+from rim_camera_ros.calibrate.common_variation import Movement, together
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.stations import KEPT_FRAMES
 from rim_camera_ros.camera import Camera
@@ -24,6 +25,9 @@ LEAST_SIGMA = 6.0
 #: Share of a pixel's variance from which on what all pixels have in common is a second camera's light:
 #: reading out leaves a little in every real camera.
 LEAST_COMMON_SHARE = 0.003
+#: Persistence of what pixels share from which on it drifts, in its standard deviations where frames are
+#: independent.
+_DRIFTS = 4.0
 _BINS = 10
 #: Factors on the light that a response of another form than the true one may leave.
 _SCALES = (0.8, 1.25)
@@ -47,7 +51,8 @@ class Variance:
     ``common_sigma`` (1: pixels scatter independently). ``floor`` [m] is the RMS of the noise of station
     means.
     ``background`` [counts] is the unmodulated light that explains the excess as well as another noise does
-    (0: it does not). ``common_share`` is the share of a pixel's variance that all pixels have in common.
+    (0: it does not). ``common_share`` is the share of a pixel's variance that all pixels have in common;
+    ``movement`` how the frames of the stations move together (None: not known).
     """
 
     ratio: float
@@ -60,6 +65,7 @@ class Variance:
     repeated: bool
     background: float = 0.0
     common_share: float = 0.0
+    movement: Movement | None = None
 
     @property
     def noise_is_wrong(self) -> bool:
@@ -76,7 +82,23 @@ class Variance:
 
     @property
     def pixels_vary_together(self) -> bool:
-        """Whether all pixels share a variation from frame to frame (a second camera)."""
+        """Whether all pixels share light that varies from frame to frame (a second camera)."""
+        return self._common_variation and not self.moves
+
+    @property
+    def moves(self) -> bool:
+        """Whether what pixels share from frame to frame are distances of surfaces that move, or that drift.
+
+        A second camera adds the same light to all pixels, with a phase that is another in each frame; a
+        surface that moves tilts the phase over the array, and goes on moving.
+        """
+        if self.movement is None or not self._common_variation:
+            return False
+        one = self.movement
+        return one.by_tilt > one.by_light or one.persistence > _DRIFTS * one.persistence_sigma
+
+    @property
+    def _common_variation(self) -> bool:
         if self.common is None or self.common_share < LEAST_COMMON_SHARE:
             return False
         return self.common > 1 + max(6 * self.common_sigma, 1.0)
@@ -91,6 +113,7 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
     camera = forward.camera
     amplitude, measured, model, freedom = [], [], [], []
     common, shares, floors = [], [], []
+    moves: list[Movement] = []
     second = camera.effects.get("interference")
     assert second is None or isinstance(second, Interference)
     for one in forward.predictions(slopes=False):
@@ -100,6 +123,7 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
         if station.common is not None and pixels.any():
             common.append(station.common)
             shares.append((station.common - 1) / pixels.sum())
+            moves += [] if station.movement is None else [station.movement]
         if station.frames < 2 or not pixels.any():
             continue
         amplitude.append(one.amplitude[pixels])
@@ -142,9 +166,23 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
         common=float(np.mean(common)) if common else None,
         common_share=float(np.mean(shares)) if shares else 0.0,
         common_sigma=float(1.0 / np.sqrt(number * max(frames - 1, 1))),
+        movement=together(moves) if moves else None,
         floor=floor,
         repeated=True,
         background=_background(a, s, m, f, camera),
+    )
+
+
+def moving(variance: Variance) -> str:
+    """Return in words how surfaces move within poses."""
+    assert variance.movement is not None
+    one = variance.movement
+    slowly = one.persistence > _DRIFTS * one.persistence_sigma
+    return (
+        "surfaces move, or the camera does, within poses that are told as one: from frame to frame distances "
+        f"tilt by up to {one.rim * 1e3:.2g} mm at the rim of the array"
+        f"{', slowly,' if slowly else ''} where the light of a second camera would be the same in all pixels "
+        "and have another phase in every frame; record each pose at rest, or the pose of every frame"
     )
 
 

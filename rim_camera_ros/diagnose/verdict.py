@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -47,6 +47,9 @@ from rim_camera_ros.diagnose.where import (
 #: Chi-square per value of held-out poses above which a recording that nothing explains is not consistent:
 #: where nothing is left out it was 1.02 at most.
 _UNEXPLAINED = 1.05
+_AGAINST = (
+    "held-out poses got worse with {}: what is missing is something else, which no named effect describes"
+)
 _BESIDE_CODES = "not told beside counts that are left out, which may look like it; mend those first"
 
 
@@ -122,6 +125,13 @@ def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
         draft.verdict = "unknown_physics"
         missing, draft.where = unexplained(found.fitted, measure.chi2_before)
         draft.missing = [missing]
+    if draft.verdict == "missing_physics" and measure.got_worse:
+        # what was named stands for something else: held-out poses speak against it
+        draft.notes.append(_AGAINST.format(", ".join(one.effect for one in draft.missing)))
+        draft.verdict, draft.ties, draft.model = "unknown_physics", [], found.camera
+        missing, draft.where = unexplained(found.baseline.fit, measure.chi2_before)
+        draft.missing = [missing]
+        measure = replace(measure, rms_after=measure.rms_before, chi2_after=measure.chi2_before)
     named = {one.effect for one in draft.missing}
     return Diagnosis(
         verdict=draft.verdict,
@@ -148,11 +158,13 @@ def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
 def _begun(found: Findings) -> _Draft:
     """What the search says: a setup that cannot be trusted, unknown physics, effects by name, or nothing."""
     result, fitted = found.result, found.fitted
+    ranking = ranking_of(found.baseline, result)
+    _tie_with_better(result, ranking)
     draft = _Draft(
         verdict="consistent",
         model=fitted.camera,
         where=nowhere(fitted),
-        ranking=ranking_of(found.baseline, result),
+        ranking=ranking,
         ties=[sorted({one.effect, *one.ties}) for one in result.found if one.ties],
         notes=sorted({*fitted.notes, *fitted.forward.notes, *found.dataset.notes, *notes_of_light(fitted)}),
     )
@@ -166,6 +178,18 @@ def _begun(found: Findings) -> _Draft:
     elif result.found:
         _name(draft, found)
     return draft
+
+
+def _tie_with_better(result: Result, ranking: Sequence[Ranked]) -> None:
+    """Tie the first effect with those that gain more beside the known terms: the fit alone preferred it."""
+    if not result.found:
+        return
+    first = result.found[0]
+    own = max((one.gain for one in ranking if one.effect == first.effect), default=0.0)
+    named = {one.effect for one in result.found}
+    for one in ranking:
+        if one.gain > own and one.effect not in named and one.effect not in first.ties:
+            first.ties.append(one.effect)
 
 
 def _name(draft: _Draft, found: Findings) -> None:

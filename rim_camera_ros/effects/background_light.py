@@ -13,7 +13,12 @@ from rim_camera_ros.parameters import quantity
 
 @dataclass(frozen=True)
 class BackgroundLight(DistanceTerm):
-    """An offset is added; the noise variance gains noise.shot^2 * level / A^2 (see `noise.Noise`)."""
+    """An offset is added; the noise variance gains noise.shot^2 * level / A^2 (see `noise.Noise`).
+
+    Where the camera file states ``sensor.background_suppression`` [dB], level * 10^(-suppression / 20) fills
+    the pixels as modulated light does (sec. 2.3.2): a pixel saturates where that and its amplitude reach
+    ``sensor.saturation``.
+    """
 
     name = "background_light"
     title = "unmodulated light"

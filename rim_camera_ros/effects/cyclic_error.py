@@ -35,7 +35,7 @@ class CyclicError(DistanceTerm):
     observable = "distances over at least half the ambiguity range, at steps well below L / 16"
     refuted_by = "residuals over distance without a period of L / 4 or L / 8"
 
-    harmonics: tuple[Harmonic, ...] = quantity("-", "sinusoids")
+    harmonics: tuple[Harmonic, ...] = quantity("-", "sinusoids", most=16)
     gradient: tuple[float, float] = quantity(
         "rad/px", "phase per column, per row", default=(0.0, 0.0), typical=0.003
     )

@@ -51,7 +51,7 @@ class Scattering(ComplexEffect):
     observable = "dark targets beside bright near ones, or an object that enters the view of a fixed scene"
     refuted_by = "a dark target whose distance stays when the surface around it changes from black to white"
 
-    kernels: tuple[Kernel, ...] = quantity("-", "sums of Gaussians")
+    kernels: tuple[Kernel, ...] = quantity("-", "sums of Gaussians", most=16)
     ghost: Ghost | None = quantity("-", "shifted image", default=None)
 
     def __post_init__(self) -> None:

@@ -28,7 +28,7 @@ class WarmUpDrift(DistanceTerm):
     observable = "a fixed scene from power-on until it is stable (SR-3000 6 min, SR-2 12 min), with uptime"
     refuted_by = "a drift that does not start at power-on"
 
-    terms: tuple[Exponential, ...] = quantity("-", "sum of exponentials")
+    terms: tuple[Exponential, ...] = quantity("-", "sum of exponentials", most=16)
 
     def __post_init__(self) -> None:
         if not self.terms:

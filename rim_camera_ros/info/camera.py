@@ -35,6 +35,7 @@ def camera_facts(camera: Camera) -> dict[str, Any]:
         "distance_lsb_m": sensor.lsb,
         "wraps": sensor.wraps,
         "saturation_counts": sensor.saturation,
+        "background_suppression_db": sensor.background_suppression,
         "amplitude_threshold_counts": sensor.amplitude_threshold,
         "field_of_view_deg": [_angle(middle[0]), _angle(middle[1])],
         "focal_length_px": [camera.optics.fx, camera.optics.fy],
@@ -78,6 +79,11 @@ def camera_text(facts: dict[str, Any]) -> str:
             + (f", nothing delivered below {number(threshold, 'counts')}" if threshold else ""),
         ),
     ]
+    suppression = facts["background_suppression_db"]
+    if suppression is not None:
+        most = facts["saturation_counts"] * 10.0 ** (suppression / 20.0)
+        text = f"fills a pixel by itself at {number(most, 'counts')}, suppressed by {suppression:g} dB"
+        lines.append(("unmodulated light", text))
     if facts["pixels_without_ray"]:
         lines.append(
             (

@@ -35,7 +35,7 @@ def _surface(one: Surface) -> dict[str, Any]:
     size: list[float] | None = list(one.size) if one.size else None
     if one.radius is not None:
         size = [one.radius]
-    reflectivity = [one.reflectivity, one.reflectivity]
+    reflectivity = [one.nominal_reflectivity] * 2 if one.is_described else None
     if one.texture is not None:
         values = one.texture.values.values
         reflectivity = [float(values.min()), float(values.max())]
@@ -81,7 +81,13 @@ def scene_text(facts: dict[str, Any]) -> str:
         if one["type"] in ("disc", "sphere"):
             size = f"r {size}"
         position = "truth" if one["position_m"] is None else " ".join(map(number, one["position_m"]))
-        row = [one["name"], one["type"], size, position, span(*one["reflectivity"])]
+        row = [
+            one["name"],
+            one["type"],
+            size,
+            position,
+            span(*one["reflectivity"]) if one["reflectivity"] else "unknown",
+        ]
         if shares:
             row.append(percent(shares[one["name"]]))
         rows.append(row)

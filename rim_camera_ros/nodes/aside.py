@@ -32,7 +32,7 @@ class Aside:
         """Return what the work returns, or raise what it raises."""
         future = self._thread.submit(work)
         while not future.done():
-            if not self._take_messages():
+            if not take_messages(self._subscriptions()):
                 self._idle()
                 wait([future], _LOOK)
         return future.result()
@@ -41,13 +41,14 @@ class Aside:
         """Begin no more work."""
         self._thread.shutdown(wait=False, cancel_futures=True)
 
-    def _take_messages(self) -> bool:
-        """Take one message of each subscription; False where there was none."""
-        found = False
-        for one in list(self._subscriptions()):
-            with one.handle:  # as rclpy's executor takes them
-                taken = one.handle.take_message(one.msg_type, one.raw)
-            if taken is not None:
-                found = True
-                one.callback(taken[0])
-        return found
+
+def take_messages(subscriptions: Iterable[Subscription]) -> bool:
+    """Take one message of each subscription, and call its callback; False where there was none."""
+    found = False
+    for one in list(subscriptions):
+        with one.handle:  # as rclpy's executor takes them
+            taken = one.handle.take_message(one.msg_type, one.raw)
+        if taken is not None:
+            found = True
+            one.callback(taken[0])
+    return found

@@ -218,7 +218,7 @@ def _nothing() -> None:
 
 def main() -> int:
     """Run the calibration."""
-    return run("calibration_node", CalibrationNode)
+    return run("calibration_node", lambda: [CalibrationNode()])
 
 
 if __name__ == "__main__":

@@ -11,18 +11,29 @@ from typing import Any
 
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
-from rim_camera_ros.nodes.folders import FOLDERS, Folders
+from rim_camera_ros.nodes.folders import FOLDERS, Folders, is_free
 from rim_camera_ros.nodes.lifecycle import AUTOSTART
 from rim_camera_ros.nodes.parameters import Spec, Values
 
 SPECS = (
-    Spec("recordings", "", "recordings of one camera, joined by ':'; each one that is recorded is added"),
-    Spec("camera", "sr3000", "camera file to start from, or the name of a shipped one; it is not changed"),
+    Spec(
+        "recordings",
+        "",
+        "recordings of one camera, joined by ':'; each one that is recorded is added",
+        is_path=True,
+    ),
+    Spec(
+        "camera",
+        "sr3000",
+        "camera file to start from, or the name of a shipped one; it is not changed",
+        is_path=True,
+    ),
     Spec(
         "scene",
         "",
         "scene file of the recordings, or the name of a shipped one; joined by ':': that of each recording "
         "in their order",
+        is_path=True,
     ),
     Spec(
         "effects",
@@ -157,7 +168,7 @@ def _new(values: Values, name: str, folders: Folders) -> Path:
     number = 1
     while True:
         path = folders.target(f"{NEW[name]}_{number}", place=name)
-        if not path.with_suffix("").exists() and not any(path.parent.glob(f"{path.stem}.*")):
+        if is_free(path):
             return path
         number += 1
 

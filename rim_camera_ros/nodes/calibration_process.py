@@ -16,7 +16,7 @@ from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.nodes.calibration_link import Link, serve
-from rim_camera_ros.reports.calibration_files import page_of, write_calibration
+from rim_camera_ros.reports.calibration_files import page_of, require_a_good_one, write_calibration
 from rim_camera_ros.scene import load_scene
 
 #: Options of the command that errors name; the node's parameters have the same names.
@@ -51,6 +51,7 @@ def _work(link: Link) -> Mapping[str, Any]:
         command=given["command"],
     )
     result = calibrate(request, progress=link.progress, cancelled=lambda: link.cancelled)
+    require_a_good_one(result, remedy="name fewer effects, or record more different poses")
     link.progress("report")
     page, notes = page_of(result, title=out.name)
     if link.cancelled:

@@ -58,11 +58,12 @@ def _without_optics(camera: Camera) -> Any:
 def store_geometry(message: Any, *, base: str, folders: Folders) -> tuple[Path, Camera]:
     """Write the camera file ``base`` (path or shipped name) with another geometry into the folder for files.
 
-    Returns the file, which bears the name of ``base``, and what is in it. Raises `RimError`.
+    Returns the file, which bears the name of ``base`` or the next free one after it, and what is in it.
+    Raises `RimError`.
     """
     source = find_camera(base)
     camera = with_geometry(load_camera(source), message)
-    path = folders.target(source.name, place="camera")
+    path = folders.new(source.name, place="camera")
     provenance = {**camera.provenance, "geometry": f"set_camera_info, the rest from {source}"}
     camera = replace(camera, provenance=provenance)
     camera = save_camera_apart(camera, path, comment="The geometry was given by set_camera_info.")

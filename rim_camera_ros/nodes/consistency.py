@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,8 @@ from rim_camera_ros.noise import sigma_amplitude as noise_of_amplitude
 _NEIGHBOURS = NANOSECONDS
 #: Pixel pairs that a comparison needs, and comparisons that a verdict needs and remembers.
 _ENOUGH_PIXELS, _ENOUGH, _REMEMBERED = 500, 5, 20
+#: Rows of larger sensors are left out, so that no more pixels than these are compared.
+_MOST_PIXELS = 40_000
 #: A pixel is at rest where its amplitude changed by less than so many standard deviations; a comparison needs
 #: this share of them. Amplitudes are rounded to counts.
 _AT_REST, _SHARE_AT_REST, _ROUNDING = 2.5, 0.3, 0.5
@@ -44,6 +46,12 @@ class Verdict:
     @property
     def matches(self) -> bool:
         return all(LEAST <= one <= GREATEST for one in (self.ratio, self.dark, self.bright))
+
+    @property
+    def departure(self) -> float:
+        """The greatest of the three from 1 [-], as the absolute value of its logarithm."""
+        ratios = (self.ratio, self.dark, self.bright)
+        return max(abs(math.log(one)) if one > 0 else math.inf for one in ratios)
 
 
 class NoiseWatch:
@@ -94,6 +102,10 @@ class NoiseWatch:
 
     def _compare(self, last: RawFrame, frame: RawFrame) -> tuple[float, float, float, float] | None:
         camera = self._camera
+        rows = slice(None, None, -(-frame.distance.size // _MOST_PIXELS))
+        last, frame = (
+            replace(one, distance=one.distance[rows], amplitude=one.amplitude[rows]) for one in (last, frame)
+        )
         amplitude = (last.amplitude.astype(np.float32) + frame.amplitude) / 2
         usable = (last.distance > 0) & (frame.distance > 0)
         usable &= np.maximum(last.amplitude, frame.amplitude) < camera.sensor.saturation

@@ -10,6 +10,7 @@ from rim_camera_ros.effects import registry
 from rim_camera_ros.errors import InputError, nearest_name
 from rim_camera_ros.frame import RawFrame, Settings
 from rim_camera_ros.nodes.folders import FOLDERS
+from rim_camera_ros.nodes.freshness import MAXIMUM_AGE, QUEUE_DEPTH
 from rim_camera_ros.nodes.lifecycle import AUTOSTART
 from rim_camera_ros.nodes.parameters import Spec, Values
 from rim_camera_ros.nodes.qos import CHOICES, SENSOR_DATA
@@ -19,7 +20,10 @@ EFFECT = "effects."
 
 SPECS = (
     Spec(
-        "camera", "sr3000", "camera file, or the name of a shipped one; setting it again reads the file anew"
+        "camera",
+        "sr3000",
+        "camera file, or the name of a shipped one; load_camera reads it anew",
+        is_path=True,
     ),
     Spec(
         "minimum_amplitude",
@@ -28,7 +32,18 @@ SPECS = (
         "the amplitude at which the noise of the amplitude term exceeds the range noise",
         limits=(-1.0, 65535.0),
     ),
-    Spec("save_as", "", "name of the file that save_camera writes, without folder; empty: that of camera"),
+    Spec(
+        "save_as",
+        "",
+        "name of the file that save_camera writes, without folder; empty: that of camera; where it is taken, "
+        "the next free one (NAME_2)",
+    ),
+    Spec(
+        "points.fields",
+        "xyzi",
+        "fields of points: x y z intensity (16 bytes a point), sigma (4 more), flags (4 more)",
+        choices=("xyzi", "xyzi+sigma", "xyzi+flags", "xyzi+sigma+flags"),
+    ),
     Spec("qos.input", SENSOR_DATA, "delivery asked of the driver", choices=CHOICES, read_only=True),
     Spec("qos.points", SENSOR_DATA, "delivery of points", choices=CHOICES, read_only=True),
     Spec(
@@ -38,9 +53,17 @@ SPECS = (
         choices=CHOICES,
         read_only=True,
     ),
+    MAXIMUM_AGE,
+    QUEUE_DEPTH,
     FOLDERS,
     AUTOSTART,
 )
+
+#: Parameters that change nothing of the correction itself.
+BESIDE = frozenset({"save_as", "points.fields", MAXIMUM_AGE.name, QUEUE_DEPTH.name})
+
+#: A parameter of the correction in `camera_node`.
+PEOPLE = Spec("people", False, "follow people who walk through the view, in the same process", read_only=True)
 
 
 def effect_spec(name: str, on: bool) -> Spec:

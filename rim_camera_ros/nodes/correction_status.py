@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Mapping
@@ -16,17 +17,27 @@ from rim_camera_ros.effects.warm_up_drift import WarmUpDrift
 from rim_camera_ros.frame import CorrectedFrame, Flag, RawFrame
 from rim_camera_ros.nodes.consistency import GREATEST, LEAST, NoiseWatch
 from rim_camera_ros.nodes.lifecycle import ACTIVE
-from rim_camera_ros.nodes.statistics import Finding, Flow, Level, Tally
+from rim_camera_ros.nodes.statistics import Finding, Flow, Hysteresis, Level, Tally
 
 #: Seconds between two looks at the pixels of a frame and at the noise.
 _SAMPLING = 1.0
-#: Seconds without a frame after which it is an error.
-_SILENT = 1.0
-#: Shares of pixels at which it is said: almost nothing is seen; much is saturated.
-_BLIND, _DAZZLED = 0.01, 0.2
-#: Drift in m/s at which the camera counts as warm.
-_WARM = 1e-3 / 60
+#: Shares of pixels [-] with which a state begins and ends. Between the two it stays as it was: the share of a
+#: scene that moves, or of alternating exposures, goes up and down by a few percent.
+#: Almost no pixel is valid: what is left is noise that got through.
+_BLIND = (0.01, 0.02)
+#: So many pixels are saturated that surfaces are missing.
+_SATURATED = (0.2, 0.15)
+#: So many pixels are too dark that surfaces are missing.
+_TOO_DARK = (0.8, 0.7)
+#: Drift [m/s] with which a camera counts as warming up, and as warm: 1 mm/min is below the noise of one frame
+#: for the minutes that a task takes; 0.8 mm/min, which an SR-3000 reaches half a minute later.
+_DRIFTS = (1e-3 / 60, 0.8e-3 / 60)
+#: Departure [-] of the noise from the predicted one, as the logarithm of their ratio, with which a camera
+#: counts as another one than calibrated, and as the same again (0.83 to 1.2).
+_DEPARTS = (math.log(GREATEST), math.log(1.2))
 _DAY = 86400.0
+#: Pixels of which medians are stated.
+_MEDIAN_PIXELS = 40_000
 
 
 class CorrectionStatus:
@@ -51,6 +62,7 @@ class CorrectionStatus:
         self._made: datetime | None = None
         self._pairs_left = 0
         self._tally = Tally()
+        self._judge_anew()
 
     def begin(self) -> None:
         """Frames may come from now on."""
@@ -62,7 +74,19 @@ class CorrectionStatus:
             self._watch = NoiseWatch(camera)
             self._made = _made(camera, file)
             self._sample = None
+            self._judge_anew()
         self._camera, self._file, self._off = camera, file, set(off)
+
+    def _judge_anew(self) -> None:
+        """Forget which states hold."""
+        limits = {
+            "blind": _BLIND,
+            "saturated": _SATURATED,
+            "dark": _TOO_DARK,
+            "drifts": _DRIFTS,
+            "departs": _DEPARTS,
+        }
+        self._states = {name: Hysteresis(begin=begin, end=end) for name, (begin, end) in limits.items()}
 
     # --- while it runs --------------------------------------------------------------------------
 
@@ -106,13 +130,12 @@ class CorrectionStatus:
             **{name: str(count) for name, count in counts.items()},
         }
         lately = self._tally.recent(counts, now)
-        since = now - max(self.flow.last or 0.0, self._begun)
         if self.phase != ACTIVE:
             finding.note(f"no frames: the node is {self.phase}")
             return finding
-        if since > max(_SILENT, 3.0 / max(self.flow.rate(now), 0.1) if self.flow.last else _SILENT):
+        if silent := self.flow.silent(now, begun=self._begun):
             never = "" if self.flow.total else " (is a driver running in this namespace, with fitting QoS?)"
-            finding.worse(Level.ERROR, f"no frame for {since:.1f} s{never}")
+            finding.worse(Level.ERROR, f"no frame for {silent:.1f} s{never}")
         for reason, count in sorted(lately.items()):
             if count:
                 finding.worse(Level.WARN, f"{reason}: {count} lately")
@@ -131,18 +154,22 @@ class CorrectionStatus:
         finding.values["valid"] = f"{valid:.4f}"
         finding.values |= {str(name).lower(): f"{share:.4f}" for name, share in shares.items()}
         if valid > 0:
-            finding.values["median_distance_m"] = f"{float(np.nanmedian(sample.distance)):.3f}"
-            finding.values["median_sigma_mm"] = f"{1e3 * float(np.nanmedian(sample.sigma)):.2f}"
-        if valid < _BLIND:
+            # of some pixels of a large sensor: medians of all take longer than a frame's correction
+            lit = np.isfinite(sample.distance)
+            distance, sigma = sample.distance[lit], sample.sigma[lit]
+            some = slice(None, None, -(-distance.size // _MEDIAN_PIXELS))
+            finding.values["median_distance_m"] = f"{float(np.median(distance[some])):.3f}"
+            finding.values["median_sigma_mm"] = f"{1e3 * float(np.median(sigma[some])):.2f}"
+        if self._states["blind"].holds(valid):
             finding.worse(
                 Level.ERROR, f"{100 * valid:.1f} % of the pixels are valid: the camera sees nothing"
             )
-        if shares["SATURATED"] > _DAZZLED:
+        if self._states["saturated"].holds(shares["SATURATED"]):
             finding.worse(
                 Level.WARN,
                 f"{100 * shares['SATURATED']:.0f} % of the pixels are saturated: shorten the exposure",
             )
-        if shares["LOW_AMPLITUDE"] > 1 - _DAZZLED:
+        if self._states["dark"].holds(shares["LOW_AMPLITUDE"]):
             finding.worse(
                 Level.WARN,
                 f"{100 * shares['LOW_AMPLITUDE']:.0f} % of the pixels are too dark: lengthen the exposure",
@@ -214,7 +241,7 @@ class CorrectionStatus:
             return finding
         drift = effect.rate(settings.uptime)
         finding.values["drift_mm_per_min"] = f"{6e4 * drift:.2f}"
-        if abs(drift) > _WARM:
+        if self._states["drifts"].holds(abs(drift)):
             undone = "not corrected" if "warm_up_drift" in self._off else "corrected by its mean law"
             finding.worse(Level.WARN, f"still drifting {6e4 * abs(drift):.0f} mm/min, {undone}")
         finding.note("warm")
@@ -236,7 +263,7 @@ class CorrectionStatus:
             "limits": f"{LEAST:g} to {GREATEST:g}",
         }
         text = f"the noise is {verdict.ratio:.2f} times the predicted one"
-        if verdict.matches:
+        if not self._states["departs"].holds(verdict.departure):
             finding.note(text)
         else:
             finding.worse(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Collection, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from rim_camera_ros.nodes.announcements import Announcements
 from rim_camera_ros.nodes.lifecycle import ManagedNode
 from rim_camera_ros.nodes.statistics import Finding, Level
 
@@ -18,16 +20,23 @@ PERIOD = 1.0
 class Diagnostics:
     """Publishes one status per check, named ``<node>: <check>``; ``hardware`` returns the device's id.
 
-    A warning or error is logged when it begins and when it has gone.
+    A warning or error is logged when it begins and when it is over, as `Announcements` has it, unless the
+    check is one of ``silent``, which log themselves.
     """
 
     def __init__(
-        self, node: ManagedNode, checks: Mapping[str, Callable[[], Finding]], *, hardware: Callable[[], str]
+        self,
+        node: ManagedNode,
+        checks: Mapping[str, Callable[[], Finding]],
+        *,
+        hardware: Callable[[], str],
+        silent: Collection[str] = (),
     ) -> None:
         self._node = node
         self._checks = dict(checks)
         self._hardware = hardware
-        self._levels: dict[str, Level] = {}
+        self._silent = frozenset(silent)
+        self._announcements = Announcements()
         qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
         self._publisher = node.create_publisher(DiagnosticArray, TOPIC, qos)
         self._timer = node.steady_timer(PERIOD, self.publish)
@@ -44,7 +53,8 @@ class Diagnostics:
             except Exception as error:  # a check that fails must not end the node
                 finding = Finding()
                 finding.worse(Level.ERROR, f"the check failed: {type(error).__name__} {error}")
-            self._log(check, finding)
+            if check not in self._silent:
+                self._log(check, finding)
             message.status.append(
                 DiagnosticStatus(
                     level=bytes([finding.level]),
@@ -57,13 +67,14 @@ class Diagnostics:
         self._publisher.publish(message)
 
     def _log(self, check: str, finding: Finding) -> None:
-        before = self._levels.get(check, Level.OK)
-        self._levels[check] = finding.level
-        log, text = self._node.log, f"{check}: {finding.message}"
+        line = self._announcements.line(check, finding, now=time.monotonic())
+        if line is None:
+            return
+        level, text = line
         # rclpy allows one severity to a line of code
-        if finding.level > before and finding.level == Level.ERROR:
-            log.error(text)
-        elif finding.level > before:
-            log.warning(text)
-        elif finding.level < before and finding.level == Level.OK:
-            log.info(f"{check}: fine again")
+        if level == Level.ERROR:
+            self._node.log.error(text)
+        elif level == Level.WARN:
+            self._node.log.warning(text)
+        else:
+            self._node.log.info(text)

@@ -1,7 +1,7 @@
 """The driver: publishes the raw frames of a camera, simulated, played back or on USB.
 
 Topics are relative to the node's namespace, which is ``/camera`` unless one is given
-(``--ros-args -r __ns:=/front``); poses of the scene's surfaces go to ``/ground_truth/<surface>/pose``.
+(``--ros-args -r __ns:=/front``); poses of the scene's surfaces go to ``ground_truth/<surface>/pose``.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Set
+from collections.abc import Collection, Set
 from typing import Any
 
 from rclpy.parameter import Parameter
@@ -23,10 +23,12 @@ from rim_camera_ros.frame import Intrinsics, RawFrame
 from rim_camera_ros.nodes import driver_parameters, qos
 from rim_camera_ros.nodes.acquisition import Acquisition
 from rim_camera_ros.nodes.camera_info_service import store_geometry
+from rim_camera_ros.nodes.device_info import LatchedInfo, file_values
 from rim_camera_ros.nodes.diagnostics import Diagnostics
 from rim_camera_ros.nodes.driver_publishing import FramePublishers
 from rim_camera_ros.nodes.driver_status import DriverStatus
 from rim_camera_ros.nodes.folders import Folders
+from rim_camera_ros.nodes.handover import Exposure, Handover
 from rim_camera_ros.nodes.lifecycle import ACTIVE, UNCONFIGURED, ManagedNode
 from rim_camera_ros.nodes.parameters import Apply, Parameters, Values
 from rim_camera_ros.nodes.run import run
@@ -41,9 +43,14 @@ _FILES = {"camera": "calibration", "camera_info": "calibration", "scene": "confi
 
 
 class DriverNode:
-    """Publishes what a device delivers; ``status`` is set where it is to end by itself."""
+    """Publishes what a device delivers; ``status`` is set where it is to end by itself.
 
-    def __init__(self) -> None:
+    In one process with other nodes: ``frames`` is where the correction receives them, ``elsewhere`` the
+    parameters of those nodes.
+    """
+
+    def __init__(self, *, frames: Handover[Exposure] | None = None, elsewhere: Collection[str] = ()) -> None:
+        self._frames = Handover[Exposure]() if frames is None else frames
         self.status: int | None = None
         self.node = ManagedNode("driver")
         self._log = self.node.log
@@ -54,6 +61,8 @@ class DriverNode:
         self._source = driver_parameters.source_of(values)
         self._device: Device | None = None
         self._topics: FramePublishers | None = None
+        self._info: LatchedInfo | None = None
+        self._file: dict[str, str] = {}
         self._acquisition: Acquisition | None = None
         self._status = DriverStatus(source=self._source.describe())
         self._said: set[str] = set()
@@ -62,7 +71,7 @@ class DriverNode:
         self._finished = self.node.create_guard_condition(_nothing)
         self._mount = Mount(self.node)
         self._parameters.watch(self._prepare)
-        self._parameters.warn_unknown()
+        self._parameters.warn_unknown(elsewhere)
         self.node.start(self, autostart=values["autostart"])
         self._service = self.node.create_service(SetCameraInfo, "set_camera_info", self._set_camera_info)
         self._diagnostics = Diagnostics(
@@ -87,6 +96,8 @@ class DriverNode:
         self._device = self._source.open()
         self._topics = FramePublishers(self.node, values)
         self._topics.geometry = geometry
+        self._info = LatchedInfo(self.node, "device_info")
+        self._file = _file_in_use(values)
         self._status.source = self._source.describe()
 
     def activate(self) -> None:
@@ -119,6 +130,9 @@ class DriverNode:
         topics, self._topics = self._topics, None
         if topics is not None:
             topics.destroy()
+        info, self._info = self._info, None
+        if info is not None:
+            info.destroy()
 
     # --- called by the acquisition, in its thread -----------------------------------------------
 
@@ -128,7 +142,7 @@ class DriverNode:
         if topics is None:
             return False
         begun = time.monotonic()
-        while self._wait_for and topics.listeners() < self._wait_for:
+        while self._wait_for and topics.listeners() + self._frames.wanted < self._wait_for:
             self._status.waiting = True
             if self._stopped.wait(0.01):
                 return False
@@ -136,6 +150,8 @@ class DriverNode:
         if self._stopped.is_set():
             return False
         try:
+            exposure = Exposure(frame, topics.frame_id, topics.geometry_of(frame))
+            self._frames.put(exposure, stopped=self._stopped.is_set)  # first: it is waited for
             topics.publish(frame)
         except RimError as error:
             self._status.not_published += 1
@@ -179,6 +195,7 @@ class DriverNode:
         self._status.ended = status == 0
         if not self._parameters.values["exit_at_end"]:
             return
+        self._frames.wait_until_taken(_LINGER)
         if self._parameters.values["qos.images"] == qos.RELIABLE and self._topics is not None:
             self._topics.wait_until_received(_LINGER)
         self.status = status
@@ -213,6 +230,8 @@ class DriverNode:
 
     def _look_at_device(self) -> Any:
         self._status.phase = self.node.phase
+        if self._info is not None and self._status.last is not None:
+            self._info.publish(self._status.last.device, {**self._status.identity(), **self._file})
         return self._status.device(self._current_device())
 
     def _current_device(self) -> Device | None:
@@ -241,6 +260,7 @@ class DriverNode:
         def apply() -> None:
             self._source = source
             self._status.source = source.describe()
+            self._file = _file_in_use(values)
             if self._topics is not None:
                 self._topics.frame_id, self._topics.truth = values["frame_id"], values["publish_truth"]
                 self._topics.clock, self._topics.geometry = values["publish_clock"], geometry
@@ -266,8 +286,8 @@ class DriverNode:
             self._log.info(f"now publishing {source.describe()}")
         else:
             source.set_settings(acquisition.device)
-        if "frame_id" in changed:
-            self._mount.publish({**self._parameters.values})
+        if changed & driver_parameters.MOUNT:
+            self._mount.publish(self._parameters.values)
         self._status.paused = source.pause
         acquisition.pause(source.pause)
 
@@ -297,13 +317,19 @@ def _geometry(values: Values) -> Intrinsics | None:
     return load_camera(find_camera(name)).intrinsics if name else None
 
 
+def _file_in_use(values: Values) -> dict[str, str]:
+    """Return the camera file that describes what is published: a recording has none but the one given."""
+    name = values["camera_info"] or ("" if values["source"] == "playback" else values["camera"])
+    return file_values(name) if name else {}
+
+
 def _nothing() -> None:
     """A guard condition only wakes the executor."""
 
 
 def main() -> int:
     """Run the driver."""
-    return run("driver_node", DriverNode)
+    return run("driver_node", lambda: [DriverNode()])
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from dataclasses import fields
 
 from rim_camera_ros.devices.source import SOURCES, STAMPS, Source
 from rim_camera_ros.devices.swissranger_settings import modes
+from rim_camera_ros.nodes.compression import JPEG, PNG
 from rim_camera_ros.nodes.folders import FOLDERS
 from rim_camera_ros.nodes.lifecycle import AUTOSTART
 from rim_camera_ros.nodes.parameters import Spec, Values
@@ -13,9 +14,21 @@ from rim_camera_ros.nodes.qos import CHOICES, SENSOR_DATA
 
 SPECS = (
     Spec("source", "simulator", "where frames come from", choices=SOURCES),
-    Spec("camera", "sr3000", "camera that is simulated: a camera file, or the name of a shipped one"),
-    Spec("scene", "room", "scene that is simulated: a scene file, or the name of a shipped one"),
-    Spec("recording", "", "recording that is played back: rosbag2 (folder, mcap, sqlite3) or a ROS 1 bag"),
+    Spec(
+        "camera",
+        "sr3000",
+        "camera that is simulated: a camera file, or the name of a shipped one",
+        is_path=True,
+    ),
+    Spec(
+        "scene", "room", "scene that is simulated: a scene file, or the name of a shipped one", is_path=True
+    ),
+    Spec(
+        "recording",
+        "",
+        "recording that is played back: rosbag2 (folder, mcap, sqlite3) or a ROS 1 bag",
+        is_path=True,
+    ),
     Spec(
         "frame_rate",
         0.0,
@@ -50,6 +63,7 @@ SPECS = (
         "",
         "file of the vendor's library libmesasr; empty: RIM_LIBMESASR, or the system's",
         read_only=True,  # code of whoever can set parameters would run
+        is_path=True,
     ),
     Spec("serial_number", 0, "serial number of the camera on USB; 0: the first", limits=(0, 2**32 - 1)),
     Spec(
@@ -69,6 +83,7 @@ SPECS = (
         "camera_info",
         "",
         "camera file whose geometry camera_info states; empty: that of the simulated or recorded camera",
+        is_path=True,
     ),
     Spec(
         "watchdog",
@@ -81,10 +96,9 @@ SPECS = (
         "base_frame",
         "",
         "frame of the robot at which the camera is mounted: its transform is published; empty: none",
-        read_only=True,
     ),
     *(
-        Spec(f"mount.{name}", 0.0, f"camera in base_frame: {words}", limits=limits, read_only=True)
+        Spec(f"mount.{name}", 0.0, f"camera in base_frame: {words}", limits=limits)
         for name, words, limits in (
             ("x", "forward [m]", (-1e3, 1e3)),
             ("y", "to the left [m]", (-1e3, 1e3)),
@@ -94,7 +108,7 @@ SPECS = (
             ("yaw", "looking to the left is positive [rad]", (-6.3, 6.3)),
         )
     ),
-    Spec("publish_truth", True, "publish the poses of the scene's surfaces to /ground_truth/<surface>/pose"),
+    Spec("publish_truth", True, "publish the poses of the scene's surfaces to ground_truth/<surface>/pose"),
     Spec("frames", 0, "number of frames to publish; 0: no limit", limits=(0, 2**62), read_only=True),
     Spec(
         "exit_at_end",
@@ -117,10 +131,19 @@ SPECS = (
         choices=CHOICES,
         read_only=True,
     ),
+    Spec(
+        "compressed.format",
+        PNG,
+        "amplitude/image_raw/compressed: png without loss, or jpeg of 8 bits (256 counts a step) for looking "
+        "at it; distances are always png",
+        choices=(PNG, JPEG),
+    ),
     FOLDERS,
     AUTOSTART,
 )
 
+#: Parameters that describe the published transform.
+MOUNT = frozenset(one.name for one in SPECS if one.name.startswith("mount.")) | {"base_frame", "frame_id"}
 #: Parameters that can be changed while a device runs; the others that describe it make another one.
 _WHILE_RUNNING = {
     "frame_rate",

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from rclpy.publisher import Publisher
 
-from rim_camera_ros.bags.topics import CAMERA_INFO, POSE, ROLES, SURFACE
+from rim_camera_ros.bags.topics import CAMERA_INFO, COMPRESSED, POSE, ROLES, SURFACE
 from rim_camera_ros.frame import Intrinsics, Pose, RawFrame
 from rim_camera_ros.nodes import messages, qos
+from rim_camera_ros.nodes.compression import JPEG, compressed, compressed_for_looking
 from rim_camera_ros.nodes.lifecycle import ManagedNode
 from rim_camera_ros.nodes.parameters import Values
 
 #: Topics whose subscribers count for wait_for_subscribers.
 GATE = ("frame_info", "amplitude", "distance")
+IMAGES = ("amplitude", "distance")
+#: What image_transport adds to the name of an image for its compressed form.
+_PACKED = "/compressed"
 
 
 class FramePublishers:
@@ -36,8 +41,10 @@ class FramePublishers:
         # what is waited for comes last, so that whoever has found it has found the rest
         beside = ROLES["distance"][0].rpartition("/")[0] + "/camera_info"
         self._of["distance_camera_info"] = self._publisher(CAMERA_INFO, beside, "qos.info")
+        for role in IMAGES:
+            self._of[role + _PACKED] = self._publisher(COMPRESSED, ROLES[role][0] + _PACKED, "qos.images")
         for role in ("temperature", "ambient", "reference", "camera_info", *GATE):
-            parameter = "qos.images" if role in ("distance", "amplitude") else "qos.info"
+            parameter = "qos.images" if role in IMAGES else "qos.info"
             topic, kind = ROLES[role]
             self._of[role] = self._publisher(kind, topic, parameter)
 
@@ -58,6 +65,12 @@ class FramePublishers:
         for one in self._of.values():
             one.wait_for_all_acked(Duration(seconds=seconds))
 
+    def geometry_of(self, frame: RawFrame) -> Intrinsics | None:
+        """Return what camera_info states of a frame, None where nothing fits its size."""
+        geometry = self.geometry if self.geometry is not None else frame.intrinsics
+        fits = geometry is not None and (geometry.height, geometry.width) == frame.shape
+        return geometry if fits else None
+
     def publish(self, frame: RawFrame) -> None:
         """Publish what somebody listens to; the images come last and complete the frame."""
         frame_id, stamp, settings = self.frame_id, frame.stamp, frame.settings
@@ -75,15 +88,18 @@ class FramePublishers:
                 self._of[role].publish(make(value, stamp, frame_id))
         if self._wanted("frame_info"):
             self._of["frame_info"].publish(messages.frame_info(settings, stamp, frame.device, frame_id))
-        geometry = self.geometry if self.geometry is not None else frame.intrinsics
-        if geometry is not None and (geometry.height, geometry.width) == frame.shape:
+        geometry = self.geometry_of(frame)
+        if geometry is not None:
             for role in ("camera_info", "distance_camera_info"):
                 if self._wanted(role):
                     self._of[role].publish(messages.camera_info(geometry, head))
-        if self._wanted("amplitude"):
-            self._of["amplitude"].publish(messages.image(frame.amplitude, head))
-        if self._wanted("distance"):
-            self._of["distance"].publish(messages.image(frame.distance, head))
+        for role, pixels in (("amplitude", frame.amplitude), ("distance", frame.distance)):
+            if self._wanted(packed := role + _PACKED) and pixels.dtype.kind == "u":
+                lossy = role == "amplitude" and self._values["compressed.format"] == JPEG
+                packing = compressed_for_looking if lossy and pixels.dtype == np.uint16 else compressed
+                self._of[packed].publish(messages.compressed_image(packing(pixels), head))
+            if self._wanted(role):
+                self._of[role].publish(messages.image(pixels, head))
 
     def _publisher(self, kind: str, topic: str, parameter: str) -> Publisher:
         profile = qos.profile(self._values[parameter])
@@ -104,8 +120,11 @@ class FramePublishers:
         for surface, pose in frame.truth.items():
             stamp = frame.pose_stamps.get(surface, frame.stamp)
             if surface not in self._poses:
-                topic = ROLES["truth"][0].replace(SURFACE, messages.topic_part(surface))
-                made = qos.publisher(self._node, messages.ros_class(POSE), topic, qos.latched())
+                # below the namespace: two cameras see the same surface from two places
+                topic = ROLES["truth"][0].lstrip("/").replace(SURFACE, messages.topic_part(surface))
+                # a scene has any number of surfaces, and each would have three parameters
+                kind = messages.ros_class(POSE)
+                made = qos.publisher(self._node, kind, topic, qos.latched(), overridable=False)
                 self._poses[surface] = (made, None)
             made, last = self._poses[surface]
             if last != (pose, stamp):

@@ -9,12 +9,15 @@ from rim_camera_ros.devices.base import Device
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.frame import RawFrame
 from rim_camera_ros.nodes.lifecycle import ACTIVE
-from rim_camera_ros.nodes.statistics import Finding, Flow, Level, Tally
+from rim_camera_ros.nodes.statistics import Finding, Flow, Hysteresis, Level, Tally
 
-#: Share of the frames below which it is said that they are lost.
-_FEW = 0.9
+#: Share of the frames [-] below which they count as lost, and above which as complete again: rates over five
+#: seconds waver by a few percent on a machine that does other work.
+_FEW, _COMPLETE = 0.9, 0.95
 #: Seconds without a frame with which it is said that none come: at least these, and so many periods.
 _SILENT, _SILENT_PERIODS = 1.0, 3.0
+#: Further keys of frame_info that stay the same while a camera is connected.
+_IDENTITY = ("serial_number", "firmware", "library")
 
 
 @dataclass
@@ -35,6 +38,7 @@ class DriverStatus:
     last: RawFrame | None = None
     begun: float = 0.0
     _lost: Tally = field(default_factory=Tally)
+    _few: Hysteresis = field(default_factory=lambda: Hysteresis(begin=_FEW, end=_COMPLETE))
 
     def begin(self) -> None:
         """A device begins to deliver."""
@@ -98,7 +102,7 @@ class DriverStatus:
         limit = max(_SILENT, _SILENT_PERIODS / nominal if nominal > 0 else 0.0)
         if since > limit:
             finding.worse(Level.ERROR, f"no frame for {since:.1f} s")
-        elif 0 < rate < _FEW * nominal and now - self.begun > 2.0:
+        elif min(rate, nominal) > 0 and now - self.begun > 2.0 and self._few.holds(rate / nominal):
             finding.worse(Level.WARN, f"{rate:.1f} frames per second, not {nominal:.1f}")
         else:
             finding.note(f"{rate:.1f} frames per second")
@@ -132,6 +136,16 @@ class DriverStatus:
         else:
             finding.note(f"{self.source}, {self.phase}")
         return finding
+
+    def identity(self) -> dict[str, str]:
+        """Return what tells this camera from others, as far as the frames say it."""
+        found = {"source": self.source}
+        if self.last is not None:
+            settings = self.last.settings
+            found |= {key: settings.extra[key] for key in _IDENTITY if key in settings.extra}
+            if settings.modulation_frequency is not None:
+                found["modulation_frequency"] = f"{settings.modulation_frequency:.10g}"
+        return found
 
     def hardware(self) -> str:
         """Return the device's name and serial number."""

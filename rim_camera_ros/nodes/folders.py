@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import re
 from collections.abc import Iterable
@@ -17,6 +18,7 @@ FOLDERS = Spec(
     "folders of files that parameters and services may name while the node runs, joined by ':'; services "
     "write into the first; empty: rim_camera in $ROS_HOME (~/.ros)",
     read_only=True,
+    is_path=True,
 )
 
 
@@ -30,7 +32,7 @@ class Folders:
     def __init__(self, text: str, *, given: Iterable[str] = ()) -> None:
         parts = [one for one in text.split(os.pathsep) if one]
         home = Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
-        self._folders = [Path(one).expanduser().resolve() for one in parts] or [home / "rim_camera"]
+        self._folders = [Path(one).resolve() for one in parts] or [home / "rim_camera"]
         self._readable = list(self._folders)
         for name in given:
             path = Path(name)
@@ -80,9 +82,26 @@ class Folders:
             raise InputError("is a link and is not written through", file=path, place=place)
         return path
 
+    def new(self, name: str, *, place: str) -> Path:
+        """Return the path of a camera file to write that replaces nothing: NAME, or NAME_2, NAME_3...
+
+        Raises `InputError` as `target` does.
+        """
+        path = self.target(name, place=place)
+        stem, number = path.stem, 1
+        while not is_free(path):
+            number += 1
+            path = path.with_name(f"{stem}_{number}{path.suffix}")
+        return path
+
     def _allows(self, path: Path) -> bool:
         try:
             real = path.resolve()
         except (OSError, RuntimeError, ValueError):
             return False
         return any(real.is_relative_to(folder) for folder in self._readable)
+
+
+def is_free(path: Path) -> bool:
+    """Whether neither a file, a link, a recording nor an array of a camera file bears the name of a path."""
+    return not path.with_suffix("").exists() and not any(path.parent.glob(f"{glob.escape(path.stem)}.*"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from array import array
 from functools import cache
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from rim_camera_ros.bags import messages as recorded
@@ -43,32 +42,84 @@ def header(stamp: int, frame_id: str) -> Header:
 def image(pixels: NDArray[Any], head: Header) -> Image:
     """Return an image of uint8, uint16 or float32 pixels (H, W); `InputError` for others."""
     encoded = encode_image(pixels)
-    return Image(
+    message = Image(
         header=head,
         height=encoded.height,
         width=encoded.width,
         encoding=encoded.encoding,
         is_bigendian=0,
         step=encoded.step,
-        data=_bytes(encoded.data),
     )
+    message.data = _bytes(encoded.data)  # itself: what is given above is copied
+    return message
 
 
-def cloud(points: NDArray[np.float32], head: Header) -> PointCloud2:
-    """Return an organised cloud of (H, W, 4) float32: x y z [m], intensity [counts]; 16 bytes a point."""
-    height, width, _ = points.shape
+class CloudMessage:
+    """The message of an organised cloud whose bytes are written in place, frame by frame.
+
+    ``points`` (H, W, 4) float32: x y z [m], intensity [counts], to be written before `of` is called. The
+    message is the same each time: it is to be published before the next points are written.
+    """
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        height, width = shape
+        step = 4 * len(_POINT_FIELDS)
+        data = array("B", bytes(step * width * height))
+        self.points = np.frombuffer(data, "<f4").reshape(height, width, len(_POINT_FIELDS))
+        self._message = _cloud(data, self.points.shape, _POINT_FIELDS)
+
+    def of(self, head: Header) -> PointCloud2:
+        """Return the message with a header."""
+        self._message.header = head
+        return self._message
+
+
+def cloud(
+    points: NDArray[np.float32],
+    head: Header,
+    *,
+    sigma: NDArray[np.float32] | None = None,
+    flags: NDArray[np.uint8] | None = None,
+) -> PointCloud2:
+    """Return an organised cloud of (H, W, 4) float32: x y z [m], intensity [counts]; 16 bytes a point.
+
+    ``sigma`` (H, W) [m] adds a float32, ``flags`` (H, W) a uint8 in four bytes.
+    """
     plain = np.ascontiguousarray(points, "<f4")
-    return PointCloud2(
-        header=head,
+    fields = list(_POINT_FIELDS)
+    for name, values in (("sigma", sigma), ("flags", flags)):
+        if values is None:
+            continue
+        kind = PointField.UINT8 if name == "flags" else PointField.FLOAT32
+        fields.append(PointField(name=name, offset=4 * plain.shape[2], datatype=kind, count=1))
+        # the bytes of an integer pass as they are: nothing computes with them as with a float
+        column = values.astype("<u4").view("<f4") if name == "flags" else values.astype("<f4", copy=False)
+        plain = np.dstack([plain, column])
+    message = _cloud(_bytes(np.ascontiguousarray(plain)), plain.shape, fields)
+    message.header = head
+    return message
+
+
+def _cloud(data: array[int], shape: tuple[int, ...], fields: list[PointField]) -> PointCloud2:
+    height, width, columns = shape
+    message = PointCloud2(
         height=height,
         width=width,
-        fields=_POINT_FIELDS,
+        fields=fields,
         is_bigendian=False,
-        point_step=16,
-        row_step=16 * width,
-        data=_bytes(plain),
+        point_step=4 * columns,
+        row_step=4 * columns * width,
         is_dense=False,
     )
+    message.data = data  # itself: what is given above is copied
+    return message
+
+
+def compressed_image(format_and_data: tuple[str, bytes], head: Header) -> CompressedImage:
+    """Return a compressed image of what `compression` returns."""
+    message = CompressedImage(header=head, format=format_and_data[0])
+    message.data = array("B", format_and_data[1])
+    return message
 
 
 def camera_info(intrinsics: Intrinsics, head: Header) -> CameraInfo:
@@ -101,7 +152,8 @@ def pose(value: Pose, stamp: int, frame_id: str) -> Any:
 def to_ros(message: Any) -> Any:
     """Return the rclpy message of a message object of rosbags: what is published is what is recorded."""
     kind = ros_class(message.__msgtype__)
-    return kind(**{one.name: _value(getattr(message, one.name)) for one in dataclasses.fields(message)})
+    types = kind.get_fields_and_field_types()
+    return kind(**{name: _value(getattr(message, name), of) for name, of in types.items()})
 
 
 @cache
@@ -117,12 +169,14 @@ def _camera_info(intrinsics: Intrinsics) -> CameraInfo:
     return message
 
 
-def _value(value: Any) -> Any:
+def _value(value: Any, kind: str) -> Any:
     if hasattr(value, "__msgtype__"):
         return to_ros(value)
+    if kind == "octet":  # rclpy wants bytes, and sends 0xff for a number
+        return bytes([value])
     if isinstance(value, list):
-        return [_value(one) for one in value]
-    return value
+        return [_value(one, "") for one in value]
+    return value.tolist() if kind.startswith("sequence") and isinstance(value, np.ndarray) else value
 
 
 def _bytes(values: NDArray[Any]) -> array[int]:

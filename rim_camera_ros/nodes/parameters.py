@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Collection, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from rim_camera_ros.errors import InputError, RimError, nearest_name
+from rim_camera_ros.files import expanded
 
 Values = Mapping[str, Any]
 
@@ -23,7 +24,8 @@ _WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: 
 class Spec:
     """One parameter: its type is that of ``default``; numbers have ``limits``, texts may have ``choices``.
 
-    ``read_only`` parameters are set when the node starts.
+    ``read_only`` parameters are set when the node starts. ``is_path``: paths or names of files, joined by
+    ``:``, in which ``~`` is the home folder.
     """
 
     name: str
@@ -32,6 +34,11 @@ class Spec:
     limits: tuple[float, float] | None = None
     choices: tuple[str, ...] = ()
     read_only: bool = False
+    is_path: bool = False
+
+    def read(self, value: Any) -> Any:
+        """Return the value that a parameter means."""
+        return expanded(value) if self.is_path else value
 
     def descriptor(self) -> ParameterDescriptor:
         """Return the descriptor as tools show it."""
@@ -65,9 +72,10 @@ class Parameters:
     """The parameters of a node, by name in ``values``.
 
     After `watch`, each change, of one parameter or several at once, goes through ``prepare``, which
-    receives all values as they would be and the names of those that were set (perhaps to the value they
-    had), and returns what is done when they hold; an error that it raises becomes the reason of the
-    rejection, and the node stays as it is. ``also`` may return values that change with others.
+    receives all values as they would be and the names of those that change, and returns what is done when
+    they hold; an error that it raises becomes the reason of the rejection, and the node stays as it is.
+    A parameter that is set to the value it has changes nothing (``ros2 param load`` sets all of a dump, one
+    after the other), except by `renew`. ``also`` may return values that change with others.
 
     Raises `InputError` for a value that was given at the start and is wrong.
     """
@@ -75,8 +83,9 @@ class Parameters:
     def __init__(self, node: Node, specs: Sequence[Spec]) -> None:
         self._node = node
         self._specs = {one.name: one for one in specs}
-        self.values: dict[str, Any] = {one.name: _declare(node, one) for one in specs}
+        self.values: dict[str, Any] = {one.name: one.read(_declare(node, one)) for one in specs}
         self._staged: tuple[dict[str, Any], Apply] | None = None
+        self._renewed = ""
         self._prepare: Prepare | None = None
         self._also: Callable[[Values, Values], Values] | None = None
 
@@ -84,7 +93,7 @@ class Parameters:
         """Declare further parameters."""
         for one in specs:
             self._specs[one.name] = one
-            self.values[one.name] = _declare(self._node, one)
+            self.values[one.name] = one.read(_declare(self._node, one))
 
     def watch(self, prepare: Prepare, *, also: Callable[[Values, Values], Values] | None = None) -> None:
         """Let changes happen from now on. ``also`` gets the values as they would be and the changed ones."""
@@ -94,23 +103,50 @@ class Parameters:
         self._node.add_on_set_parameters_callback(self._check)
         self._node.add_post_set_parameters_callback(self._applied)
 
-    def warn_unknown(self) -> None:
-        """Warn of parameters that were given at the start and that the node does not have."""
+    def renew(self, name: str) -> SetParametersResult:
+        """Let a parameter act though it keeps its value: the file that it names may be another."""
+        self._renewed = name
+        try:
+            result = self._node.set_parameters_atomically([Parameter(name, value=self.values[name])])
+        finally:
+            self._renewed = ""
+        return result
+
+    def warn_unknown(self, elsewhere: Collection[str] = ()) -> None:
+        """Warn of parameters that were given at the start and that the node does not have.
+
+        ``elsewhere``: those of other nodes of the process, which all get what is given to the process.
+        """
         given = getattr(self._node, "_parameter_overrides", {})  # rclpy has no public way to see them
         for name in given:
-            if not self._node.has_parameter(name) and not name.startswith("qos_overrides."):
-                remedy = nearest_name(name, self._specs)
+            if name in elsewhere or name.startswith("qos_overrides."):
+                continue
+            if not self._node.has_parameter(name):
+                remedy = nearest_name(name, {*self._specs, *elsewhere})
                 self._node.get_logger().warning(f"no parameter '{name}', it is ignored ({remedy})")
 
     def _complete(self, parameters: list[Parameter]) -> list[Parameter]:
         """Turn whole numbers into those of a number's type, and add what changes with the given ones."""
         parameters = [self._converted(one) for one in parameters]
-        changed = {one.name: one.value for one in parameters}
-        if self._also is not None and all(name in self.values for name in changed):
-            for name, value in self._also({**self.values, **changed}, changed).items():
-                if name not in changed and value != self.values[name]:
+        given = self._read(parameters)
+        if self._also is not None and len(given) == len(parameters):
+            for name, value in self._also({**self.values, **given}, self._changed(given)).items():
+                if name not in given and value != self.values[name]:
                     parameters.append(Parameter(name, value=value))
         return parameters
+
+    def _read(self, parameters: Sequence[Parameter]) -> dict[str, Any]:
+        """Return what parameters mean, those of this object."""
+        known = [(self._specs[one.name], one.value) for one in parameters if one.name in self._specs]
+        return {spec.name: spec.read(value) for spec, value in known}
+
+    def _changed(self, given: Values) -> dict[str, Any]:
+        """Return those of the given values that are others than before, or that `renew` was called for."""
+        return {
+            name: value
+            for name, value in given.items()
+            if name == self._renewed or value != self.values[name]
+        }
 
     def _converted(self, parameter: Parameter) -> Parameter:
         spec = self._specs.get(parameter.name)
@@ -121,13 +157,14 @@ class Parameters:
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         self._staged = None
-        mine = {one.name: one.value for one in parameters if one.name in self._specs}
+        mine = self._read(parameters)
         if not mine or self._prepare is None:
             return SetParametersResult(successful=True)
         try:
             for name, value in mine.items():
                 self._specs[name].check(value)
-            self._staged = (mine, self._prepare({**self.values, **mine}, mine.keys()))
+            if changed := self._changed(mine):
+                self._staged = (changed, self._prepare({**self.values, **changed}, changed.keys()))
         except RimError as error:
             return SetParametersResult(successful=False, reason=str(error))
         except Exception as error:
@@ -139,8 +176,8 @@ class Parameters:
     def _applied(self, parameters: list[Parameter]) -> None:
         if self._staged is None:
             return
-        (mine, apply), self._staged = self._staged, None
-        self.values.update(mine)
+        (changed, apply), self._staged = self._staged, None
+        self.values.update(changed)
         apply()
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Set
+from collections.abc import Collection, Set
 from typing import Any
 
 from rclpy.publisher import Publisher
@@ -21,40 +21,57 @@ from rim_camera_ros.bags.topics import ROLES
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.nodes import messages, qos
 from rim_camera_ros.nodes.diagnostics import Diagnostics
+from rim_camera_ros.nodes.handover import CorrectedCloud, Handover
 from rim_camera_ros.nodes.lifecycle import ManagedNode
+from rim_camera_ros.nodes.mount_of import MountOf
 from rim_camera_ros.nodes.parameters import Apply, Parameters, Values
 from rim_camera_ros.nodes.people_markers import cleared, markers
 from rim_camera_ros.nodes.people_pairing import POINTS, SIGMA, CloudPairing
 from rim_camera_ros.nodes.people_parameters import SPECS, people_settings
 from rim_camera_ros.nodes.people_status import PeopleStatus
 from rim_camera_ros.nodes.run import Throttle, run
+from rim_camera_ros.tracking.moving import dbscan
 from rim_camera_ros.tracking.people import PeopleTracker
 
 TOPIC = "people/markers"
 
 
 class PeopleNode:
-    """Follows people; it never ends by itself."""
+    """Follows people; it never ends by itself.
+
+    In one process with other nodes: ``clouds`` is where the correction hands them over (None: they come as
+    messages), ``elsewhere`` the parameters of those nodes.
+    """
 
     status: int | None = None
 
-    def __init__(self) -> None:
+    def __init__(
+        self, *, clouds: Handover[CorrectedCloud] | None = None, elsewhere: Collection[str] = ()
+    ) -> None:
+        self._clouds = clouds
         self.node = ManagedNode("people")
         self._throttle = Throttle(self.node)
         self._parameters = Parameters(self.node, SPECS)
         self._tracker = PeopleTracker(people_settings(self._parameters.values))
+        self._mount = MountOf(self.node, self._mounted)
         self._status = PeopleStatus()
         self._pairing = CloudPairing()
         self._shown: set[int] = set()
         self._to: Publisher | None = None
         self._from: dict[str, Subscription] = {}
         self._parameters.watch(self._prepare)
-        self._parameters.warn_unknown()
+        self._parameters.warn_unknown(elsewhere)
+        if clouds is not None:
+            clouds.connect(self.node)
         self.node.start(self, autostart=self._parameters.values["autostart"])
         self._service = self.node.create_service(Trigger, "~/learn_background", self._learn_background)
         self._diagnostics = Diagnostics(
             self.node,
-            {"frames": self._look_at_frames, "people": lambda: self._status.people(self._tracker)},
+            {
+                "frames": self._look_at_frames,
+                "people": lambda: self._status.people(self._tracker),
+                "mount": lambda: self._mount.look(self._tracker.settings.ground),
+            },
             hardware=lambda: "",
         )
 
@@ -66,14 +83,19 @@ class PeopleNode:
 
     def configure(self) -> None:
         """Offer the markers."""
+        dbscan()  # now: in the midst of frames it would hold up whatever runs in this process
         self._to = qos.publisher(self.node, MarkerArray, TOPIC, qos.profile(qos.RELIABLE))
+        self._mount.use(self._parameters.values["base_frame"])
 
     def activate(self) -> None:
         """Take frames from now on, and learn the background from the first ones."""
         self._tracker.learn_anew()
         self._pairing = CloudPairing()
-        profile = qos.profile(self._parameters.values["qos.input"])
-        for role in (SIGMA, POINTS):
+        delivery = self._parameters.values["qos.input"]
+        profile = qos.profile(delivery)
+        if self._clouds is not None:
+            self._clouds.begin(self._take_cloud, keep_all=False)
+        for role in (SIGMA, POINTS) if self._clouds is None else ():
             topic, kind = ROLES[role]
             self._from[role] = qos.subscription(
                 self.node,
@@ -87,6 +109,8 @@ class PeopleNode:
 
     def deactivate(self) -> None:
         """Take no more frames and take the markers away."""
+        if self._clouds is not None:
+            self._clouds.end()
         for one in self._from.values():
             self.node.destroy_subscription(one)
         self._from.clear()
@@ -99,6 +123,7 @@ class PeopleNode:
         if self._to is not None:
             self.node.destroy_publisher(self._to)
             self._to = None
+        self._mount.use("")
 
     # --- frames ---------------------------------------------------------------------------------
 
@@ -125,11 +150,16 @@ class PeopleNode:
                 f"refused {role}", f"{self._from[role].topic_name}: message refused: {problem}"
             )
 
+    def _take_cloud(self, cloud: CorrectedCloud) -> None:
+        """Take a frame that the correction hands over."""
+        self._follow((cloud.points, cloud.head), cloud.sigma, stamp=cloud.stamp)
+
     def _follow(self, cloud: tuple[Any, Any], sigma: Any, *, stamp: int) -> None:
         points, head = cloud
         if sigma.dtype.kind != "f":
             raise InputError(f"sigma of type {sigma.dtype}", remedy="expected 32FC1, metres")
         begun = time.monotonic()
+        self._mount.seen_from(head.frame_id)
         people = self._tracker.take(points, sigma, stamp=stamp)
         here = {one.identity for one in people}
         gone = sorted(self._shown - here)
@@ -144,13 +174,23 @@ class PeopleNode:
         silent = [
             one.topic_name for one in self._from.values() if self.node.count_publishers(one.topic_name) == 0
         ]
-        return self._status.frames(self._pairing.left_out, " and ".join(silent))
+        left_out = self._pairing.left_out if self._clouds is None else self._clouds.dropped
+        return self._status.frames(left_out, " and ".join(silent))
 
     # --- parameters and services ----------------------------------------------------------------
 
     def _prepare(self, values: Values, changed: Set[str]) -> Apply:
-        settings = people_settings(values)
-        return lambda: self._tracker.use(settings)
+        people_settings(values)
+
+        def apply() -> None:
+            self._mount.use(values["base_frame"] if self._to is not None else "")
+            self._mounted()
+
+        return apply
+
+    def _mounted(self) -> None:
+        """Go on with the mount as it is known now, of parameters or of transforms."""
+        self._tracker.use(people_settings(self._parameters.values, ground=self._mount.ground))
 
     def _learn_background(self, request: Any, response: Any) -> Any:
         """Forget background and people; the frames that come next are the new background."""
@@ -162,7 +202,7 @@ class PeopleNode:
 
 def main() -> int:
     """Run the node."""
-    return run("people_node", PeopleNode)
+    return run("people_node", lambda: [PeopleNode()])
 
 
 if __name__ == "__main__":

@@ -16,6 +16,12 @@ _BACKGROUND, _CLUSTER, _TRACK = BackgroundSettings(), ClusterSettings(), TrackSe
 _DAY = 86400.0
 
 SPECS = (
+    Spec(
+        "base_frame",
+        "",
+        "frame on the floor (z up) from which /tf leads to the camera's frame: the mount is taken from there "
+        "as soon as it is known; empty: from mount.*",
+    ),
     Spec("mount.z", 2.2, "camera above the floor [m]", limits=(0.01, 100.0)),
     Spec("mount.roll", 0.0, "camera about the viewing direction [rad]", limits=(-3.2, 3.2)),
     Spec("mount.pitch", 0.0, "looking down is positive [rad]", limits=(-1.5, 1.5)),
@@ -116,8 +122,11 @@ SPECS = (
 )
 
 
-def people_settings(values: Values) -> PeopleSettings:
-    """Return the settings that parameters describe; `InputError` for heights in the wrong order."""
+def people_settings(values: Values, *, ground: Ground | None = None) -> PeopleSettings:
+    """Return the settings that parameters describe; `InputError` for heights in the wrong order.
+
+    ``ground``: the floor in place of that of ``mount.*``.
+    """
     if values["cluster.lowest"] >= values["cluster.highest"]:
         raise InputError(
             f"{values['cluster.lowest']:g} m is not below cluster.highest {values['cluster.highest']:g} m",
@@ -129,7 +138,7 @@ def people_settings(values: Values) -> PeopleSettings:
 
     mount = group("mount.")
     return PeopleSettings(
-        ground=Ground(height=mount["z"], roll=mount["roll"], pitch=mount["pitch"]),
+        ground=ground or Ground(height=mount["z"], roll=mount["roll"], pitch=mount["pitch"]),
         background=BackgroundSettings(**group("background.")),  # type: ignore[arg-type]
         clusters=ClusterSettings(**group("cluster.")),
         tracks=TrackSettings(**group("track."), body_radius=values["cluster.body_radius"]),  # type: ignore[arg-type]

@@ -9,8 +9,6 @@ from rim_camera_ros.nodes.lifecycle import ACTIVE
 from rim_camera_ros.nodes.statistics import Finding, Flow, Level, Tally
 from rim_camera_ros.tracking.people import PeopleTracker
 
-#: Seconds without a frame after which it is an error.
-_SILENT = 1.0
 #: Share of moving pixels above which the camera was moved rather than people did.
 _ALL_MOVES = 0.5
 
@@ -48,10 +46,9 @@ class PeopleStatus:
         if self.phase != ACTIVE:
             finding.note(f"no frames: the node is {self.phase}")
             return finding
-        since = now - max(self.flow.last or 0.0, self._begun)
-        if since > max(_SILENT, 3.0 / max(self.flow.rate(now), 0.1) if self.flow.last else _SILENT):
+        if silent := self.flow.silent(now, begun=self._begun):
             why = f" (nobody publishes {waiting_for})" if waiting_for else ""
-            finding.worse(Level.ERROR, f"no frame for {since:.1f} s{why}")
+            finding.worse(Level.ERROR, f"no frame for {silent:.1f} s{why}")
         for reason, count in sorted(lately.items()):
             if count:
                 finding.worse(Level.WARN, f"{reason}: {count} lately")

@@ -38,11 +38,18 @@ def latched() -> QoSProfile:
 
 
 def publisher(
-    node: Node, kind: Any, topic: str, qos: QoSProfile, *, parameter: str | None = None
+    node: Node,
+    kind: Any,
+    topic: str,
+    qos: QoSProfile,
+    *,
+    parameter: str | None = None,
+    overridable: bool = True,
 ) -> Publisher:
     """Return a publisher that warns of incompatible subscribers; ``parameter`` is what sets ``qos``.
 
-    The parameters ``qos_overrides.<topic>.publisher.{reliability, history, depth}`` override it at the start.
+    ``overridable``: the parameters ``qos_overrides.<topic>.publisher.{reliability, history, depth}`` override
+    it at the start.
     """
 
     def incompatible(event: Any) -> None:
@@ -61,8 +68,8 @@ def publisher(
         kind,
         topic,
         qos,
-        event_callbacks=PublisherEventCallbacks(incompatible_qos=incompatible),
-        qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        event_callbacks=PublisherEventCallbacks(incompatible_qos=incompatible, use_default_callbacks=False),
+        qos_overriding_options=QoSOverridingOptions.with_default_policies() if overridable else None,
     )
     return made
 
@@ -80,6 +87,12 @@ def subscription(
         )
 
     made = node.create_subscription(
-        kind, topic, callback, qos, event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible)
+        kind,
+        topic,
+        callback,
+        qos,
+        event_callbacks=SubscriptionEventCallbacks(
+            incompatible_qos=incompatible, use_default_callbacks=False
+        ),
     )
     return made

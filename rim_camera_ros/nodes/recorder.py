@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from rim_camera_ros.bags import ROLES, RecordingWriter, Topics
-from rim_camera_ros.bags.topics import CAMERA_INFO, POSE
+from rim_camera_ros.bags.topics import CAMERA_INFO, POSE_ROLES
 from rim_camera_ros.frame import NANOSECONDS
 from rim_camera_ros.nodes.messages import ros_class
 
@@ -70,16 +70,25 @@ class Recorder:
         self._routes = {
             topics.info_beside(role): ("camera_info", CAMERA_INFO) for role in ("distance", "depth")
         }
-        self._routes |= {topics[role]: (role, kind) for role, (_, kind) in ROLES.items() if role != "truth"}
+        self._routes |= {
+            topics[role]: (role, kind) for role, (_, kind) in ROLES.items() if role not in POSE_ROLES
+        }
 
     def look(self) -> None:
         """Subscribe to what has appeared since the last look, as its publishers offer it."""
         for topic, kinds in self.node.get_topic_names_and_types():
-            role, kind = self._routes.get(topic, ("truth", POSE))
-            if kind in kinds and (topic in self._routes or self._topics.surface_of(topic)):
+            route = self._routes.get(topic) or self._pose_route(topic)
+            if route is not None and route[1] in kinds:
+                role, kind = route
                 offers = [one.qos_profile for one in self.node.get_publishers_info_by_topic(topic)]
                 if offers:
                     self._subscribe(role, topic, kind, _suiting(role, offers))
+
+    def _pose_route(self, topic: str) -> tuple[str, str] | None:
+        for role in POSE_ROLES:
+            if self._topics.surface_of(topic, role=role):
+                return role, ROLES[role][1]
+        return None
 
     def _subscribe(self, role: str, topic: str, kind: str, qos: QoSProfile) -> None:
         known = self._known.get(topic)
@@ -149,7 +158,7 @@ class Recorder:
 def _suiting(role: str, offers: list[QoSProfile]) -> QoSProfile:
     """Return the best that all publishers can serve; poses that were published before are asked for."""
     reliable = all(one.reliability == ReliabilityPolicy.RELIABLE for one in offers)
-    kept = role == "truth" and all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in offers)
+    kept = role in POSE_ROLES and all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in offers)
     return QoSProfile(
         depth=_DEPTH,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,

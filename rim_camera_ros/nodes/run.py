@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Protocol
 
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
+from rclpy.utilities import get_rmw_implementation_identifier, remove_ros_args
 
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.files import share_folder
+from rim_camera_ros.nodes.executor import SteadyExecutor
+from rim_camera_ros.nodes.middleware import use_shipped_profile
 
 #: Seconds between two warnings of a kind.
 _QUIET = 5.0
+#: Parameters of mallopt (malloc.h), and the bytes up to which memory is kept: the greatest that it takes.
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+_KEPT_SIZE = 32 << 20
 
 
 class Service(Protocol):
@@ -35,8 +40,8 @@ class Service(Protocol):
     def close(self) -> None: ...
 
 
-def run(name: str, make: Callable[[], Service]) -> int:
-    """Run a node until it ends or a signal comes, and return the exit status.
+def run(name: str, make: Callable[[], Iterable[Service]]) -> int:
+    """Run the nodes that ``make`` makes until one ends or a signal comes, and return the exit status.
 
     0: ended, or asked to end by SIGINT or SIGTERM, however often. An error at the start is one line on
     standard error, status 2 (bad input) or 1.
@@ -48,10 +53,15 @@ def run(name: str, make: Callable[[], Service]) -> int:
         signals.ignore()
 
 
-def _run(name: str, make: Callable[[], Service], signals: _Signals) -> int:
+def _run(name: str, make: Callable[[], Iterable[Service]], signals: _Signals) -> int:
     single_threaded()
+    keep_memory()
     try:
-        use_shipped_profile()
+        used = use_shipped_profile(
+            os.environ,
+            profile=share_folder() / "config" / "fastdds.xml",
+            middleware=get_rmw_implementation_identifier(),
+        )
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     except RimError as error:
         return _failed(name, str(error), error.exit_status)
@@ -62,32 +72,49 @@ def _run(name: str, make: Callable[[], Service], signals: _Signals) -> int:
         unknown = remove_ros_args(sys.argv)[1:]
         if unknown:
             return _failed(name, f"unknown argument {unknown[0]} (parameters: --ros-args -p name:=value)", 2)
+        services: list[Service] = []
         try:
-            service = make()
+            for one in make():
+                services.append(one)  # one by one: those before one that fails are closed
+                if signals.came:
+                    break
         except RimError as error:
+            _close(services)
             return _failed(name, str(error), error.exit_status)
         except RuntimeError as error:  # of rcl: the middleware refuses (security, domain, memory)
+            _close(services)
             return _failed(name, str(error).partition(", at /")[0], 1)
-        return _spin(service, signals)
+        services[0].node.get_logger().info(used)
+        return _spin(services, signals)
     finally:
         rclpy.try_shutdown()  # type: ignore[attr-defined]
 
 
-def _spin(service: Service, signals: _Signals) -> int:
-    executor = SingleThreadedExecutor()
-    executor.add_node(service.node)
+def _spin(services: Sequence[Service], signals: _Signals) -> int:
+    executor = SteadyExecutor()
+    for one in services:
+        executor.add_node(one.node)
     # a guard condition of a node counts as work: only work makes spin_once return
-    signals.wake = service.node.create_guard_condition(lambda: None).trigger
+    signals.wake = services[0].node.create_guard_condition(lambda: None).trigger
     try:
-        while not signals.came and service.status is None:
+        while not signals.came and all(one.status is None for one in services):
             executor.spin_once()
     finally:
         signals.wake = None
-        service.close()
-        executor.remove_node(service.node)
+        _close(services, executor)
+    return max(one.status or 0 for one in services)
+
+
+def _close(services: Sequence[Service], executor: SteadyExecutor | None = None) -> None:
+    """End the nodes, those that were made last (and give to the others) first."""
+    for one in reversed(services):
+        one.close()
+        if executor is not None:
+            executor.remove_node(one.node)
+    if executor is not None:
         executor.shutdown(timeout_sec=0)
-        service.node.destroy_node()
-    return service.status or 0
+    for one in services:
+        one.node.destroy_node()
 
 
 class _Signals:
@@ -128,20 +155,6 @@ def _no_matter(number: int, frame: Any) -> None:
     """Python's part in a signal."""
 
 
-def use_shipped_profile() -> None:
-    """Have Fast DDS use config/fastdds.xml, unless the environment names another profile.
-
-    Its own shared memory of 512 KB is filled by one image of 512 x 424 pixels, and the messages beside it
-    come seconds late.
-    """
-    names = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-    if any(os.environ.get(name) for name in names):
-        return
-    profile = share_folder() / "config" / "fastdds.xml"
-    if profile.is_file():
-        os.environ[names[0]] = str(profile)
-
-
 def single_threaded() -> None:
     """Pin OpenCV to one thread; BLAS and OpenMP are pinned by `rim_camera_ros.nodes`."""
     try:
@@ -149,6 +162,18 @@ def single_threaded() -> None:
     except ImportError:
         return
     cv2.setNumThreads(1)
+
+
+def keep_memory() -> None:
+    """Let the C library (glibc) keep what is freed: images and clouds are made anew with every frame.
+
+    Else memory of this size goes back to the system each time, which fills it with zeros again, page by page:
+    of a cloud of 640 x 480 points more than a millisecond.
+    """
+    with contextlib.suppress(OSError, AttributeError):  # another C library
+        libc = ctypes.CDLL(None)
+        libc.mallopt(_MMAP_THRESHOLD, _KEPT_SIZE)
+        libc.mallopt(_TRIM_THRESHOLD, 8 * _KEPT_SIZE)
 
 
 def _failed(name: str, problem: str, status: int) -> int:

@@ -12,6 +12,9 @@ import numpy as np
 #: Seconds over which rates, latencies and losses are stated, and the most frames that are kept for it.
 WINDOW = 5.0
 _KEPT = 4096
+#: Seconds [s] and periods without a frame after which it is an error, and seconds that the first may take:
+#: until a driver has started and both have found each other (up to 2.4 s were measured, docs/reliability.md).
+_SILENT, _SILENT_PERIODS, _STARTING = 1.0, 3.0, 5.0
 #: Latencies [s] beyond this are of stamps that are not of now (a recording's own).
 _OF_NOW = 60.0
 
@@ -77,6 +80,13 @@ class Flow:
         span = max(times[-1] - times[0], (now - times[0]) * (len(times) - 1) / len(times))
         return (len(times) - 1) / span if span > 0 else 0.0
 
+    def silent(self, now: float, *, begun: float) -> float:
+        """Return for how long [s] no frame has come where that is an error, else 0; ``begun``: since when."""
+        since = now - max(self.last or 0.0, begun)
+        if self.last is None or self.last < begun:
+            return since if since > _STARTING else 0.0
+        return since if since > max(_SILENT, _SILENT_PERIODS / max(self.rate(now), 0.1)) else 0.0
+
     def values(self, now: float) -> dict[str, str]:
         """Return rate, jitter, latencies as text."""
         recent = self._recent(now)
@@ -115,3 +125,21 @@ class Tally:
         while len(self._history) > 1 and now - self._history[1][0] > WINDOW:
             self._history.popleft()
         return current - self._history[0][1]
+
+
+class Hysteresis:
+    """A state that begins beyond one limit and ends within another: values between them keep it as it is.
+
+    ``begin`` above ``end``: it holds for great values; below: for small ones.
+    """
+
+    def __init__(self, *, begin: float, end: float) -> None:
+        self._sign = 1.0 if begin > end else -1.0
+        self._begin, self._end = self._sign * begin, self._sign * end
+        self._holds = False
+
+    def holds(self, value: float) -> bool:
+        """Take a value, and return whether the state holds with it."""
+        value *= self._sign
+        self._holds = value >= self._end if self._holds else value > self._begin
+        return self._holds

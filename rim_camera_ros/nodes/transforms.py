@@ -16,6 +16,9 @@ TOPIC = "/tf_static"
 #: Optical axes (x right, y down, z forward) in a body's (x forward, y left, z up): REP 103.
 _OPTICAL = (-0.5, 0.5, -0.5, 0.5)
 
+#: Remedy where the messages of /tf are missing.
+INSTALL = "(sudo apt install ros-jazzy-tf2-msgs)"
+
 Quaternion = tuple[float, float, float, float]
 
 
@@ -60,8 +63,16 @@ def mount(values: Mapping[str, Any]) -> TransformStamped:
     return result
 
 
+def transform_message() -> Any:
+    """Return the class of the messages of /tf, None where tf2_msgs is not installed (apt, not a wheel)."""
+    try:
+        return importlib.import_module("tf2_msgs.msg").TFMessage
+    except ImportError:
+        return None
+
+
 class Mount:
-    """Publishes the mount to /tf_static, for those who join later too; needs tf2_msgs (apt, not a wheel)."""
+    """Publishes the mount to /tf_static, for those who join later too."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -71,12 +82,10 @@ class Mount:
         """Publish where a base_frame is given; say so where tf2_msgs is missing."""
         if not values["base_frame"]:
             return
-        try:
-            message = importlib.import_module("tf2_msgs.msg").TFMessage
-        except ImportError:
+        message = transform_message()
+        if message is None:
             self._node.get_logger().warning(
-                "base_frame is given, but tf2_msgs is not installed: no transform is published "
-                "(sudo apt install ros-jazzy-tf2-msgs)"
+                f"base_frame is given, but tf2_msgs is not installed: no transform is published {INSTALL}"
             )
             return
         if self._publisher is None:

@@ -38,7 +38,7 @@ from rim_camera_ros.scene import rotation_matrix
 Array = NDArray[np.float64]
 
 #: Points whose residual exceeds this many of its own sigma are gross errors: one in 25 000 good ones does.
-_GROSS = 4.5
+GROSS = 4.5
 
 
 def estimate_optics(
@@ -72,26 +72,26 @@ def estimate_optics(
     points, notes = usable_points(observations)
     check_field(observations.field, distances=distances, free=targets == "free")
 
-    def block_of(points: Sequence[ImagePoint]) -> _Block:
-        block = _block(observations, points, start, targets, distances, correct_ellipses)
+    def block_of(points: Sequence[ImagePoint]) -> Block:
+        block = block_from(observations, points, start, targets, distances, correct_ellipses)
         _check_redundancy(block, len(estimated))
         return block
 
     block = block_of(points)
-    poses = _start_poses(observations, block, start)
-    state = _state(block, poses, optics_vector(start))
+    poses = start_poses(observations, block, start)
+    state = state_from(block, poses, optics_vector(start))
     check_directions(block.bundle.targets, state.rotations)
 
     rejected: list[RejectedPoint] = []
     adjusted = _adjusted(block, state, estimated, loss)
-    while loss == "huber" and (gross := outliers(adjusted, block.bundle, limit=_GROSS)).any():
+    while loss == "huber" and (gross := outliers(adjusted, block.bundle, limit=GROSS)).any():
         rejected += _rejected(adjusted, block.points, gross)
         kept = tuple(one for one, bad in zip(block.points, gross, strict=True) if not bad)
         points, few = usable_points(replace(observations, points=kept))
         notes += [f"after rejecting gross errors {note}" for note in few]
         block = block_of(points)
         # a pose that a gross error led astray starts anew
-        adjusted = _adjusted(block, _state(block, poses, adjusted.state.optics), estimated, loss)
+        adjusted = _adjusted(block, state_from(block, poses, adjusted.state.optics), estimated, loss)
     if loss == "huber":
         adjusted = _adjusted(block, adjusted.state, estimated, "squared")
 
@@ -137,7 +137,7 @@ def _check_names(parameters: Sequence[str]) -> None:
 
 
 @dataclass(frozen=True)
-class _Block:
+class Block:
     """A bundle with what its indices stand for: points, stations, target ids."""
 
     bundle: Bundle
@@ -146,14 +146,14 @@ class _Block:
     names: tuple[str, ...]
 
 
-def _block(
+def block_from(
     observations: Observations,
     points: Sequence[ImagePoint],
     start: Optics,
     targets: Literal["known", "free"],
     distances: Sequence[Distance],
     correct_ellipses: bool,
-) -> _Block:
+) -> Block:
     stations = sorted({one.station for one in points})
     seen = {one.target for one in points} | {name for one in distances for name in (one.first, one.second)}
     names = [name for name in observations.field.targets if name in seen]
@@ -175,16 +175,16 @@ def _block(
         aspect=start.fx / start.fy,
         correct_ellipses=correct_ellipses,
     )
-    return _Block(bundle, tuple(points), tuple(stations), tuple(names))
+    return Block(bundle, tuple(points), tuple(stations), tuple(names))
 
 
-def _state(block: _Block, poses: Mapping[int, tuple[Array, Array]], optics: Array) -> State:
+def state_from(block: Block, poses: Mapping[int, tuple[Array, Array]], optics: Array) -> State:
     rotations = np.array([poses[station][0] for station in block.stations])
     translations = np.array([poses[station][1] for station in block.stations])
     return State(optics, rotations, translations, block.bundle.targets)
 
 
-def _start_poses(observations: Observations, block: _Block, start: Optics) -> dict[int, tuple[Array, Array]]:
+def start_poses(observations: Observations, block: Block, start: Optics) -> dict[int, tuple[Array, Array]]:
     """Return rotation (3, 3) and translation (3,) by station: given, else by resection (cv2.solvePnP)."""
     poses: dict[int, tuple[Array, Array]] = {}
     bundle = block.bundle
@@ -215,7 +215,7 @@ def _start_poses(observations: Observations, block: _Block, start: Optics) -> di
     return poses
 
 
-def _check_redundancy(block: _Block, estimated: int) -> None:
+def _check_redundancy(block: Block, estimated: int) -> None:
     bundle = block.bundle
     unknowns = estimated + 6 * len(block.stations)
     equations = 2 * len(bundle.sigma) + len(bundle.distances)
@@ -232,7 +232,7 @@ def _check_redundancy(block: _Block, estimated: int) -> None:
 # --- adjusting -------------------------------------------------------------------------------------
 
 
-def _adjusted(block: _Block, state: State, estimated: tuple[str, ...], loss: Loss) -> Adjusted:
+def _adjusted(block: Block, state: State, estimated: tuple[str, ...], loss: Loss) -> Adjusted:
     try:
         return adjust(block.bundle, state, estimated=estimated, loss=loss)
     except NotDetermined as error:

@@ -289,7 +289,9 @@ def _corners(expected: _Expected, view: _View, gate: float) -> dict[str, _Found]
         if corner is None:
             continue
         away = np.hypot(corner.u - expected.image[i, 0], corner.v - expected.image[i, 1])
-        if away <= min(gate, _GATE_SHARE * expected.spacing[i]):
+        # an edge that is short, between markers, has others next to it
+        short = float(np.linalg.norm(expected.edges[i], axis=1).min())
+        if away <= min(gate, _GATE_SHARE * expected.spacing[i], _GATE_SHARE * short):
             reach = np.abs(expected.edges[i]).max(axis=0)
             found[expected.names[i]] = (corner.u, corner.v, corner.sigma, float(reach[0]), float(reach[1]))
     return found

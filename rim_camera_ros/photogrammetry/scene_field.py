@@ -1,8 +1,7 @@
-"""Target fields that a scene file describes: discs as circles, textured rectangles as checkerboards."""
+"""Target fields that a scene file describes: discs, and what textures of rectangles show."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -12,7 +11,8 @@ from numpy.typing import NDArray
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.photogrammetry.targets import Target, TargetField
-from rim_camera_ros.scene import Scene, Surface, quaternion, rotation_matrix
+from rim_camera_ros.photogrammetry.texture_targets import targets_of
+from rim_camera_ros.scene import Scene, quaternion, rotation_matrix
 
 Array = NDArray[np.float64]
 
@@ -42,13 +42,14 @@ class FieldOnSurfaces:
         texture's grid, 0 at the board's centre. The surfaces' poses to each other are those of the scene
         file, of surfaces with ``pose: truth`` those in ``truth``. Raises `InputError` without a target.
         """
-        carriers = [one for one in scene.surfaces if one.type == "disc" or is_checkerboard(one)]
+        boards = {one.name: found for one in scene.surfaces if (found := targets_of(one)) is not None}
+        carriers = [one for one in scene.surfaces if one.type == "disc" or one.name in boards]
         if not carriers:
             raise InputError(
                 "the scene has no targets",
                 place="surfaces",
                 remedy="describe the target field by surfaces of type disc (circles) "
-                "or a rectangle with a 2 x 2 texture (checkerboard)",
+                "or a rectangle with the texture of a board, such as rim board writes it",
             )
         poses = scene.poses_for(truth)
         first = poses[carriers[0].name]
@@ -67,13 +68,17 @@ class FieldOnSurfaces:
                 targets[one.name] = Target(_triple(origin), one.radius, _triple(turn[:, 2]))
                 of[one.name] = one.name
                 continue
-            assert one.texture is not None
-            cell = np.array(one.texture.cell)
-            for (row, column), local in _corners(one).items():
+            board = boards[one.name]
+            for (row, column), local in board.crossings.items():
                 name = f"{one.name}/{row}/{column}"
                 targets[name] = Target(_triple(origin + turn[:, :2] @ local))
                 of[name] = one.name
-                edges[name] = (turn[:, :2] * cell).T
+                edges[name] = (turn[:, :2] * board.arms[row, column]).T
+            for (row, column), (x, y, radius) in board.circles.items():
+                name = f"{one.name}/{row}/{column}"
+                centre = origin + turn[:, :2] @ np.array([x, y])
+                targets[name] = Target(_triple(centre), radius, _triple(turn[:, 2]))
+                of[name] = one.name
         return cls(TargetField(targets), surfaces, of, edges)
 
     def pose(self, poses: Mapping[str, Pose]) -> tuple[Array, Array, float]:
@@ -91,32 +96,6 @@ class FieldOnSurfaces:
         translation = centre_there - rotation @ centre
         misfit = np.linalg.norm(source @ rotation.T + translation - there, axis=1)
         return rotation, translation, float(misfit.max())
-
-
-def is_checkerboard(surface: Surface) -> bool:
-    """Whether a surface is a rectangle whose texture is one black and one white tile in turn."""
-    if surface.type != "rectangle" or surface.texture is None:
-        return False
-    values = surface.texture.values.values
-    return values.shape == (2, 2) and bool(
-        values[0, 0] == values[1, 1] and values[0, 1] == values[1, 0] and values[0, 0] != values[0, 1]
-    )
-
-
-def _corners(board: Surface) -> dict[tuple[int, int], Array]:
-    """Return the corners (2,) m in the surface's frame by (row, column), those strictly within the board."""
-    assert board.size is not None
-    assert board.texture is not None
-    width, height = board.size
-    wide, high = board.texture.cell
-    # a corner on the rim is none
-    columns = math.ceil(width / 2 / wide - 1e-6) - 1
-    rows = math.ceil(height / 2 / high - 1e-6) - 1
-    return {
-        (row, column): np.array([column * wide, row * high])
-        for row in range(-rows, rows + 1)
-        for column in range(-columns, columns + 1)
-    }
 
 
 def _frame_points(pose: Pose) -> Array:

@@ -27,16 +27,19 @@ from rim_camera_ros.frame import (
     Settings,
 )
 from rim_camera_ros.pipeline.folded import Folded
-from rim_camera_ros.pipeline.mixed import mixed_pixels
+from rim_camera_ros.pipeline.mixed import mark_mixed
 from rim_camera_ros.pipeline.normals import IncidenceEstimator
 from rim_camera_ros.pipeline.optics import Light, OpticsUndo
 from rim_camera_ros.pipeline.reference import Linearity, ReferenceReader
-from rim_camera_ros.pipeline.tables import AmplitudeReading
+from rim_camera_ros.pipeline.tables import WHOLE, AmplitudeReading
 
 Image = NDArray[Any]
 
 #: Settings kept folded at a time.
 _KEPT = 8
+#: Pixels that are corrected together where no pixel needs another: what is computed on the way, 60 bytes a
+#: pixel, then stays in the cache of a processor's core (1 MB or more).
+_BAND = 1 << 15
 
 
 class Correction:
@@ -96,7 +99,8 @@ class Correction:
             else None
         )
         self._rays = np.ascontiguousarray(camera.rays.transpose(2, 0, 1), np.float32)
-        self._points = np.empty_like(self._rays)
+        self._bands = _bands(camera.shape)
+        self._points = np.empty_like(self._rays[:, self._bands[0]])
 
     # --- public ---------------------------------------------------------------------------------
 
@@ -139,11 +143,21 @@ class Correction:
             settings=frame.settings,
         )
 
-    def cloud(self, frame: CorrectedDistance) -> NDArray[np.float32]:
-        """Return the organised cloud (H, W, 4) float32: x y z [m], NaN where invalid, intensity [counts]."""
-        np.multiply(self._rays, frame.distance, out=self._points, casting="same_kind")
-        result: Any = cv2.merge([*self._points, np.asarray(frame.amplitude, np.float32)])
-        return np.asarray(result, np.float32)
+    def cloud(
+        self, frame: CorrectedDistance, *, out: NDArray[np.float32] | None = None
+    ) -> NDArray[np.float32]:
+        """Return the organised cloud (H, W, 4) float32: x y z [m], NaN where invalid, intensity [counts].
+
+        A new array, or ``out``.
+        """
+        result = np.empty((*self.camera.shape, 4), np.float32) if out is None else out
+        amplitude = np.asarray(frame.amplitude, np.float32)
+        for rows in self._bands:
+            part = frame.distance[rows]
+            points = self._points[:, : len(part)]
+            np.multiply(self._rays[:, rows], part, out=points, casting="same_kind")
+            cv2.merge([*points, amplitude[rows]], result[rows])
+        return result
 
     def depth(self, frame: CorrectedDistance) -> NDArray[np.float32]:
         """Return the depth along z in metres (H, W) float32, NaN where invalid."""
@@ -207,43 +221,45 @@ class Correction:
     def _undo(self, frame: RawFrame) -> _Work:
         """Undo all effects; the distance is NaN where the raw values do not give one."""
         folded = self._begin(frame)
-        metres, missing = self._metres(frame.distance)
+        missing = _missing(frame.distance)
+        y = np.empty(self.camera.shape, self._dtype)
+        by_region = folded.reference_region is not None
+        unit = 1.0 if frame.distance.dtype.kind == "f" else self.camera.sensor.lsb
+        if by_region:
+            np.multiply(frame.distance, self._dtype(unit), out=y, casting="same_kind")
+            if missing is not None:
+                y[missing] = np.nan
+            unit = 1.0
         if self._reference is not None:
             folded.context.settings = self._reference.take(
-                metres, frame.settings, stamp=frame.stamp, memory=self._memory
+                y, frame.settings, stamp=frame.stamp, memory=self._memory
             )
         reading = folded.amplitude.reading(frame.amplitude, self._dtype)
-        y = metres
-        offset = folded.offset(metres)
-        if offset:
-            y -= self._dtype(offset)
-        y -= reading.term
-        if folded.map is not None:
-            y -= folded.map
+        offset = folded.offset(y)
+        work = _Work(folded, reading, missing, Light(y, reading.amplitude))
+        banded = folded.pixel_by_pixel and not self.exact
+        for rows in self._bands if banded else (WHOLE,):
+            part = y[rows]
+            if not by_region:
+                np.copyto(part, frame.distance[rows], casting="same_kind")
+            cv2.addWeighted(part, unit, reading.term(rows), -1.0, -offset, dst=part)
+            if missing is not None:
+                np.copyto(part, np.nan, where=missing[rows])
+            if folded.map is not None:
+                part -= folded.map[rows]
+            if banded:
+                folded.distance.solve(part, rows=rows, out=part)
+        if banded:
+            work.light = self._optics.undo(y, reading.amplitude)
+            return work
         folded.context.saturated = reading.saturated
         folded.subtract_frame_terms(y, reading.amplitude)
-        work = _Work(folded, reading, missing, Light(y, reading.amplitude))
         if folded.incidence_rounds:
             self._solve_with_incidence(work, y)
         else:
             delivered, _ = folded.refined(folded.distance.solve(y), y, reading.amplitude)
             work.light = self._optics.undo(delivered, reading.amplitude)
         return work
-
-    def _metres(self, raw: Image) -> tuple[Image, NDArray[np.bool_] | None]:
-        """Counts or metres -> metres, NaN where there is no measurement; and where, None if nowhere."""
-        if raw.dtype.kind == "f":
-            metres = raw.astype(self._dtype, copy=True)
-            missing = ~(np.isfinite(metres) & np.greater(metres, 0))
-        else:
-            metres = np.multiply(
-                raw, self._dtype(self.camera.sensor.lsb), dtype=self._dtype, casting="unsafe"
-            )
-            missing = raw == 0
-        if not missing.any():
-            return metres, None
-        metres[missing] = np.nan
-        return metres, missing
 
     def _solve_with_incidence(self, work: _Work, y: Image) -> None:
         """Solve where terms of the incidence need the result's own planes.
@@ -286,11 +302,9 @@ class Correction:
         if gain is not None:
             # where the cyclic error compresses distances, undoing it spreads their noise
             sigma *= gain
-        if work.unplaned is not None and work.unplaned.any():
-            sigma *= sigma
-            unknown = self._dtype(work.folded.incidence_spread**2)
-            np.add(sigma, unknown, out=sigma, where=work.unplaned)
-            np.sqrt(sigma, out=sigma)
+        if work.unplaned is not None:
+            at = np.flatnonzero(work.unplaned)
+            sigma.ravel()[at] = np.hypot(sigma.take(at), self._dtype(work.folded.incidence_spread))
         return sigma
 
     def _flags(self, work: _Work, sigma: Image, settings: Settings) -> NDArray[np.uint8]:
@@ -308,7 +322,7 @@ class Correction:
             _mark(flags, work.missing, Flag.NO_MEASUREMENT)
         if folded.reference_region is not None:
             flags[folded.reference_region] |= Flag.NO_MEASUREMENT.value
-        _mark(flags, mixed_pixels(distance, sigma), Flag.MIXED_PIXEL)
+        mark_mixed(flags, distance, sigma, bit=Flag.MIXED_PIXEL.value)
         if folded.outside or self._outside(settings):
             flags |= np.uint8(Flag.OUTSIDE_CALIBRATION.value)
         limits = self.camera.validity.distance
@@ -354,6 +368,19 @@ class _Work:
     light: Light
     #: pixels where no plane was found for the incidence
     unplaned: NDArray[np.bool_] | None = None
+
+
+def _missing(raw: Image) -> NDArray[np.bool_] | None:
+    """Return where counts or metres hold no measurement, None if nowhere."""
+    missing = ~(np.isfinite(raw) & np.greater(raw, 0)) if raw.dtype.kind == "f" else raw == 0
+    return missing if missing.any() else None
+
+
+def _bands(shape: tuple[int, int]) -> list[slice]:
+    """Return the rows of the sensor in bands of about `_BAND` pixels."""
+    height, width = shape
+    rows = -(-height // max(1, round(height * width / _BAND)))
+    return [slice(first, min(first + rows, height)) for first in range(0, height, rows)]
 
 
 def _mark(flags: NDArray[np.uint8], where: NDArray[np.bool_], flag: Flag) -> None:

@@ -18,6 +18,7 @@ from rim_camera_ros.effects.integration_time_offset import IntegrationTimeOffset
 from rim_camera_ros.effects.reference_path import ReferencePath, mean_reading
 from rim_camera_ros.effects.saturation_bleed import SaturationBleed
 from rim_camera_ros.effects.warm_up_drift import WarmUpDrift
+from rim_camera_ros.pipeline import kernels
 from rim_camera_ros.pipeline.tables import AmplitudeModel, DistanceSolver, PlaneTable, distance_knots
 
 Image = NDArray[Any]
@@ -167,6 +168,11 @@ class Folded:
         return total
 
     @property
+    def pixel_by_pixel(self) -> bool:
+        """Whether no term needs other pixels, or more of its own than counts and place."""
+        return not (self._by_frame or self._placed or self._by_incidence)
+
+    @property
     def has_placed(self) -> bool:
         """Whether there are terms of distance and place."""
         return bool(self._placed)
@@ -219,6 +225,8 @@ class Folded:
 
         ``distance`` [m] is what the angle was estimated from.
         """
+        if self._by_cosine is not None and kernels.LIBRARY is not None:
+            return kernels.incidence_term(cosine, distance, table=self._by_cosine)
         if self._by_cosine is not None:
             # NaN becomes a negative entry, which is taken for the first
             entry = cosine * np.float32(_COSINES - 1)

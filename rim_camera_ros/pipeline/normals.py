@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.pipeline import kernels
 from rim_camera_ros.pipeline.planes import STRIDE, WINDOW, PlaneWindows
 
 #: The plane of a window beside it serves a pixel if it passes within this many metres of it, or three
@@ -72,6 +73,18 @@ class IncidenceEstimator:
         if missing.any():
             inverse[missing] = np.nan
         entries = self._planes.planes(inverse, sigma)
+        if kernels.LIBRARY is not None:
+            return kernels.cosine(
+                distance,
+                sigma,
+                rays=self._rays,
+                entries=entries,
+                window=self._window,
+                neighbours=self._neighbours,
+                near=NEAR,
+                sure=SURE,
+                sigmas=SIGMAS,
+            )
         # 16 bytes a window: one access per pixel fetches all of it
         np.take(entries, self._window, out=self._fetched, mode="wrap")
         x, y, z, scale = cv2.split(self._fetched.view(np.float32).reshape(*self.shape, 4), self._parts)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,7 +47,7 @@ class OpticsUndo:
             ray_dot_emitter = camera.rays @ np.array(emitter.position)
             self._along = (-2 * ray_dot_emitter).astype(self._dtype)
             self._square = number(sum(e * e for e in emitter.position))
-        self._turn, self._work = (np.empty(camera.shape, self._dtype) for _ in range(2))
+        self._work = np.empty(camera.shape, self._dtype)
         self._image = np.empty((camera.shape[0], 2, camera.shape[1]), self._dtype)
 
     @property
@@ -65,17 +66,22 @@ class OpticsUndo:
         if self._spreading is not None:
             self._undo_spreading(light, guess, quick=quick)
         if self._wraps:
-            periods = np.multiply(light.distance, 1 / self._ambiguity, out=self._work)
-            np.floor(periods, out=periods)
-            # most frames lie within the first period
-            if periods.any():
-                periods *= self._ambiguity
-                light.distance -= periods
-                # what rounding left at the end of the period
-                light.distance[light.distance >= self._ambiguity] = 0
+            self._fold(light.distance)
         if self._emitter is not None:
             self._undo_emitter(light.distance)
         return light
+
+    def _fold(self, distance: Image) -> None:
+        """Take distances [m] modulo the ambiguity."""
+        outside = distance >= self._ambiguity
+        outside |= distance < 0
+        # most frames lie within the first period
+        if outside.any():
+            beyond = distance[outside]
+            beyond -= np.floor(beyond * (1 / self._ambiguity)) * self._ambiguity
+            # what rounding left at the end of the period
+            beyond[(beyond >= self._ambiguity) | (beyond < 0)] = 0
+            distance[outside] = beyond
 
     def _undo_spreading(self, light: Light, guess: Image | None, *, quick: bool) -> None:
         assert self._spreading is not None
@@ -88,8 +94,7 @@ class OpticsUndo:
             phase[dark] = 0
             amplitude = amplitude.copy()
             amplitude[dark] = 0
-        np.multiply(np.cos(phase, out=self._turn), amplitude, out=self._image[:, 0])
-        np.multiply(np.sin(phase, out=self._turn), amplitude, out=self._image[:, 1])
+        cv2.polarToCart(amplitude, phase, self._image[:, 0], self._image[:, 1])
         if quick:
             solved = self._spreading.first_order(self._image)
         else:
@@ -111,8 +116,7 @@ class OpticsUndo:
         light.amplitude = np.add(square[:, 0], square[:, 1], out=direct)
         np.sqrt(light.amplitude, out=light.amplitude)
         # noise stays where it is, but is the greater against what is left of the light
-        light.gain = amplitude / light.amplitude
-        light.gain *= self._dtype.type(1.0 / self._spreading.direct)
+        light.gain = cv2.divide(amplitude, light.amplitude, scale=1.0 / self._spreading.direct)
 
     def _undo_emitter(self, half_path: Image) -> None:
         """Solve |P| + |P - e| = 2 d for |P| = (4 d^2 - |e|^2) / (4 d - 2 ray . e); NaN without a solution."""

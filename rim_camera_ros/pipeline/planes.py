@@ -19,6 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.pipeline import kernels
+
 #: Side of the window in pixels, and the step from window to window; so many pixels are one of the next scale.
 WINDOW = 5
 STRIDE = 3
@@ -87,6 +89,19 @@ class PlaneWindows:
                 for n, most in ((self.rows, self._wider.rows), (self.stride, self._wider.columns))
             )
             self._over = (v[:, None] * self._wider.stride + u).astype(np.intp) + 1
+        self._compiled = None
+        if kernels.LIBRARY is not None:
+            self._compiled = kernels.CompiledWindows(
+                self.shape,
+                columns=self.columns,
+                inverse=self._inverse,
+                mean=self._mean,
+                tilt=self._tilt,
+                centre_z=self._centre_z,
+                slopes=self._slopes,
+                over=None if self._wider is None else self._over,
+                entries=self.entries,
+            )
 
     def planes(self, inverse: _Plane, sigma: NDArray[Any] | float) -> NDArray[np.complex128]:
         """Return `entries` of the inverse depth W (H, W), bad ones replaced as `_nearest_good` says.
@@ -94,6 +109,8 @@ class PlaneWindows:
         ``sigma`` [m] of one distance, (H, W) or one number. W is NaN without a distance, which makes all of
         its windows bad.
         """
+        if self._compiled is not None:
+            return self._compiled_planes(self._compiled, inverse, sigma)
         fit = self._fits.of(inverse)
         a, b, c, d = self._inverse
         m_x = a * fit.along_row + b * fit.along_column
@@ -134,10 +151,7 @@ class PlaneWindows:
     ) -> None:
         """Put wider planes in the place of noisy ones, where they agree with what the window itself shows."""
         assert self._wider is not None
-        if np.ndim(sigma):
-            height, width = (STRIDE * (n // STRIDE) for n in self.shape)
-            sigma = np.asarray(sigma)[1:height:STRIDE, 1:width:STRIDE]
-        entries = self._wider.planes(_means(inverse), sigma)
+        entries = self._wider.planes(_means(inverse), self._sparse(sigma))
         found = np.take(entries, self._over).view(np.float32).reshape(*self._over.shape, 4)
         x, y, z, _ = cv2.split(found)
         fit = self._fits
@@ -156,6 +170,28 @@ class PlaneWindows:
         agrees &= noisy
         for part, wide in zip(plane, (x, y, z), strict=True):
             np.copyto(part, wide, where=agrees)
+
+    def _sparse(self, sigma: NDArray[Any] | float) -> NDArray[Any] | float:
+        """Return sigma for the next wider scale."""
+        if not np.ndim(sigma):
+            return sigma
+        height, width = (STRIDE * (n // STRIDE) for n in self.shape)
+        return np.asarray(sigma)[1:height:STRIDE, 1:width:STRIDE]
+
+    def _compiled_planes(
+        self, compiled: kernels.CompiledWindows, inverse: _Plane, sigma: NDArray[Any] | float
+    ) -> NDArray[np.complex128]:
+        factor = float(self._factor)
+        asked = compiled.fit(inverse, sigma, factor=factor, excess=EXCESS, residual=RESIDUAL, tilt=TILT)
+        if asked and self._wider is not None:
+            compiled.widen(
+                self._wider.planes(_means(inverse), self._sparse(sigma)),
+                mean_sigmas=SIGMAS / WINDOW,
+                near=NEAR / factor,
+                slope_sigmas=SLOPE_SIGMAS / float(np.sqrt(_SPREAD)),
+                slope=SLOPE / factor,
+            )
+        return compiled.entries()
 
     def _variance(self, sigma: NDArray[Any] | float) -> _Plane | np.float32:
         """Return the variance [m^2] of a distance of this scale by window."""

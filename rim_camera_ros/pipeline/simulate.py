@@ -75,6 +75,13 @@ class Simulation:
     notes: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
+        for one in self.scene.surfaces:
+            if not one.is_described:
+                raise InputError(
+                    f"the reflectivity of surface '{one.name}' is unknown: its light cannot be simulated",
+                    place="surfaces",
+                    remedy="state reflectivity or texture",
+                )
         self._rng = np.random.Generator(np.random.SFC64(self.seed))
         # the power of a station does not depend on how many frames came before it
         self._gain_seed = np.random.SeedSequence([self.seed, 20070])
@@ -214,8 +221,17 @@ class Simulation:
         response = self.camera.effects.get("amplitude_nonlinearity")
         if isinstance(response, AmplitudeNonlinearity):
             amplitude = response.compressed(amplitude)
-        result: NDArray[np.bool_] = amplitude >= self.camera.sensor.saturation
+        return self._full(amplitude)
+
+    def _full(self, published: Any) -> NDArray[np.bool_]:
+        """Return where amplitude [counts] and what unmodulated light leaves reach the saturation."""
+        sensor = self.camera.sensor
+        result: NDArray[np.bool_] = published + sensor.remaining(self.camera.background) >= sensor.saturation
         return result
+
+    def _saturating(self, published: Any) -> Any:
+        """Return amplitudes [counts] as they are delivered: a full pixel delivers the saturation."""
+        return np.where(self._full(published), self.camera.sensor.saturation, published)
 
     def _at_sample_level(self, signal: Signal, context: Context) -> Signal:
         """Add what demodulating the four samples of the waveform makes of the phase."""
@@ -237,7 +253,7 @@ class Simulation:
         if not self.quantised:
             wrapped = wrap(distance, context.ambiguity) if self.camera.sensor.wraps else distance
             counts_d = np.where(counts_d > 0, wrapped, np.nan)
-            counts_a = np.where(counts_a > 0, np.minimum(amplitude, self.camera.sensor.saturation), 0.0)
+            counts_a = np.where(counts_a > 0, self._saturating(amplitude), 0.0)
         stamp = exposure.stamp if exposure.pose_stamp is None else exposure.pose_stamp
         return RawFrame(
             stamp=exposure.stamp,
@@ -287,8 +303,7 @@ class Simulation:
 
     def _read_out(self, distance: Any, amplitude: Any) -> tuple[NDArray[Any], NDArray[Any]]:
         sensor = self.camera.sensor
-        saturation = min(sensor.saturation, FULL_SCALE - 1)
-        counts_a = np.rint(np.clip(amplitude, 0, saturation))
+        counts_a = np.rint(np.clip(self._saturating(amplitude), 0, FULL_SCALE - 1))
         valid = np.isfinite(distance)
         metres = np.where(valid, distance, 0.0)
         if sensor.wraps:

@@ -20,6 +20,7 @@ from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.effects.integral_table import IntegralTable
 from rim_camera_ros.frame import Flag
 from rim_camera_ros.noise import sigma_amplitude
+from rim_camera_ros.pipeline import kernels
 
 #: Entries of the table of distance per ambiguity range: half a step squared times half the curvature of the
 #: cyclic error stays below 0.003 mm.
@@ -28,6 +29,8 @@ _DISTANCES = 1 << 12
 #: whose jump where the distance comes round is smeared by it.
 _PHASE_ERROR = 2e-6
 _PHASE_STEP = 0.05
+#: All rows of the sensor.
+WHOLE = slice(None)
 #: Relative step of the numerical slope of the amplitude terms.
 _STEP = 1e-4
 
@@ -127,9 +130,9 @@ class AmplitudeModel:
                 amplitude = raw.astype(np.float32)
             else:
                 amplitude = look_up(table.amplitude, raw)
-            return AmplitudeReading(amplitude, look_up(table.term, raw), marked, table, raw)
+            return AmplitudeReading(amplitude, marked, table, raw)
         exact = self.evaluate(np.nan_to_num(raw.astype(np.float64), posinf=0.0, neginf=0.0)).astype(dtype)
-        return AmplitudeReading(exact.amplitude, exact.term, marked, exact, None)
+        return AmplitudeReading(exact.amplitude, marked, exact, None)
 
     def _saturation(self, raw: Image) -> float | int:
         # a whole number: else counts would be compared as float64
@@ -145,20 +148,24 @@ class AmplitudeModel:
 class AmplitudeReading:
     """What the published amplitudes (H, W) of one frame say, new arrays.
 
-    ``amplitude`` [counts] and ``term`` [m] as in `ByAmplitude`; ``saturated`` (H, W) bool, None where no
-    pixel is; ``sigma`` and ``flags`` are looked up when they are asked for.
+    ``amplitude`` [counts] as in `ByAmplitude`; ``saturated`` (H, W) bool, None where no pixel is; the rest
+    is looked up when it is asked for.
     """
 
     def __init__(
         self,
         amplitude: Image,
-        term: Image,
         saturated: NDArray[np.bool_] | None,
         source: ByAmplitude,
         raw: NDArray[np.uint16] | None,
     ) -> None:
-        self.amplitude, self.term, self.saturated = amplitude, term, saturated
+        self.amplitude, self.saturated = amplitude, saturated
         self._source, self._raw = source, raw
+
+    def term(self, rows: slice) -> Image:
+        """Return the term [m] of some rows."""
+        term = self._source.term
+        return term[rows] if self._raw is None else look_up(term, self._raw[rows])
 
     @cached_property
     def sigma(self) -> Image:
@@ -239,8 +246,13 @@ class DistanceSolver:
             entries[:, 1] = solved(grid + step / 2, row) - solved(grid - step / 2, row)
             if rows > 1:
                 entries[:, 2] = solved(grid, row + 0.5) - solved(grid, row - 0.5)
+        # by the distance from an entry's lower edge, and what is added to y
+        table[..., 0] -= table[..., 1] / 2
+        table *= -1
         # 16 bytes an entry: one access per pixel fetches all of it
         self._entries = table.view(np.complex128).ravel()
+        self._at, self._edge = (np.empty(camera.shape, np.float32) for _ in range(2))
+        self._entry = np.empty(camera.shape, np.int32)
         self._index = np.empty(camera.shape, np.intp)
         self._fetched = np.empty(camera.shape, np.complex128)
         self._planes = [np.empty(camera.shape, np.float32) for _ in range(4)]
@@ -276,49 +288,77 @@ class DistanceSolver:
             correction -= self._ambiguity * np.rint(correction / self._ambiguity)
         return correction
 
-    def solve(self, y: Image) -> Image:
-        """Return d for y (H, W) in metres, a new array; not wrapped. NaN stays NaN."""
+    def solve(self, y: Image, *, rows: slice = WHOLE, out: Image | None = None) -> Image:
+        """Return d for y (H, W) in metres of some rows; not wrapped. NaN stays NaN.
+
+        A new array, or ``out``, which may be y.
+        """
         if not self.terms:
-            return y.copy()
+            return _copied(y, out)
         if self._exact:
-            return solve_terms(
-                y, lambda d: sum(one.term(d, d, self._context) for one in self.terms), self._context
+            # its terms are those of the whole array
+            assert rows == WHOLE
+            terms, context = self.terms, self._context
+            found = solve_terms(y, lambda d: sum(one.term(d, d, context) for one in terms), context)
+            return _copied(found, out)
+        if kernels.LIBRARY is not None:
+            return kernels.solve(
+                y,
+                shift=self._shift[rows],
+                row=self._row[rows],
+                beside=None if self._beside is None else self._beside[rows],
+                entries=self._entries,
+                scale=float(self._scale),
+                length=self._last + 1,
+                wraps=self._wraps,
+                slope=self._planes[1][rows],
+                out=out,
             )
-        at = y * self._scale
-        at += self._shift
-        nearest = np.floor(at, out=self._planes[3])
-        at -= nearest
-        at -= np.float32(0.5)
+        # what is only needed here lies where the rows before had it, in the processor's cache
+        first = slice(len(y))
+        at, edge, entry = self._at[first], self._edge[first], self._entry[first]
+        index, fetched = self._index[first], self._fetched[first]
+        cv2.scaleAdd(y, float(self._scale), self._shift[rows], dst=at)
+        np.floor(at, out=edge)
+        at -= edge
         # NaN becomes any entry
-        entry = nearest.astype(np.int32)
+        np.copyto(entry, edge, casting="unsafe")
         if self._wraps:
             entry &= _DISTANCES - 1
         else:
             np.clip(entry, 0, self._last, out=entry)
-        np.add(entry, self._row, out=self._index)
+        np.add(entry, self._row[rows], out=index)
         # the index is in range: "clip" and "wrap" are the modes without a check before
-        np.take(self._entries, self._index, out=self._fetched, mode="wrap")
-        value, by_distance, by_phase, _ = cv2.split(
-            self._fetched.view(np.float32).reshape(*y.shape, 4), self._planes
-        )
-        at *= by_distance
-        at += value
+        np.take(self._entries, index, out=fetched, mode="wrap")
+        planes = [one[rows] for one in self._planes]
+        cv2.split(fetched.view(np.float32).reshape(*y.shape, 4), planes)
+        value, slope, by_phase, _ = planes
+        cv2.accumulateProduct(slope, at, value)
         if self._beside is not None:
-            by_phase *= self._beside
-            at += by_phase
-        return np.subtract(y, at, out=at)
+            cv2.accumulateProduct(by_phase, self._beside[rows], value)
+        return np.add(y, value, out=out)
 
     def gain(self, distance: Image) -> Image | None:
         """Return dd / dy (H, W) where ``distance`` was solved last; None where nothing changes noise."""
         if not self.terms:
             return None
         if not self._exact:
-            return np.float32(1.0) - self._planes[1] * self._scale
+            gain = self._planes[1] * self._scale
+            gain += np.float32(1.0)
+            return gain
         context, step = self._context, 1e-4
         up, down = (
             sum(one.term(d, d, context) for one in self.terms) for d in (distance + step, distance - step)
         )
         return np.asarray(1.0 / (1.0 + (up - down) / (2 * step)))
+
+
+def _copied(values: Image, out: Image | None) -> Image:
+    if out is None:
+        return values.copy()
+    if out is not values:
+        np.copyto(out, values)
+    return out
 
 
 class PlaneTable:
@@ -349,16 +389,25 @@ class PlaneTable:
             base -= bend * (knot - knots[0])
         self._first, self._last = np.float32(knots[0]), np.float32(knots[-1])
         self._base, self._slope = base.astype(np.float32), slope.astype(np.float32)
-        self._bends = [
-            (np.float32(knot), bend.astype(np.float32)) for knot, bend in zip(knots[1:], bends, strict=False)
-        ]
+        self._knots = np.array(knots[1:-1], np.float32)
+        self._bends = np.array(bends, np.float32).reshape(-1, *camera.shape)
 
     def term(self, distance: Image) -> Image:
         """Return the sum of the terms in metres at distances (H, W) in metres."""
+        if kernels.LIBRARY is not None:
+            return kernels.plane_table(
+                distance,
+                base=self._base,
+                slope=self._slope,
+                knots=self._knots,
+                bends=self._bends,
+                first=float(self._first),
+                last=float(self._last),
+            )
         held = np.clip(distance, self._first, self._last)
         total: Image = held * self._slope
         total += self._base
-        for knot, bend in self._bends:
+        for knot, bend in zip(self._knots, self._bends, strict=True):
             beside = held - knot
             np.abs(beside, out=beside)
             beside *= bend

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from rim_camera_ros.calibrate.run import Calibration
 from rim_camera_ros.camera_file import save_camera_apart
+from rim_camera_ros.errors import RimError
 from rim_camera_ros.info.text import several
 from rim_camera_ros.yaml_files import write_whole
 
@@ -26,6 +27,12 @@ def page_of(result: Calibration, *, title: str) -> tuple[bytes | None, list[str]
         # the work of minutes is not lost with its picture
         fault = f"{type(error).__name__}: {error}"
         return None, [f"no report was written: {fault} (this is a fault of the program: please report it)"]
+
+
+def require_a_good_one(result: Calibration, *, remedy: str) -> None:
+    """Raise `RimError` with the reasons where a calibration should not be used; nothing was written."""
+    if result.refused:
+        raise RimError(f"the calibration is refused: {'; '.join(result.refused)}", remedy=remedy)
 
 
 def write_calibration(

@@ -61,6 +61,10 @@ def accuracy_text(result: Calibration) -> str:
         ("corrected", f"{one.after * 1e3:.2f} mm RMS"),
         ("of which noise", f"{one.noise * 1e3:.2f} mm, reference instrument {one.reference * 1e3:.2f} mm"),
         ("systematic", f"{one.systematic * 1e3:.2f} mm"),
+        (
+            "beside offset and tilts of each pose",
+            f"{one.rigid_before * 1e3:.2f} mm before, {one.rigid_after * 1e3:.2f} mm RMS corrected",
+        ),
     ]
     table_ = result.integral_accuracy
     if table_ is not None and not result.integral:

@@ -142,16 +142,17 @@ def _amplitude_offset(camera: Camera, bands: _Bands, before: Camera | None) -> P
 
 def _incidence(camera: Camera, bands: _Bands, before: Camera | None) -> Panel:
     effect: Any = camera.effects["incidence_angle"]
-    gon = np.linspace(0.0, 80.0, _POINTS)
+    degrees = np.linspace(0.0, 72.0, _POINTS)
     curves = []
     for key in effect.polynomial:
 
         def shape(one: Camera, x: Array, key: float = key) -> Array:
             context = _context(one, integration_time=key)
-            return -np.asarray(_polynomial(one, context)(x))
+            # the polynomial is of gon
+            return -np.asarray(_polynomial(one, context)(x / 0.9))
 
-        curves.append(bands.curve(gon, shape, f"setting {row_name(key)}"))
-    return Panel("angle of incidence", "angle [gon]", "error [mm]", tuple(curves))
+        curves.append(bands.curve(degrees, shape, f"setting {row_name(key)}"))
+    return Panel("angle of incidence", "angle [deg]", "error [mm]", tuple(curves))
 
 
 def _polynomial(camera: Camera, context: Context) -> Callable[[Array], Array]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.optics import Optics
 from rim_camera_ros.photogrammetry import OpticsCovariance, estimate_optics, observe
 from rim_camera_ros.pipeline.simulate import Simulation
@@ -18,7 +19,10 @@ _SEED = 3200
 _SENSORS = (
     ("sr2", 160, 124, "table 2.2, app. A"),
     ("sr3000", 176, 144, "app. B, C"),
+    ("pmd768s", 32, 24, "table 2.3"),
+    ("pmd1ks2", 64, 16, "table 2.3"),
     ("pmd3ks", 64, 48, "table 2.3"),
+    ("pmd19k", 160, 120, "table 2.3"),
 )
 
 
@@ -97,6 +101,8 @@ def _optics_rows(laboratory: Laboratory, name: str) -> list[Row]:
     frames = (frame for _, frame in laboratory.frames(simulation, f"circle field, {name}"))
     observations = observe(frames, camera, scene)
     laboratory.progress(f"bundle adjustment, {name}")
+    if camera.sensor.pixel_pitch is None:
+        raise InputError("states no pixel_pitch", file=name, remedy="state sensor.pixel_pitch [m, m]")
     pitch = [1e3 * one for one in camera.sensor.pixel_pitch]
     columns, lines = camera.sensor.width, camera.sensor.height
     # approximate values as a data sheet gives them: an ideal lens of 8 mm, its axis in the middle

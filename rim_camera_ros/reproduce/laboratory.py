@@ -222,7 +222,7 @@ def plate(reflectivity: float = WHITE, *, size: tuple[float, float] | None = (1.
 
 def stations(
     surface: Surface,
-    placed: Sequence[tuple[int, ScenePose]],
+    placed: Sequence[tuple[float, ScenePose]],
     *,
     frames: int,
     uptime: float,

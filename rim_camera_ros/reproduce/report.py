@@ -9,13 +9,15 @@ from pathlib import PurePath
 from typing import Any
 
 from rim_camera_ros import __version__
-from rim_camera_ros.reports import html
+from rim_camera_ros.reports.page import Bullets, Figure, Folded, Mood, Part, Table, render
 from rim_camera_ros.reproduce.results import Picture, Row
 from rim_camera_ros.reproduce.run import Done
 
 FORMAT = "rim_reproduction/1"
 _HEADINGS = ("#", "quantity", "thesis", "ours", "deviation", "unit", "source")
 _WIDTH = 110
+#: Mark behind the deviation of a row that is outside its tolerance.
+OUTSIDE = " !"
 #: Columns of numbers, set to the right.
 _RIGHT = (0, 3, 4)
 _INTRODUCTION = (
@@ -28,7 +30,8 @@ _INTRODUCTION = (
     "reduction are consistent with it, not that a camera was measured; where the thesis prints nothing the "
     "files "
     "state an assumption. Modulation frequency and pixel pitch are taken as known, as in the thesis. "
-    "Deviations from a printed range are those from its nearer end."
+    "Deviations from a printed range are those from its nearer end. Angles are in gon, as in the thesis: "
+    "100 gon are 90 degrees."
 )
 
 
@@ -65,6 +68,8 @@ def _row(one: Done, row: Row) -> dict[str, Any]:
         "sigma": _finite(row.sigma),
         "deviation": _finite(row.deviation),
         "unit": row.unit,
+        "tolerance": _finite(row.tolerance),
+        "within_tolerance": row.within_tolerance,
         "how": row.how,
         "why": row.why,
     }
@@ -72,6 +77,26 @@ def _row(one: Done, row: Row) -> dict[str, Any]:
 
 def _finite(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
+
+
+def outside(done: Sequence[Done]) -> list[int]:
+    """Return the numbers of the rows that deviate by more than their tolerance."""
+    return [i for _, rows in numbered(done) for i, row in rows.items() if row.within_tolerance is False]
+
+
+def first_sentence(done: Sequence[Done]) -> str:
+    """Return how many rows are within tolerance, and what that is."""
+    rows = [row for one in done for row in one.outcome.rows]
+    compared = [row for row in rows if row.within_tolerance is not None]
+    within = sum(row.within_tolerance is True for row in compared)
+    words = (
+        f"{within} of {len(compared)} rows within tolerance: a tenth of the printed number, or two standard "
+        "deviations of ours"
+    )
+    absent = len(rows) - len(compared)
+    if absent:
+        words += f"; {absent} not reproduced"
+    return f"{words}."
 
 
 # --- text ------------------------------------------------------------------------------------------
@@ -101,7 +126,9 @@ def cells(number: int, row: Row) -> tuple[str, ...]:
         shown = "within"
     else:
         shown = f"{round(deviation, row.digits) + 0.0:+.{row.digits}f}"
-    return *lead, ours, shown, row.unit, row.source
+    # marked in every form of the report: colour alone would be lost in text
+    mark = OUTSIDE if row.within_tolerance is False else ""
+    return *lead, ours, shown + mark, row.unit, row.source
 
 
 def text_report(done: Sequence[Done]) -> str:
@@ -114,7 +141,7 @@ def text_report(done: Sequence[Done]) -> str:
         columns = enumerate(zip(row, widths, strict=True))
         return "  ".join(x.rjust(w) if i in _RIGHT else x.ljust(w) for i, (x, w) in columns).rstrip()
 
-    shown = [line(_HEADINGS)]
+    shown = [first_sentence(done), "Rows outside are marked with an exclamation mark.", "", line(_HEADINGS)]
     for one, rows in experiments:
         shown += ["", f"{one.experiment.title} [{one.experiment.name}]"]
         shown += [line(cells(i, row)) for i, row in rows.items()]
@@ -155,21 +182,30 @@ def file_name(picture: Picture) -> str:
 
 def html_page(done: Sequence[Done]) -> str:
     """Return the page that lies beside the pictures."""
-    parts = [html.paragraph(_INTRODUCTION)]
+    experiments = []
     for one, rows in numbered(done):
-        shown = [cells(i, row) for i, row in rows.items()]
-        content = [html.table(_HEADINGS, shown, numbers=_RIGHT), html.bullets(explanations(rows))]
-        for picture in one.outcome.pictures:
-            caption = html.text(f"{picture.title}: {picture.caption}")
-            content.append(
-                f'<figure><img alt="{caption}" src="{file_name(picture)}">'
-                f"<figcaption>{caption}</figcaption></figure>"
-            )
-        content += [
-            html.folded(table.title, html.table(table.headings, table.rows)) for table in one.outcome.tables
+        moods: dict[int, Mood] = {
+            i: "warn" for i, row in enumerate(rows.values()) if row.within_tolerance is False
+        }
+        parts: list[Part] = [
+            Table(_HEADINGS, [cells(i, row) for i, row in rows.items()], numbers=_RIGHT, moods=moods),
+            Bullets(explanations(rows)),
+            *(
+                Figure(file_name(picture), picture.title, f"{picture.title}: {picture.caption}")
+                for picture in one.outcome.pictures
+            ),
+            *(Folded(table.title, [Table(table.headings, table.rows)]) for table in one.outcome.tables),
         ]
-        parts.append(html.section(one.experiment.title, *content))
-    return html.page("Reproduction of the thesis", f"rim reproduce, version {__version__}", parts)
+        experiments.append((one.experiment.title, parts))
+    return render(
+        "reproduction",
+        title="Reproduction of the thesis",
+        under=f"rim reproduce, version {__version__}",
+        first=first_sentence(done),
+        mood="warn" if outside(done) else "good",
+        introduction=_INTRODUCTION,
+        experiments=experiments,
+    )
 
 
 def markdown_page(done: Sequence[Done], folder: PurePath, command: str) -> str:
@@ -178,6 +214,8 @@ def markdown_page(done: Sequence[Done], folder: PurePath, command: str) -> str:
         "# Reproduction of the thesis",
         "",
         f"<!-- Written by `{command}`; changes here are lost. -->",
+        "",
+        f"**{first_sentence(done)}** Rows outside are marked with an exclamation mark.",
         "",
         *textwrap.wrap(_INTRODUCTION, 140),
         "",

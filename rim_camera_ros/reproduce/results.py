@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 
 from rim_camera_ros.reports.figures import Map, Panel
 
+#: Share of a printed number, and standard deviations of ours, by which a row may deviate.
+SHARE, SIGMAS = 0.1, 2.0
+
 
 @dataclass(frozen=True)
 class Printed:
@@ -57,6 +60,25 @@ class Row:
         if self.ours is None or not math.isfinite(self.ours):
             return None
         return self.printed.deviation(self.ours)
+
+    @property
+    def tolerance(self) -> float:
+        """What ours may deviate in ``unit``: a tenth of what is printed, or twice its own sigma if greater.
+
+        Of a range or a bound the end that is nearer to ours counts.
+        """
+        near = (
+            self.printed.low if self.ours is not None and self.ours < self.printed.low else self.printed.high
+        )
+        share = SHARE * abs(near) if math.isfinite(near) else 0.0
+        return max(share, SIGMAS * (self.sigma or 0.0))
+
+    @property
+    def within_tolerance(self) -> bool | None:
+        """Whether ours is as near to what is printed as `tolerance`; None where it was not reproduced."""
+        if self.deviation is None:
+            return None
+        return bool(abs(self.deviation) <= self.tolerance * (1 + 1e-9))
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,15 @@ class Ground:
                 remedy="give an inclination at which it looks along the room",
             )
 
+    @classmethod
+    def below(cls, rotation: Rotation, position: Array) -> Ground:
+        """Return the floor below a camera, from how its optical frame lies in a frame on the floor (z up).
+
+        ``position`` (3,) in m. Raises `InputError` as the class does.
+        """
+        roll, pitch, _ = (rotation * _OPTICAL.inv()).as_euler("xyz")
+        return cls(height=float(position[2]), roll=float(roll), pitch=float(pitch))
+
     @property
     def rotation(self) -> Rotation:
         """Rotation of the optical frame in the floor's frame."""

@@ -156,7 +156,8 @@ def divided(one: Detection, positions: Array, *, body_radius: float) -> list[Det
     ]
 
 
-def _dbscan(cells: Array, areas: Array, settings: ClusterSettings) -> NDArray[np.int64]:
+def dbscan() -> Any:
+    """Return scikit-learn's DBSCAN, whose import takes two seconds; `RimError` where it is missing."""
     try:
         from sklearn.cluster import DBSCAN
     except ImportError:
@@ -164,8 +165,12 @@ def _dbscan(cells: Array, areas: Array, settings: ClusterSettings) -> NDArray[np
             "scikit-learn is not installed, moving points cannot be clustered",
             remedy="sudo apt install python3-sklearn, or pip install 'rim_camera_ros[diagnosis]'",
         ) from None
+    return DBSCAN
+
+
+def _dbscan(cells: Array, areas: Array, settings: ClusterSettings) -> NDArray[np.int64]:
     weights = areas / (0.1 * settings.minimum_area)
-    result: NDArray[np.int64] = DBSCAN(eps=settings.reach, min_samples=1).fit_predict(
+    result: NDArray[np.int64] = dbscan()(eps=settings.reach, min_samples=1).fit_predict(
         cells, sample_weight=weights
     )
     return result

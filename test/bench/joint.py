@@ -58,7 +58,13 @@ class Work:
 def work(samples: int = 1_000_000) -> Work:
     """Return ``samples`` distances of a plane at `POSES` poses, each told with the instrument's errors."""
     camera = Camera(
-        sensor=Sensor(WIDTH, HEIGHT, (160e-6, 160e-6), 20e6, distance_lsb=1e-6),
+        sensor=Sensor(
+            width=WIDTH,
+            height=HEIGHT,
+            modulation_frequency=20e6,
+            pixel_pitch=(160e-6, 160e-6),
+            distance_lsb=1e-6,
+        ),
         optics=Optics(fx=50.0, fy=50.0, cx=21.7, cy=17.4),
         noise=Noise(floor=SIGMA, shot=0.0, amplitude=0.0),
         minimum_amplitude=0.0,
@@ -87,7 +93,7 @@ def work(samples: int = 1_000_000) -> Work:
                     pose_stamps={"board": 1 + k * 10**10},
                 )
             )
-    surface = Surface("board", "plane", "truth", pose_sigma=POSE_SIGMA)
+    surface = Surface("board", "plane", "truth", pose_sigma=POSE_SIGMA, pose_common=0.0)
     return Work(camera, frames, Scene((surface,)))
 
 

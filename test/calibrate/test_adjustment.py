@@ -15,7 +15,7 @@ from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
 from rim_camera_ros.calibrate.library import candidates
-from rim_camera_ros.calibrate.nulls import null_scores
+from rim_camera_ros.calibrate.nulls import IMPERFECTIONS, null_scores
 from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.calibrate.selection import Scores, folds_of
@@ -125,7 +125,8 @@ def test_hidden_parameters_come_back_within_their_sigma(tmp_path: Path) -> None:
     assert max(abs(e) for e in errors.values()) < 4.0, errors
     assert np.sqrt(np.mean(np.square(list(errors.values())))) == pytest.approx(1.0, abs=0.5)
     chi_square, rows = Scores(result.equations, range(len(result.parameters))).chi_square(held_out=True)
-    assert chi_square / rows == pytest.approx(1.0, abs=0.02)
+    # simulated amplitudes are better than the percent to which any amplitude is predicted
+    assert 0.85 < chi_square / rows < 1.02
 
 
 def test_nothing_is_found_where_nothing_is_missing(tmp_path: Path) -> None:
@@ -166,9 +167,14 @@ def test_replicates_have_the_covariance_that_they_claim(tmp_path: Path) -> None:
     facts = Facts.of(data, moves=False, surfaces=1, camera=truth)
     step = explore(Problem(data, board), truth, candidates(truth, facts), folds_of(data), replicates=0)
     nulls = null_scores(step.fit.equations, step.scores.base, replicates=400, seed=2)
-    claimed = np.diag(nulls.full.gram)
+    gram = nulls.full.gram
+    # ... and what all poses share beside the noise: errors of reflectivities, poses, optics, a weak lobe
+    common = [i for i, one in enumerate(nulls.regressors) if one.label.startswith(IMPERFECTIONS)]
+    assert len(common) > 10
+    claimed = np.diag(gram) + np.sum((gram[:, common] * nulls.prior[common]) ** 2, axis=1)
     # replicates draw no fixed pattern: what is the same in every frame but for a hundredth is not compared
     raw = sum(np.diag(fold.gram)[: len(claimed)] for fold in step.fit.equations.folds)
+    assert raw.shape == claimed.shape
     usable = (claimed > 0.01 * raw) & (claimed * nulls.prior**2 > 1)
     assert usable.sum() > 30
     spread = nulls.full.right.std(axis=1)[usable] / np.sqrt(claimed[usable])

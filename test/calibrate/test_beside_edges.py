@@ -72,7 +72,8 @@ def test_the_footprint_of_a_pixel_is_found_by_the_pixels_that_edges_cross(
     mixed = result.camera.effects["mixed_pixels"]
     assert isinstance(mixed, MixedPixels)
     assert mixed.footprint == pytest.approx(width, abs=0.06)
-    assert result.gained > result.found[0].gain
+    # what it gains is of the pixels beside edges, and nothing else gained
+    assert result.gained == pytest.approx(result.found[0].gain, rel=0.05)
     assert mixed.blur == 0.0
     # cells of a tenth of a pixel leave side and share some play; their product is the light that crosses
     assert mixed.share is not None
@@ -113,4 +114,5 @@ def test_neither_errors_of_poses_nor_stray_light_are_a_footprint(tmp_path: Path,
     data = record(true, before, poses=16, frames=2, seed=5, wrong=3.0 if not weight else 1.0)
     facts = Facts.of(data, moves=False, surfaces=2, camera=told)
     result = search(Problem(data, before), told, facts)
-    assert [one.effect for one in result.found] == (["scattering"] if weight else [])
+    at_edges = [one.effect for one in result.found if one.effect in ("scattering", "mixed_pixels")]
+    assert at_edges == (["scattering"] if weight else [])

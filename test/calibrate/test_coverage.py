@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -15,6 +16,7 @@ from rim_camera_ros.calibrate.joint import exactly
 from rim_camera_ros.calibrate.noise_fit import fit_noise
 from rim_camera_ros.calibrate.pixels import usable_pixels
 from rim_camera_ros.calibrate.problem import Problem
+from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_effects
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
@@ -23,9 +25,11 @@ from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.effects.warm_up_drift import Exponential, WarmUpDrift
-from rim_camera_ros.parameters import ArrayFile
+from rim_camera_ros.frame import Pose
+from rim_camera_ros.parameters import ArrayFile, NestedList
+from rim_camera_ros.scene import Scene, quaternion, rotation_matrix
 
-from .helpers import camera, record, scene
+from .helpers import POSE_SIGMA, camera, record, scene
 
 EFFECTS = ("scattering", "cyclic_error", "amplitude_offset", "warm_up_drift")
 
@@ -66,12 +70,41 @@ def told_effects() -> list[Effect]:
     ]
 
 
+def with_imperfect_reflectivities(board: Scene, rng: np.random.Generator) -> Scene:
+    """The board as it is: every tile reflects otherwise than its file says, by 1 sigma of 10 %."""
+    surface = board.surfaces[0]
+    assert surface.texture is not None
+    stated = surface.texture.values.values
+    values = np.clip(stated * np.exp(0.1 * rng.standard_normal(stated.shape)), 0.01, 1.0)
+    texture = replace(surface.texture, values=NestedList(values))
+    return replace(board, surfaces=(replace(surface, texture=texture),))
+
+
+def with_imperfections(data: Dataset, rng: np.random.Generator) -> Dataset:
+    """The recording with gains of pixels of 2 %, and half of the variance of pose errors in all poses."""
+    gains = np.exp(0.02 * rng.standard_normal(data.stations[0].amplitude.shape))
+    offset, *tilts = np.sqrt(0.5) * rng.standard_normal(3) * np.array([POSE_SIGMA[0], *(POSE_SIGMA[1],) * 2])
+    turn = rotation_matrix((tilts[0] / 2, tilts[1] / 2, 0.0, 1.0))
+    stations = []
+    for one in data.stations:
+        pose = one.truth["board"]
+        rotation = rotation_matrix(pose.orientation)
+        position = np.array(pose.position) + offset * rotation[:, 2]
+        x, y, z = position.tolist()
+        wrong = Pose((x, y, z), quaternion(rotation @ turn))
+        stations.append(replace(one, amplitude=one.amplitude * gains, truth={"board": wrong}))
+    return replace(data, stations=stations)
+
+
 def calibrated(folder: Path, seed: int) -> tuple[dict[str, float], float]:
     """Return how many sigma each parameter is off, and chi-square per value of held-out poses."""
     rng = np.random.default_rng([seed, 77])
     truth: Camera = camera(folder, *drawn_effects(rng))
     board = scene(folder)
-    dataset = record(truth, board, poses=24, frames=4, seed=seed)
+    recorded = record(
+        truth, with_imperfect_reflectivities(board, rng), poses=24, frames=4, seed=seed, wrong=np.sqrt(0.5)
+    )
+    dataset = with_imperfections(recorded, rng)
     start = with_effects(truth, {one.name: one for one in told_effects()})
     noise = fit_noise(dataset, start)
     assert noise is not None
@@ -104,7 +137,10 @@ def test_two_calibrations_with_drawn_parameters(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_intervals_cover(tmp_path: Path) -> None:
-    """95 % intervals hold in 93-97 % of all cases, and for no parameter in fewer than 89 %."""
+    """95 % intervals hold in 93-99 % of all cases, and for no parameter in fewer than 89 %.
+
+    They are wide: errors of single poses keep their stated sigma beside the share that all poses have.
+    """
     runs = 200
     inside: dict[str, list[bool]] = {}
     chi_squares = []
@@ -120,6 +156,6 @@ def test_intervals_cover(tmp_path: Path) -> None:
     for path, value in sorted(worst.items(), key=lambda one: one[1]):
         low, high = binomtest(sum(inside[path]), len(inside[path])).proportion_ci(method="wilson")
         print(f"  {value:.3f} [{low:.3f}, {high:.3f}] of {len(inside[path])}  {path}")
-    assert 0.93 <= share <= 0.97
+    assert 0.93 <= share <= 0.99
     assert min(worst.values()) >= 0.89
     assert np.mean(chi_squares) < 1.05

@@ -158,9 +158,9 @@ def test_what_a_wrong_form_leaves_is_no_further_effect(tmp_path: Path) -> None:
     equations = further_equations(fitted, blocks, folds, problem)
     alone = explored(further_equations(fitted, blocks[:2], folds, problem), named, replicates=0)
     beside = explored(equations, named, forms=forms, replicates=0)
-    assert alone.gains[0] > 100
+    assert alone.gains[0] > 50
     assert beside.gains[0] < 0.1 * alone.gains[0]
-    assert alone.gains[1] > 100
+    assert alone.gains[1] > 50
     assert beside.gains[1] > 0.7 * alone.gains[1]
 
 

@@ -97,6 +97,29 @@ def test_a_calibration_by_every_second_pixel(tmp_path: Path) -> None:
     assert region[3] > 25
 
 
+@pytest.mark.usefixtures("many")
+def test_a_search_is_by_every_second_pixel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 512 x 424 pixels it did not end in twelve minutes; stray light that it finds is stated for all."""
+    monkeypatch.setattr(coarser, "_COARSE_PIXELS", 500)
+    start = given(tmp_path, cyclic=0.009, a=15.0)
+    true = given(tmp_path, cyclic=0.013, a=15.0)
+    true = with_effects(true, {**true.effects, "scattering": Scattering((Kernel(0.08, (6.0, 6.0)),))})
+    bag = write(tmp_path / "bag", frames(true, scene(tmp_path), seed=3))
+    found = calibrate(Request((bag,), start, scene(tmp_path)), integral=False)
+    assert any("fitted to one of 2 x 2 pixels" in note for note in found.notes)
+    assert found.camera.shape == (36, 44)
+    assert found.found == ["scattering"]
+    path = "effects.cyclic_error.harmonics.0.amplitude"
+    harmonic = found.camera.effects["cyclic_error"].harmonics[0]  # type: ignore[attr-defined]
+    assert harmonic.amplitude == pytest.approx(0.013, abs=4 * found.sigma[path])
+    kernels = found.camera.effects["scattering"].kernels  # type: ignore[attr-defined]
+    # beside it there may be a wide one of less than a hundredth
+    strongest = max(kernels, key=lambda one: one.weight)
+    assert strongest.weight == pytest.approx(0.08, rel=0.1)
+    # on the grid that was fitted it is 3 px wide
+    assert strongest.sigma == pytest.approx((6.0, 6.0), rel=0.1)
+
+
 def test_what_is_stated_for_the_coarser_grid_is_restated(tmp_path: Path) -> None:
     own, board = given(tmp_path, cyclic=0.01, a=9.0), scene(tmp_path)
     dataset = record(own, board, poses=2, frames=1)
@@ -107,6 +130,9 @@ def test_what_is_stated_for_the_coarser_grid_is_restated(tmp_path: Path) -> None
     paths = ["effects.cyclic_error.gradient.1", "effects.cyclic_error.harmonics.0.amplitude"]
     matrix = large.covariance(paths, np.array([[9.0, 6.0], [6.0, 5.0]]))
     np.testing.assert_allclose(matrix, [[1.0, 2.0], [2.0, 5.0]])
+    paths = ["effects.scattering.kernels.0.sigma.1", "effects.scattering.kernels.0.weight"]
+    wider = large.covariance([*paths, "effects.mixed_pixels.blur"], np.diag([4.0, 0.5, 0.01]))
+    np.testing.assert_allclose(np.diag(wider), [36.0, 0.5, 0.09])
     # pixel 7 stands for 6 to 8; the last one that is looked at for the rim as well
     assert own.shape == (36, 44)
     assert large.validity(Validity(region=(2.0, 1.0, 9.0, 5.0))).region == (6.0, 3.0, 29.0, 17.0)

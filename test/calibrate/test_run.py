@@ -218,7 +218,8 @@ def test_effects_that_are_not_asked_for_stay(folder: Path, bag: Path, given: Cam
     said = {one.effect: one.text for one in found.statuses}
     assert said["cyclic_error"] == "as in the file: not among --effects"
     assert found.chi_square is not None
-    assert found.chi_square > 1.1  # the cyclic error of the file is not the true one
+    # the cyclic error of the file is not the true one: with the true one it is 0.97
+    assert found.chi_square > 1.02
 
 
 def test_a_smooth_function_of_amplitude(folder: Path, bag: Path, given: Camera, truth: Camera) -> None:

@@ -12,20 +12,21 @@ import pytest
 
 from rim_camera_ros.calibrate import search_steps
 from rim_camera_ros.calibrate.candidate import Facts, without_idle_halos
+from rim_camera_ros.calibrate.entry import Found, curve_of_forms, paired_error
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.gauss_newton import settled_after
 from rim_camera_ros.calibrate.leaders import (
-    AS_REST,
+    NOT_IN_ALL_POSES,
     NOT_IN_TIME,
     ONCE_FITTED,
     Refused,
+    discrepancy,
     refused,
     smooth_says_more,
     what_it_became,
 )
 from rim_camera_ros.calibrate.library import candidates
-from rim_camera_ros.calibrate.needs import Found, needed
 from rim_camera_ros.calibrate.outcome import Trial, as_good
 from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.reduction import reduce_frames
@@ -33,7 +34,7 @@ from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.calibrate.search_steps import Search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import contribution, effect_size
-from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
+from rim_camera_ros.calibrate.views import NEAR
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
@@ -100,7 +101,7 @@ def test_stray_light_within_its_pixel_is_two_surfaces_in_a_pixel(
         best=lambda: {"scattering": 4, "mixed_pixels": 7},
         candidates={k: SimpleNamespace(effect=name) for k, name in effects.items()},
     )
-    assert what_it_became(alone, (4,), step, [], fitted) == became
+    assert what_it_became(alone, (4,), step, fitted) == became
 
 
 def test_halos_without_light_are_left_out(tmp_path: Path) -> None:
@@ -124,8 +125,8 @@ def test_stray_light_of_one_halo_is_found_as_such(tmp_path: Path) -> None:
     effect = search(problem, told, facts, effects=["scattering"], most=1).camera.effects["scattering"]
     assert isinstance(effect, Scattering)
     (kernel,) = effect.kernels
-    assert kernel.weight == pytest.approx(0.03, rel=0.03)
-    assert kernel.sigma == pytest.approx((5.0, 6.0), rel=0.05)
+    assert kernel.weight == pytest.approx(0.03, rel=0.06)
+    assert kernel.sigma == pytest.approx((5.0, 6.0), rel=0.12)
 
 
 def test_effects_that_would_gain_and_were_not_added_are_told_with_the_reason() -> None:
@@ -133,27 +134,73 @@ def test_effects_that_would_gain_and_were_not_added_are_told_with_the_reason() -
     step: Any = SimpleNamespace(
         best=lambda: {name: k for k, name in enumerate(names)},
         gains=np.array([400.0, 30.0, 5.0, 60.0]),
-        thresholds=np.full(4, 8.0),
-        candidates=[SimpleNamespace(effect=name) for name in names],
-        named=4,
-        fit=SimpleNamespace(camera=SimpleNamespace(effects={})),
-        unexplained=0.0,
+        thresholds=np.array([9.0, 8.0, 8.0, 8.0]),
     )
-    found = [Found("cyclic_error", 10_000.0)]
-    # of the kind of a cyclic error 5 %, else 0.15 %; noise is not told, nor what could still be added
-    assert refused(step, found, {"scattering": ONCE_FITTED}) == [
-        Refused("emitter_offset", 400.0, 500.0, AS_REST),
-        Refused("scattering", 30.0, 15.0, ONCE_FITTED),
+    failed = {"emitter_offset": NOT_IN_ALL_POSES, "scattering": ONCE_FITTED, "warm_up_drift": NOT_IN_TIME}
+    # noise is not mentioned, nor what could still be added
+    assert refused(step, [Found("cyclic_error", 10_000.0)], failed) == [
+        Refused("emitter_offset", 400.0, 9.0, NOT_IN_ALL_POSES),
+        Refused("scattering", 30.0, 8.0, ONCE_FITTED),
     ]
-    assert refused(step, [], {"scattering": ONCE_FITTED}) == []
+    assert refused(step, [], failed) == []
 
 
-def test_terms_of_the_distance_are_judged_at_the_same_noise(tmp_path: Path) -> None:
+def test_the_standard_error_of_a_gain_is_paired_over_folds_of_poses() -> None:
+    """Differences 10, 30, 20, 0, 40: with a standard deviation of sqrt(250), summed over five folds."""
+    before = [100.0, 900.0, -400.0, 0.0, 7.0]
+    after = [110.0, 930.0, -380.0, 0.0, 47.0]
+    assert paired_error(after, before) == pytest.approx(np.sqrt(5 * 250.0))
+    assert paired_error(after, [one - 3.0 for one in after]) == pytest.approx(0.0)
+    assert paired_error([5.0], [1.0]) == 0.0
+
+
+def curves(gains: dict[str, float], named: list[float]) -> Any:
+    """An exploration of a cyclic error found: what candidates and smooth functions would gain."""
+    variants = [*(["named"] * len(named)), *gains]
+    every = np.array([*named, *gains.values()])
+    return SimpleNamespace(
+        fit=SimpleNamespace(camera=SimpleNamespace(effects={"cyclic_error": CYCLIC})),
+        candidates=[
+            SimpleNamespace(variant=one, effect="named" if one == "named" else "unknown") for one in variants
+        ],
+        named=len(named),
+        gains=every,
+        thresholds=np.full(len(variants), 8.0),
+        joint=lambda k: float(every[k]),
+    )
+
+
+@pytest.mark.parametrize(
+    ("gains", "named", "expected"),
+    [
+        ({"incidence": 900.0, "distance": 60.0}, [50.0, 20.0], 3),  # incidence is none of its covariates
+        ({"distance": 60.0}, [61.0], None),  # the simpler explanation
+        ({"distance": 7.0}, [3.0], None),  # within chance
+        ({"incidence": 900.0}, [50.0], None),
+        ({"distance": 60.0}, [], 0),
+    ],
+)
+def test_a_curve_enters_where_it_says_more_than_candidates(
+    gains: dict[str, float], named: list[float], expected: int | None
+) -> None:
+    step = curves(gains, named)
+    assert discrepancy(step, [Found("cyclic_error", 500.0)], set()) == expected
+    assert discrepancy(step, [], set()) is None
+
+
+def test_the_best_curve_is_that_of_an_own_covariate() -> None:
+    step = curves({"incidence": 900.0, "distance": 60.0}, [50.0])
+    assert curve_of_forms(step, [Found("cyclic_error", 500.0)]) == (60.0, 2)
+    assert curve_of_forms(step, [Found("scattering", 500.0)]) is None
+
+
+def test_other_effects_are_judged_at_the_same_noise(tmp_path: Path) -> None:
+    """How well amplitudes are predicted is estimated anew only where parameters alone differ."""
     plain = camera(tmp_path)
     assert settled_after(plain, camera(tmp_path, CYCLIC, DistanceScale(0.01))) < 0
-    assert settled_after(plain, plain) < settled_after(
-        plain, camera(tmp_path, CYCLIC, Scattering((Kernel(0.1, (9.0, 9.0)),)))
-    )
+    assert settled_after(plain, camera(tmp_path, CYCLIC, Scattering((Kernel(0.1, (9.0, 9.0)),)))) < 0
+    assert settled_after(plain, plain) > 0
+    assert settled_after(camera(tmp_path, DistanceScale(0.01)), camera(tmp_path, DistanceScale(0.02))) > 0
 
 
 def frames_of(light: np.ndarray, jitter: np.ndarray, common: np.ndarray, seed: int) -> list[RawFrame]:
@@ -199,6 +246,7 @@ def test_what_is_in_proportion_to_the_light_is_no_second_camera(tmp_path: Path) 
 def test_mixed_pixels_count_by_their_amplitudes_where_one_surface_keeps_the_distance(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, MixedPixels(blur=0.33)), scene(tmp_path)
     forward = Forward(record(truth, board, poses=6, frames=1, seed=5), board, truth)
+    forward.margins = NEAR
     fitted: Any = SimpleNamespace(forward=forward)
     moved = np.concatenate(
         [np.abs(contribution(one, "mixed_pixels", truth)[one.used]) for one in forward.predictions()]
@@ -207,13 +255,21 @@ def test_mixed_pixels_count_by_their_amplitudes_where_one_surface_keeps_the_dist
     assert effect_size(fitted, ["mixed_pixels"], truth) > 0.004
 
 
-def test_effects_as_good_as_the_best() -> None:
-    """Each alone explains nine tenths of what the best does, or does not."""
-    best: Any = SimpleNamespace(effects=["incidence_angle"], likelihood=1100.0)
-    alone = {"incidence_angle": 1100.0, "distance_scale": 1091.0, "lens_distortion": 1089.0}
-    assert as_good(alone, best, 1000.0) == ["distance_scale"]
-    pair: Any = SimpleNamespace(effects=["incidence_angle", "cyclic_error"], likelihood=1100.0)
-    assert as_good(alone, pair, 1000.0) == []
+def trial(effects: list[str], by_fold: list[float]) -> Trial:
+    nothing: Any = None
+    scores = SimpleNamespace(log_likelihoods=lambda: by_fold)
+    fitted: Any = SimpleNamespace(scores=scores)
+    return Trial(effects, nothing, fitted, sum(by_fold))
+
+
+def test_effects_as_good_as_the_best_are_those_of_which_poses_do_not_agree() -> None:
+    """Better by 15 of a standard error of sqrt(5 * 250) = 35, or by 100 everywhere."""
+    best = trial(["incidence_angle"], [100.0, 100.0, 100.0, 100.0, 100.0])
+    unsure = trial(["distance_scale"], [117.0, 77.0, 97.0, 107.0, 87.0])
+    worse = trial(["lens_distortion"], [97.0, 57.0, 77.0, 87.0, 67.0])
+    alone = {one.effects[0]: one for one in (best, unsure, worse)}
+    assert as_good(alone, best) == ["distance_scale"]
+    assert as_good(alone, trial(["incidence_angle", "cyclic_error"], [100.0] * 5)) == []
 
 
 @pytest.mark.parametrize(("became", "close"), [(None, ["scattering"]), ((1,), [])])
@@ -221,45 +277,18 @@ def test_what_became_another_effect_is_no_rival_of_it(
     monkeypatch: pytest.MonkeyPatch, became: tuple[int, ...] | None, close: list[str]
 ) -> None:
     """Stray light that was fitted within its own pixel is two surfaces in a pixel, not as good as they."""
-    names, likelihoods = ["scattering", "mixed_pixels"], [95.0, 100.0]
+    names = ["scattering", "mixed_pixels"]
     step: Any = SimpleNamespace(scores=SimpleNamespace(log_likelihood=lambda: 0.0))
     nothing: Any = None
+    by_fold = [[10.0, 40.0, 20.0, 25.0], [25.0, 25.0, 25.0, 25.0]]
     monkeypatch.setattr(search_steps, "near_rivals", lambda *_: [(1,)])
     monkeypatch.setattr(
         search_steps, "what_it_became", lambda _, choice, *__: became if choice == (0,) else None
     )
-    monkeypatch.setattr(
-        Search, "_trial", lambda _, one, **__: Trial([names[one[0]]], nothing, nothing, likelihoods[one[0]])
-    )
+    monkeypatch.setattr(Search, "_trial", lambda _, one, **__: trial([names[one[0]]], by_fold[one[0]]))
     monkeypatch.setattr(search_steps, "few_stations", lambda *_, **__: None)
     best, others = Search(nothing, nothing, [step], {})._best_trial((0,), 0)
     assert (best.effects, others) == (["mixed_pixels"], close)
-
-
-@pytest.mark.parametrize(
-    ("before", "effect", "asked"),
-    [
-        ("warm_up_drift", "mixed_pixels", 8.0),
-        ("incidence_angle", "mixed_pixels", 8.0),
-        ("motion", "mixed_pixels", 15.0),
-        ("scattering", "mixed_pixels", 500.0),
-        ("incidence_angle", "scattering", 15.0),
-        ("scattering", "footprint", 8.0),
-    ],
-)
-def test_only_what_acts_at_edges_raises_what_mixed_pixels_must_gain(
-    before: str, effect: str, asked: float
-) -> None:
-    """0.15 % of what was found gained, 5 % of one of its kind."""
-    variant = "0.5 px"
-    if effect == "footprint":
-        effect, variant = "mixed_pixels", "footprint 0.6 px"
-    step: Any = SimpleNamespace(
-        candidates=[SimpleNamespace(effect=effect, variant=variant)],
-        thresholds=np.full(1, 8.0),
-        unexplained=0.0,
-    )
-    assert needed(step, 0, [Found(before, 10_000.0)]) == pytest.approx(asked)
 
 
 @pytest.mark.parametrize(("scale", "kept"), [(0.0, False), (0.01, True)])
@@ -296,20 +325,6 @@ def test_a_member_of_a_pair_that_moves_nothing_does_not_join(tmp_path: Path) -> 
     assert trial.effects == ["cyclic_error"]
 
 
-def test_once_a_distance_term_joined_amplitudes_count_for_the_next_step(tmp_path: Path) -> None:
-    """Poses that turned to follow it had spoilt what is predicted of amplitudes; they are exact here."""
-    truth, board = (
-        camera(tmp_path, AmplitudeOffset({t: Hyperbola(40.0, 2.0) for t in (16.0, 60.0, 100.0)})),
-        scene(tmp_path),
-    )
-    data = record(truth, board, seed=7)
-    facts = Facts.of(data, moves=False, surfaces=1, camera=truth)
-    result = search(Problem(data, board), camera(tmp_path), facts, effects=["amplitude_offset"])
-    assert [one.effect for one in result.found] == ["amplitude_offset"]
-    before, after = (one.fit.forward.amplitude_model.tau for one in result.explorations)
-    assert after < 0.5 * before
-
-
 def test_unmodulated_light_of_a_moving_camera_is_a_share_of_the_modulated(tmp_path: Path) -> None:
     """A (A) + b (A + B) = interval (A + share B): 1.5 + 2.5 ms of which 2.5 with the unmodulated light."""
     model = camera(tmp_path)
@@ -329,14 +344,13 @@ def test_a_drift_beside_other_effects_must_follow_time(
     monkeypatch: pytest.MonkeyPatch, follows: bool
 ) -> None:
     monkeypatch.setattr("rim_camera_ros.calibrate.search_steps.effect_size", lambda *_: 0.01)
-    monkeypatch.setattr("rim_camera_ros.calibrate.search_steps.least_size", lambda *_: 0.0005)
     monkeypatch.setattr(Search, "_follows_time", lambda self, trial, name: follows)
     nothing: Any = None
     state = Search(nothing, nothing, [nothing], {}, found=[Found("cyclic_error", 900.0)])
 
     def why_not(*effects: str) -> str | None:
         trial: Any = SimpleNamespace(effects=effects, fitted=SimpleNamespace(fit=None))
-        return state._why_not(trial, 100.0, 30.0)
+        return state._why_not(trial, 100.0, 20.0, 30.0)
 
     refusal = None if follows else NOT_IN_TIME
     assert why_not("warm_up_drift") == why_not("scattering", "ambient_temperature") == refusal

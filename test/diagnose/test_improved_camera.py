@@ -80,7 +80,7 @@ def test_against_a_simulation_that_is_a_recording(folder: Path, name: str, verdi
     report = json.loads((out / "report.json").read_text())
     assert report["verdict"] == verdict
     assert [one["effect"] for one in report["missing"]] == ["cyclic_error"] * (name == "known")
-    assert report["fit"]["chi2_after"] == pytest.approx(1.0, abs=0.06)
+    assert 0.8 < report["fit"]["chi2_after"] < 1.06
     alone = json.loads((folder / "out" / "report.json").read_text())["fit"]["noise_floor"]
     assert report["fit"]["noise_floor"] == pytest.approx(np.sqrt(2) * alone, rel=0.01)
     assert report["variance_ratio"] == pytest.approx(1.0, abs=0.06)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.leaders import AS_REST, NOT_ELSEWHERE, Refused
-from rim_camera_ros.calibrate.needs import Found, needed, own_covariates
+from rim_camera_ros.calibrate.entry import Found, own_covariates
+from rim_camera_ros.calibrate.leaders import NOT_ELSEWHERE, NOT_IN_ALL_POSES, Refused
 from rim_camera_ros.diagnose import setup
 from rim_camera_ros.diagnose.accuracy import Accuracy
 from rim_camera_ros.diagnose.described import is_unknown
@@ -28,7 +28,6 @@ from rim_camera_ros.diagnose.setup import PoseCheck
 from rim_camera_ros.diagnose.variance import Variance, VarianceBin
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
-from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.incidence_angle import IncidenceAngle
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.noise import Noise
@@ -90,7 +89,7 @@ def test_a_form_that_is_not_quite_true_is_no_unknown_physics(
     final: Any = SimpleNamespace(
         fit=SimpleNamespace(camera=camera(tmp_path, HYPERBOLA)),
         candidates=[SimpleNamespace(variant=name) for name in ["amplitude", *names]],
-        gains=np.array([900.0, *gains.values()]),  # a candidate of the vocabulary stands first
+        joint=lambda k: [900.0, *gains.values()][k],  # a candidate of the vocabulary stands first
         named=1,
     )
     result: Any = SimpleNamespace(found=[Found(name, 1000.0) for name in found])
@@ -98,30 +97,6 @@ def test_a_form_that_is_not_quite_true_is_no_unknown_physics(
     assert is_unknown(rest, 1000.0, final, result) is unknown
     fine: Any = SimpleNamespace(on_top=gains["distance"], threshold=20.0, fine=object())
     assert is_unknown(fine, 1000.0, final, result) is (gains["distance"] > 150.0)
-
-
-def judged(*names: str, unexplained: float = 0.0) -> Any:
-    return SimpleNamespace(
-        candidates=[SimpleNamespace(effect=name) for name in names],
-        thresholds=np.full(len(names), 8.0),
-        unexplained=unexplained,
-    )
-
-
-def test_a_second_drift_must_gain_a_good_part_of_the_first() -> None:
-    step = judged("warm_up_drift", "incidence_angle")
-    first = Found("ambient_temperature", 520.0)
-    assert needed(step, 0, [first]) == pytest.approx(130.0)
-    assert needed(step, 1, [first]) == 8.0
-    assert needed(step, 0, [replace(first, effect="cyclic_error")]) == 8.0
-
-
-def test_what_is_a_hundredth_of_what_stays_unexplained_is_no_further_effect() -> None:
-    step = judged("emitter_offset", "warm_up_drift", unexplained=70_000.0)
-    first = Found("mixed_pixels", 6900.0)
-    assert needed(step, 0, [first]) == pytest.approx(700.0)
-    assert needed(step, 1, [first]) == 8.0  # whole poses: their errors limit what it gains
-    assert needed(step, 0, []) == 8.0
 
 
 @pytest.mark.parametrize(
@@ -238,47 +213,6 @@ def test_noise_lifts_dark_amplitudes(names: list[str], gained: float, ratio: flo
     assert only_rectified_noise(result, variance(ratio)) is only
 
 
-def test_a_third_effect_says_more_than_a_function_of_what_the_first_two_depend_on(tmp_path: Path) -> None:
-    names = ["distance_scale", "warm_up_drift", "lens_distortion"]
-    step: Any = SimpleNamespace(
-        fit=SimpleNamespace(camera=camera(tmp_path, HYPERBOLA)),
-        candidates=[
-            *(SimpleNamespace(effect=name, variant="") for name in names),
-            *(SimpleNamespace(effect="unknown", variant=name) for name in ("amplitude", "distance")),
-        ],
-        gains=np.array([36.0, 36.0, 36.0, 42.0, 90.0]),
-        thresholds=np.full(5, 8.0),
-        named=3,
-        unexplained=0.0,
-    )
-    both = [Found("amplitude_offset", 7400.0), Found("incidence_angle", 130.0)]
-    assert needed(step, 0, both) == 42.0
-    assert needed(step, 1, both) == 8.0  # errors of poses limit what it gains, no form of the others
-    assert needed(step, 2, both[:1]) == pytest.approx(0.0015 * 7400.0)
-    # amplitude falls with distance: what a form in it leaves looks like a scale of distance already after one
-    assert needed(step, 0, both[:1]) == 42.0
-
-
-@pytest.mark.parametrize(("curve", "asked"), [(3000.0, 900.0), (100.0, 30.0), (5.0, 27.0)])
-def test_a_scale_is_a_good_part_of_what_a_curve_of_the_distance_says(
-    tmp_path: Path, curve: float, asked: float
-) -> None:
-    """Beside a cyclic error, whose other form leaves what changes with distance."""
-    step: Any = SimpleNamespace(
-        fit=SimpleNamespace(camera=camera(tmp_path, CyclicError((Harmonic(4, 0.02, 0.7),)))),
-        candidates=[
-            SimpleNamespace(effect="distance_scale", variant=""),
-            SimpleNamespace(effect="unknown", variant="distance"),
-        ],
-        gains=np.array([300.0, curve]),
-        thresholds=np.full(2, 8.0),
-        named=1,
-        unexplained=0.0,
-    )
-    assert needed(step, 0, [Found("cyclic_error", 18_000.0)]) == pytest.approx(asked)
-    assert needed(step, 0, []) == 8.0
-
-
 @pytest.mark.parametrize(
     ("rms", "chi2", "held_out", "note"),
     [
@@ -303,14 +237,15 @@ def test_what_got_worse_is_said(
 
 def test_a_note_for_each_reason_tells_what_was_not_added() -> None:
     refused = [
-        Refused("emitter_offset", 2381.4, 5440.0, AS_REST),
-        Refused("scattering", 97.0, 163.0, NOT_ELSEWHERE),
-        Refused("radiometry", 60.0, 163.0, AS_REST),
+        Refused("emitter_offset", 2381.4, 54.0, NOT_IN_ALL_POSES),
+        Refused("scattering", 97.0, 16.0, NOT_ELSEWHERE),
+        Refused("radiometry", 60.0, 8.0, NOT_IN_ALL_POSES),
     ]
     result: Any = SimpleNamespace(refused=refused)
     assert notes_of_refused(result) == [
-        f"not added, {AS_REST}: emitter_offset (2,381 nats, 5,440 asked), radiometry (60 nats, 163 asked)",
-        f"not added, {NOT_ELSEWHERE}: scattering (97 nats, 163 asked)",
+        f"not added, {NOT_IN_ALL_POSES}: emitter_offset (2,381 nats, its threshold 54), radiometry (60 nats, "
+        "its threshold 8)",
+        f"not added, {NOT_ELSEWHERE}: scattering (97 nats, its threshold 16)",
     ]
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from rim_camera_ros.camera_file import with_numbers
 from rim_camera_ros.effects.emission_pattern import EmissionPattern
+from rim_camera_ros.effects.incidence_angle import IncidenceAngle
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.reports.curves import effect_panels
 from test.calibrate.helpers import camera
@@ -28,3 +29,12 @@ def test_a_band_where_one_side_is_no_possible_camera(tmp_path: Path) -> None:
     assert curve.sigma is not None
     # power in percent: 1 + f1 q, of which f1 makes q
     np.testing.assert_allclose(curve.sigma, 100 * sigma * np.radians(curve.x) ** 2, rtol=1e-6, atol=1e-9)
+
+
+def test_the_angle_of_incidence_is_drawn_in_degrees(tmp_path: Path) -> None:
+    """The polynomial is of gon: a slope of 1 mm per gon is 60 mm at 54 degrees."""
+    effect = IncidenceAngle({60.0: (0.0, 0.0, 0.0, 0.001)})
+    (panel,) = effect_panels(camera(tmp_path, effect), [], np.zeros((0, 0)))
+    (curve,) = panel.curves
+    assert panel.x == "angle [deg]"
+    assert np.interp(54.0, curve.x, curve.y) == pytest.approx(-60.0, rel=1e-6)

@@ -12,7 +12,6 @@ from rim_camera_ros.camera_file import load_camera, with_effects
 from rim_camera_ros.effects import registry
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.files import find_camera
-from rim_camera_ros.reports import html
 from rim_camera_ros.reports.curves import effect_panels
 from rim_camera_ros.reports.figures import (
     Covariate,
@@ -96,17 +95,3 @@ def test_pictures_are_svg() -> None:
 
 def test_a_pixel_that_nothing_covers_leaves_no_picture_empty() -> None:
     ElementTree.fromstring(maps([Map("nothing", np.full((4, 5), np.nan))], "mm"))
-
-
-def test_text_is_no_markup() -> None:
-    page = html.page("a < b & c", "under", [html.paragraph("<b>"), html.bullets(["x > 1"])])
-    assert "<title>a &lt; b &amp; c</title>" in page
-    assert "<p>&lt;b&gt;</p>" in page
-    assert "<li>x &gt; 1</li>" in page
-
-
-def test_tables_align_numbers_and_head_groups() -> None:
-    made = html.table(["name", "value"], [["group"], ["x", "1"]], numbers=(1,))
-    assert '<td colspan="2">group</td>' in made
-    assert '<td class="n">1</td>' in made
-    assert html.section("heading", "", "") == ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 
@@ -42,6 +43,26 @@ def test_dynamic_range_of_eq_2_13() -> None:
     rows = rows_of("dynamic_range")
     assert rows["the same as a ratio"].ours == pytest.approx(28125.0, rel=1e-3)
     assert rows["dynamic range"].ours == pytest.approx(88.98, abs=0.01)
+
+
+def test_pmd_sensors_of_table_2_3() -> None:
+    """Dynamic ranges by light and noise, and by area: 3.27 times that of the 3k-S is 5.15 dB more."""
+    rows = rows_of("pmd_sensors")
+    ranges = {"PMD 768-S 3D": 78.0, "PMD 1k-S 2 3D": 78.0, "PMD 3k-S": 74.0, "PMD 19k": 65.0}
+    for device, printed in ranges.items():
+        assert rows[f"dynamic range {device}"].ours == pytest.approx(printed, abs=0.3)
+    reference = rows["dynamic range PMD 3k-S"].ours
+    assert reference is not None
+    for device, area in (("PMD 768-S 3D", 210.8 * 155.3), ("PMD 19k", 1600.0)):
+        ours = rows[f"dynamic range {device} by its pixel's area"].ours
+        assert ours == pytest.approx(reference + 10 * math.log10(area / 1e4), abs=1e-6)
+    for device in ("PMD 768-S 3D", "PMD 1k-S 2 3D", "PMD 3k-S"):
+        assert rows[f"more light by SBI, {device}"].ours == pytest.approx(50.0, abs=0.01)
+    assert rows["PMD 1k-S 2 3D image area, width"].ours == pytest.approx(9.94, abs=0.005)
+    assert rows["PMD 1k-S 2 3D image area, height"].ours == pytest.approx(3.37, abs=0.005)
+    noise = rows["sigma under background 100 : 1, PMD 3k-S"]
+    assert noise.sigma is not None
+    assert noise.ours == pytest.approx(math.sqrt(101.0), abs=4 * noise.sigma)
 
 
 def test_suppression_agrees_with_a_lock_in_pixel_integrated_by_hand() -> None:

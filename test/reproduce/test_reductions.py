@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -188,3 +189,22 @@ def test_deviation_from_a_number_a_range_and_a_bound() -> None:
 def test_what_cannot_be_reproduced_has_no_deviation() -> None:
     assert Row("pitch", "table 2.2", Printed.number(40.0), None, "um", "no").deviation is None
     assert Row("x", "table 2.2", Printed.number(40.0), math.nan, "um", "no").deviation is None
+
+
+def test_tolerance_is_a_tenth_of_what_is_printed_or_two_sigmas() -> None:
+    def row(printed: Printed, ours: float | None, sigma: float | None = None) -> Row:
+        return Row("q", "s", printed, ours, "mm", "how", sigma=sigma)
+
+    assert row(Printed.number(26.4), 29.0).within_tolerance is True
+    assert row(Printed.number(26.4), 29.1).within_tolerance is False
+    assert row(Printed.number(26.4), 29.1, 1.4).within_tolerance is True
+    assert row(Printed.number(-26.4), -23.8).within_tolerance is True
+    # of a range the end that is nearer
+    assert row(Printed(40.0, 50.0, "40-50"), 36.5).within_tolerance is True
+    assert row(Printed(40.0, 50.0, "40-50"), 54.5).within_tolerance is True
+    assert row(Printed(40.0, 50.0, "40-50"), 35.5).within_tolerance is False
+    assert row(Printed(40.0, math.inf, "better than 40"), 36.1).within_tolerance is True
+    assert row(Printed(40.0, math.inf, "better than 40"), 35.9).within_tolerance is False
+    assert row(Printed.number(0.0), 0.1).within_tolerance is False
+    assert row(Printed.number(1.0), None).within_tolerance is None
+    assert json.dumps(row(Printed.number(1.0), np.float64(1.2)).within_tolerance) == "false"

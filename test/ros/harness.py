@@ -226,6 +226,14 @@ class World:
         self._processes.append(process)
         return process
 
+    def launch(self, file: Path, **arguments: str) -> Process:
+        """Start a launch file as ``ros2 launch`` does, which is there where ROS came from apt."""
+        command = ["ros2", "launch", str(file), *(f"{name}:={value}" for name, value in arguments.items())]
+        output = self._folder / f"{file.name}_{len(self._processes)}.txt"
+        process = Process(command, self.environment, output)
+        self._processes.append(process)
+        return process
+
     def until(self, condition: Callable[[], object], seconds: float = PATIENCE) -> bool:
         """Take messages until the condition holds; False where it does not in time, or a process failed."""
         end = time.monotonic() + seconds
@@ -342,15 +350,30 @@ class World:
 class Chain:
     """A driver and a correction from which nothing is lost: all frames, and what became of them.
 
-    ``driver`` and ``correction`` are the nodes' parameters. The driver ends after its last frame.
+    ``driver`` and ``correction`` are the nodes' parameters. The driver ends after its last frame. With
+    ``together`` both are in one process, with the parameters of both.
     """
 
-    def __init__(self, world: World, *, driver: dict[str, Any], correction: dict[str, Any]) -> None:
+    def __init__(
+        self,
+        world: World,
+        *,
+        driver: dict[str, Any],
+        correction: dict[str, Any],
+        together: bool = False,
+    ) -> None:
         from diagnostic_msgs.msg import DiagnosticArray
         from sensor_msgs.msg import Image, PointCloud2, Range, Temperature
 
         self._world = world
-        self.correction = world.start("correction_node", **{**LOSSLESS_CORRECTION, **correction})
+        ends = {"exit_at_end": True, "wait_for_subscribers": 3}
+        given = {**LOSSLESS_DRIVER, **ends, **driver}
+        if together:
+            self.driver = self.correction = world.start(
+                "camera_node", **{**LOSSLESS_CORRECTION, **given, **correction}
+            )
+        else:
+            self.correction = world.start("correction_node", **{**LOSSLESS_CORRECTION, **correction})
         self.points = world.collect(PointCloud2, "points")
         self.sigma = world.collect(Image, "sigma/image")
         self.flags = world.collect(Image, "flags/image")
@@ -364,8 +387,8 @@ class Chain:
         self.frame_info = world.collect(DiagnosticArray, "frame_info")
         self.amplitude = world.collect(Image, "amplitude/image_raw")
         self.distance = world.collect(Image, "distance/image_raw")
-        ends = {"exit_at_end": True, "wait_for_subscribers": 3}
-        self.driver = world.start("driver_node", **{**LOSSLESS_DRIVER, **ends, **driver})
+        if not together:
+            self.driver = world.start("driver_node", **given)
         # A publisher knows of a subscriber before that subscriber knows of it, and frames in between are
         # lost. The third subscriber, for which the driver waits, comes when the others know.
         raw = (self.frame_info, self.amplitude, self.distance)

@@ -1,4 +1,4 @@
-"""The tables of the README are those of the running nodes; parameter files name what there is."""
+"""The tables of the documentation are those of the running nodes; parameter files name what there is."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ from rim_camera_ros.nodes.transforms import mount, optical_rotation
 from test.ros.harness import BEST_EFFORT, World
 
 ROOT = Path(__file__).resolve().parents[2]
-README = (ROOT / "README.md").read_text()
+PAGE = (ROOT / "docs" / "nodes.md").read_text()
+PARAMETERS = (ROOT / "docs" / "node_parameters.md").read_text()
 #: What every node of ROS has.
 _OF_EVERY_NODE = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 #: The nodes, by name, with the parameters that they declare.
@@ -42,9 +43,9 @@ _EVERY_SERVICE = (
 )
 
 
-def table(heading: str, first: str) -> list[list[str]]:
+def table(page: str, heading: str, first: str) -> list[list[str]]:
     """Return the rows of the first table after a heading whose first column is ``first``."""
-    part = README[README.index(heading) :]
+    part = page[page.index(heading) :]
     lines = part[part.index(f"| {first} |") :].splitlines()
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2 : lines.index("")]]
     assert rows
@@ -69,37 +70,32 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Any:
 @pytest.mark.parametrize("node", _SPECS)
 def test_parameters(nodes: World, node: str) -> None:
     described = nodes.describe(node)
-    rows = {row[0].strip("`"): row for row in table(f"`{node}_node` (node `{node}`)", "parameter")}
+    found_rows = table(PARAMETERS, f"`{node}_node` (node `{node}`)", "parameter")
+    rows = {row[0].strip("`"): row[1:] for row in found_rows}
     running = {name for name in described if not name.startswith(_OF_EVERY_NODE)}
     effects = {name for name in running if name.startswith("effects.")}
     assert running - effects == set(rows) - {"effects.<name>"}
     assert bool(effects) == ("effects.<name>" in rows)
     for spec in _SPECS[node]:
-        found, (_, default, text) = described[spec.name], rows[spec.name]
-        assert found.description == spec.description
-        assert text.startswith(spec.description)
-        assert found.read_only == text.endswith("set at start")
-        shown = {"true": True, "false": False, "empty": ""}.get(default, default)
-        assert (
-            shown if isinstance(shown, bool | str) and not isinstance(spec.default, int | float) else None
-        ) in (
-            spec.default,
-            None,
-        )
+        found, (default, allowed, text, when) = described[spec.name], rows[spec.name]
+        assert found.description == spec.description == text
+        assert found.read_only == (when == "at start")
         if isinstance(spec.default, bool):
-            assert shown is spec.default
+            assert {"true": True, "false": False}[default] is spec.default
         elif isinstance(spec.default, int | float):
             assert float(default) == spec.default
             ranges = found.floating_point_range or found.integer_range
             assert len(ranges) == 1, f"{spec.name} has no range"
-            assert (ranges[0].from_value, ranges[0].to_value) == spec.limits
-        for choice in spec.choices:
-            assert choice in text
+            limits = (ranges[0].from_value, ranges[0].to_value)
+            assert tuple(map(float, allowed.split(" to "))) == pytest.approx(limits, rel=1e-9)
+        else:
+            assert default == (spec.default or "empty")
+            assert allowed == ", ".join(spec.choices) == found.additional_constraints.removeprefix("one of: ")
 
 
 def test_topics(nodes: World) -> None:
     documented: dict[str, tuple[str, str]] = {}
-    for topics, kind, node, _ in table("### Topics", "topic"):
+    for topics, kind, node, _ in table(PAGE, "## Topics", "topic"):
         for topic in re.findall(r"`([^`]+)`", topics):
             kinds = kind.split(", ")
             documented[topic] = (kinds[-1] if "camera_info" in topic else kinds[0], node)
@@ -109,9 +105,7 @@ def test_topics(nodes: World) -> None:
         for name, kinds in nodes.node.get_publisher_names_and_types_by_node(node, "/camera"):
             if name in _EVERY_TOPIC or name.endswith("/transition_event"):
                 continue
-            short = re.sub(
-                r"^/ground_truth/[^/]+/", "/ground_truth/<surface>/", name.removeprefix("/camera/")
-            )
+            short = re.sub(r"^ground_truth/[^/]+/", "ground_truth/<surface>/", name.removeprefix("/camera/"))
             published.setdefault(short, set()).add(node)
             types[short] = kinds[0].rpartition("/")[2]
     assert set(published) == set(documented) - {"/tf_static"}
@@ -122,7 +116,7 @@ def test_topics(nodes: World) -> None:
 
 
 def test_services(nodes: World) -> None:
-    rows = {row[0].strip("`"): row for row in table("### Services", "service")}
+    rows = {row[0].strip("`"): row for row in table(PAGE, "## Services", "service")}
     offered: dict[str, tuple[str, str]] = {}
     for node in _SPECS:
         for name, kinds in nodes.node.get_service_names_and_types_by_node(node, "/camera"):

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import runpy
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 pytest.importorskip("rclpy")
 
+from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import PointCloud2
 
-from test.ros.harness import BEST_EFFORT, RELIABLE, World
+from test.ros.harness import BEST_EFFORT, LATCHED, RELIABLE, World
 from test.test_launch_files import (
     LAUNCH,
     LaunchContext,
     Node,
     OpaqueFunction,
-    ParameterValue,
     launch_stand_ins,  # noqa: F401 -- a fixture
 )
 from test.test_launch_files import launched as launched_one
@@ -36,20 +35,25 @@ def launched(**arguments: str) -> list[Node]:
 @pytest.mark.usefixtures("launch_stand_ins")
 def test_each_camera_has_its_namespace_frame_and_file(tmp_path: Path) -> None:
     for name in ("left", "right"):
-        (tmp_path / f"{name}.yaml").write_text("/**: {ros__parameters: {}}\n")
-    nodes = launched(cameras="left, right", parameters=str(tmp_path), source="sr3000")
+        (tmp_path / f"{name}.yaml").write_text("/**: {ros__parameters: {serial_number: 7}}\n")
+    arguments = {"cameras": "left, right", "parameters": str(tmp_path), "source": "sr3000"}
+    nodes = launched(**arguments)
+    assert [(one.namespace, one.executable) for one in nodes] == [
+        ("left", "camera_node"),
+        ("right", "camera_node"),
+    ]
+    assert nodes[1].given() == {
+        "/**/driver": {"frame_id": "right_optical_frame", "source": "sr3000"},
+        "/**": {"serial_number": 7},
+    }
+    nodes = launched(**arguments, separate="true")
     assert [(one.namespace, one.executable) for one in nodes] == [
         ("left", "driver_node"),
         ("left", "correction_node"),
         ("right", "driver_node"),
         ("right", "correction_node"),
     ]
-    frame: Any = {
-        "frame_id": ParameterValue("right_optical_frame", str),
-        "source": ParameterValue("sr3000", str),
-    }
-    assert nodes[2].parameters == [frame, str(tmp_path / "right.yaml")]
-    assert nodes[3].parameters == [str(tmp_path / "right.yaml")]
+    assert nodes[3].given()["/**"] == {"serial_number": 7}
 
 
 @pytest.mark.usefixtures("launch_stand_ins")
@@ -67,28 +71,32 @@ def test_wrong_arguments_are_refused(arguments: dict[str, str], problem: str) ->
 
 
 @pytest.mark.usefixtures("launch_stand_ins")
-def test_one_camera_with_the_nodes_that_follow_people_and_calibrate() -> None:
+def test_one_camera_with_the_nodes_that_follow_people_and_calibrate(tmp_path: Path) -> None:
+    files = {}
+    for name in ("people", "calibration"):
+        files[name] = tmp_path / f"{name}.yaml"
+        files[name].write_text(
+            f"/**: {{ros__parameters: {{{'trail' if name == 'people' else 'niceness'}: 3}}}}\n"
+        )
     nodes = launched_one(
         namespace="front",
         correction_camera="mine.yaml",
         people="true",
-        people_parameters="people.yaml",
+        people_parameters=str(files["people"]),
         calibration="true",
-        calibration_parameters="calibration.yaml",
+        calibration_parameters=str(files["calibration"]),
         calibration_scene="board_by_hand_experiment",
     )
-    assert set(nodes) == {"driver_node", "correction_node", "people_node", "calibration_node"}
+    assert set(nodes) == {"camera_node", "calibration_node"}
     assert {node.namespace for node in nodes.values()} == {"front"}
-    assert nodes["people_node"].parameters == ["people.yaml"]
-    given = {
-        "camera": ParameterValue("mine.yaml", str),
-        "scene": ParameterValue("board_by_hand_experiment", str),
+    assert nodes["camera_node"].given()["/**/people"] == {"trail": 3}
+    assert nodes["calibration_node"].given() == {
+        "/**/calibration": {"niceness": 3, "camera": "mine.yaml", "scene": "board_by_hand_experiment"}
     }
-    assert nodes["calibration_node"].parameters == ["calibration.yaml", given]
 
 
 def test_two_chains_side_by_side(world: World) -> None:
-    clouds = {}
+    clouds, poses = {}, {}
     for name, scene in (("left", "wall"), ("right", "corner")):
         world.start(
             "driver_node",
@@ -100,10 +108,18 @@ def test_two_chains_side_by_side(world: World) -> None:
         )
         world.start("correction_node", "-r", f"__ns:=/{name}")
         clouds[name] = world.collect(PointCloud2, f"/{name}/points", BEST_EFFORT)
+        surface = "wall" if scene == "wall" else "floor"
+        poses[name] = world.collect(PoseStamped, f"/{name}/ground_truth/{surface}/pose", LATCHED)
     said = world.diagnostics()
     assert world.until(lambda: all(len(one) > 5 for one in clouds.values())), world.output()
     assert {one.header.frame_id for one in clouds["left"]} == {"left_optical_frame"}
     assert {one.header.frame_id for one in clouds["right"]} == {"right_optical_frame"}
+    assert world.until(lambda: all(poses.values())), world.output()
+    assert {one.header.frame_id for one in poses["right"]} == {"right_optical_frame"}
+    # no pose of one camera reaches a listener of the other's
+    assert not [
+        name for name, _ in world.node.get_topic_names_and_types() if name.startswith("/ground_truth")
+    ]
     assert clouds["left"].last.data != clouds["right"].last.data
     names = [f"/{one}/{node}: frames" for one in clouds for node in ("driver", "correction")]
     assert world.until(lambda: all(said.level(one) >= 0 for one in names))

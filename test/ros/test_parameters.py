@@ -16,6 +16,7 @@ pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Image, PointCloud2
+from std_srvs.srv import Trigger
 
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.effects import registry
@@ -286,20 +287,28 @@ def test_camera_file_that_breaks_and_vanishes_while_running(world: World, tmp_pa
     path = _without_effects(tmp_path)
     good = path.read_text()
     points = world.collect(PointCloud2, "points", BEST_EFFORT)
-    nodes = [world.start("driver_node", camera=str(path)), world.start("correction_node", camera=str(path))]
+    driver = world.start("driver_node", folders=str(tmp_path))
+    correction = world.start("correction_node", camera=str(path))
     assert world.until(lambda: len(points) > 2), world.output()
     path.write_text(good.replace("fx: 199.8875", "fx: [oops"))
     fresh(world, points)
-    for node in ("driver", "correction"):
-        assert re.search(r"plain\.yaml: line \d+: not valid YAML", world.set(node, camera=str(path)))
+
+    def reasons() -> list[str]:
+        answer = world.call(Trigger, "correction/load_camera")
+        assert not answer.success
+        return [world.set("driver", camera=str(path)), answer.message]
+
+    assert all(re.search(r"plain\.yaml: line \d+: not valid YAML", one) for one in reasons())
     path.unlink()
     fresh(world, points)
-    for node in ("driver", "correction"):
-        assert "plain.yaml: no such file" in world.set(node, camera=str(path))
+    assert all("plain.yaml: no such file" in one for one in reasons())
     fresh(world, points)
     path.write_text(re.sub("minimum_amplitude: null", "minimum_amplitude: 3000", good))
     before = valid_pixels(points.last)
-    assert world.set("correction", camera=str(path)) == ""  # the same name: the file is read anew
+    assert world.set("correction", camera=str(path)) == ""  # the value that it has: nothing is read
+    assert abs(valid_pixels(fresh(world, points)) - before) < 200
+    assert world.call(Trigger, "correction/load_camera").success
     assert valid_pixels(fresh(world, points)) < 0.75 * before
-    assert all(one.running for one in nodes)
+    assert driver.running
+    assert correction.running
     assert "Traceback" not in world.output()

@@ -39,7 +39,7 @@ def test_two_people_cross_and_stay_who_they_are(world: World) -> None:
     arrays = world.collect(MarkerArray, "people/markers")
     clouds = world.collect(PointCloud2, "points")
     truth = {
-        name: world.collect(PoseStamped, f"/ground_truth/{name}_head/pose", LATCHED)
+        name: world.collect(PoseStamped, f"ground_truth/{name}_head/pose", LATCHED)
         for name in ("anna", "bert")
     }
     said = world.diagnostics()
@@ -159,6 +159,13 @@ def test_states_services_parameters_and_damaged_messages(world: World) -> None:
     assert world.until(lambda: to_points.get_subscription_count() and to_sigma.get_subscription_count())
     send(6)
     assert world.until(lambda: said.values(people).get("missing_background_frames") == "0"), node.text
+
+
+def test_what_takes_seconds_to_import_is_there_before_the_first_frame(world: World) -> None:
+    node = world.start("people_node")
+    said = world.diagnostics()
+    assert world.until(lambda: said.of("/camera/people: frames")), node.text
+    assert "sklearn" in Path(f"/proc/{node.pid}/maps").read_text()
 
 
 def test_a_wrong_mount_ends_the_start_with_one_line(world: World) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,10 @@ from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
 from rim_camera_ros.bags.messages import points_array
-from rim_camera_ros.camera_file import load_camera
+from rim_camera_ros.camera import Covariance
+from rim_camera_ros.camera_file import load_camera, save_camera_apart
 from rim_camera_ros.files import find_camera
+from rim_camera_ros.parameters import ArrayFile
 from rim_camera_ros.pipeline.correct import Correction
 from test.ros.harness import BEST_EFFORT, LOSSLESS_CORRECTION, LOSSLESS_DRIVER, Chain, World, stamp_of
 
@@ -149,6 +152,11 @@ def test_set_camera_info_is_stated_and_stored_and_used(world: World, tmp_path: P
     assert stored.effects == load_camera(find_camera("sr3000")).effects or len(stored.effects) == 14
     assert world.until(lambda: images.last.k[0] == 205.0), world.output()
     assert world.get("driver", "camera_info") == [str(path)]
+    before = path.read_bytes()
+    response = world.call(SetCameraInfo, "set_camera_info", camera_info=info(fx=207.0))
+    assert response.status_message.startswith(f"the geometry is in {folder / 'sr3000_2.yaml'};")
+    assert path.read_bytes() == before
+    assert world.set("driver", camera_info=str(path)) == ""
     assert world.until(
         lambda: "camera_info differs from the camera file's optics by up to" in correction.text
     )
@@ -179,7 +187,11 @@ def test_save_camera_writes_what_is_corrected_by_and_only_into_its_folder(
         assert response.success == (name == ""), name  # empty: the name of the file in use
         if not response.success:
             assert "is not a name of a file" in response.message
-    assert sorted(one.name for one in tmp_path.rglob("*.yaml")) == ["desk.yaml"]
+        elif name == "":
+            assert response.message == (
+                f"written to {folder}/desk_2.yaml (desk.yaml was there before and stays as it is)"
+            )
+    assert sorted(one.name for one in tmp_path.rglob("*.yaml")) == ["desk.yaml", "desk_2.yaml"]
     # a link that lies in the folder does not lead out of it
     secret = tmp_path / "secret.yaml"
     secret.write_text("mine")
@@ -190,6 +202,31 @@ def test_save_camera_writes_what_is_corrected_by_and_only_into_its_folder(
     assert "is a link" in response.message
     assert secret.read_text() == "mine"
     assert "outside of the folders" in world.set("correction", camera=str(folder / "link.yaml"))
+
+
+def test_save_camera_leaves_the_calibration_that_it_corrects_with(world: World, tmp_path: Path) -> None:
+    folder = tmp_path / "files"
+    folder.mkdir()
+    shipped = load_camera(find_camera("sr3000"))
+    paths = ("optics.fx", "effects.scattering.kernels.0.weight", "effects.distance_scale.scale")
+    matrix = np.array([[4.0, 0.1, 0.2], [0.1, 9.0, 0.3], [0.2, 0.3, 16.0]])
+    covariance = Covariance(paths, ArrayFile("covariance.npy", matrix))
+    save_camera_apart(replace(shipped, covariance=covariance), folder / "calibrated_1.yaml")
+    before = {one.name: one.read_bytes() for one in folder.iterdir()}
+    world.start("correction_node", folders=str(folder), camera=str(folder / "calibrated_1.yaml"))
+    assert world.set("correction", **{"effects.scattering": False}) == ""
+    for number in (2, 3):
+        response = world.call(Trigger, "correction/save_camera")
+        assert response.success, response.message
+        path = folder / f"calibrated_1_{number}.yaml"
+        assert response.message.startswith(f"written to {path} (calibrated_1.yaml was there before")
+        saved = load_camera(path)
+        assert "scattering" not in saved.effects
+        assert saved.covariance is not None
+        assert saved.covariance.parameters == (paths[0], paths[2])
+        assert saved.covariance.matrix.values.tolist() == [[4.0, 0.2], [0.2, 16.0]]
+    assert {name: (folder / name).read_bytes() for name in before} == before
+    assert load_camera(folder / "calibrated_1.yaml").covariance is not None
 
 
 def test_a_folder_that_cannot_be_written_is_said(world: World, tmp_path: Path) -> None:

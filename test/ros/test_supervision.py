@@ -143,6 +143,16 @@ def test_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         with pytest.raises(InputError, match=r"camera: lies outside of the folders that may be read"):
             folders.check(refused, kind="calibration", place="camera")
     assert folders.target("desk", place="save_as") == inside / "desk.yaml"
+    assert folders.new("desk", place="save_as") == inside / "desk.yaml"
+    for taken, free in (
+        ("desk.yaml", "desk_2.yaml"),
+        ("desk_2.fixed_pattern_offset.0123abcd.npy", "desk_3.yaml"),
+        ("desk_4.yml", "desk_3.yaml"),
+        ("desk_3.yml", "desk_5.yaml"),
+    ):
+        (inside / taken).write_text("x")
+        assert folders.new("desk", place="save_as") == inside / free
+    assert folders.new("desk.yml", place="save_as") == inside / "desk_5.yml"
     monkeypatch.setenv("ROS_HOME", str(tmp_path / "home"))
     assert Folders("").target("a.yml", place="save_as") == tmp_path / "home" / "rim_camera" / "a.yml"
 

@@ -502,7 +502,7 @@ def full_disk(folder: Path) -> Figures:
             "message": full.message,
             "file_whole": whole_still,
             "left_over": left_over,
-            "written_later": again.success and load_camera(files / "kept.yaml").minimum_amplitude == 321.0,
+            "written_later": again.success and load_camera(files / "kept_2.yaml").minimum_amplitude == 321.0,
             "running": correction.running,
         }
     with World(folder) as world:

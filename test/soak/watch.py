@@ -9,17 +9,23 @@ from typing import Any
 import numpy as np
 import psutil
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.utilities import get_rmw_implementation_identifier
 from sensor_msgs.msg import Image, PointCloud2
 
 from rim_camera_ros.bags.messages import image_array, points_array, settings_from
 from rim_camera_ros.camera_file import load_camera
-from rim_camera_ros.files import find_camera
+from rim_camera_ros.files import find_camera, share_folder
 from rim_camera_ros.frame import RawFrame
-from rim_camera_ros.nodes.run import use_shipped_profile
+from rim_camera_ros.nodes.middleware import use_shipped_profile
 from rim_camera_ros.pipeline.correct import Correction
 from test.ros.harness import BEST_EFFORT, World, stamp_of
 
-use_shipped_profile()  # a listener finds a node that is started anew sooner with it, as the nodes do
+# a listener finds a node that is started anew sooner with it, as the nodes do
+use_shipped_profile(
+    os.environ,
+    profile=share_folder() / "config" / "fastdds.xml",
+    middleware=get_rmw_implementation_identifier(),
+)
 
 
 class Listener:

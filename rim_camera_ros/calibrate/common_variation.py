@@ -1,0 +1,132 @@
+"""What all pixels share from frame to frame: light of another camera, or a surface that moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+#: Pixels that were valid in all frames, from which on frames are compared.
+_LEAST_PIXELS = 50
+
+
+@dataclass(frozen=True)
+class Movement:
+    """Changes of a station's frames as a plane that tilts would make them, and as common light would.
+
+    ``by_tilt`` and ``by_light`` are the chi-squares that either explains, with two numbers a frame;
+    ``rim`` [m] is the RMS over the frames of how far tilts move distances at the rim of the array.
+    ``steps`` and ``spread`` are the sums of squares of the changes from one frame to the next and of the
+    deviations from the mean, of the numbers of the better of the two: their ratio is 2 where frames are
+    independent (von Neumann 1941), and near 0 where they follow a drift. ``freedom`` is the number of frames
+    less 1, over ``number`` stations.
+    """
+
+    by_tilt: float
+    by_light: float
+    rim: float
+    steps: float
+    spread: float
+    freedom: int
+    number: int = 1
+
+    @property
+    def persistence(self) -> float:
+        """How far frames follow those before them: 0 where they are independent, 1 at most."""
+        return 1.0 - self.steps / (2.0 * self.spread) if self.spread > 0 else 0.0
+
+    @property
+    def persistence_sigma(self) -> float:
+        """Standard deviation of the persistence of so many independent frames, of two numbers each."""
+        frames = self.freedom / self.number + 1.0
+        single = (frames - 2.0) / (frames**2 - 1.0) if frames > 2 else 0.5
+        return float(np.sqrt(single / (2.0 * self.number)))
+
+
+def together(movements: Sequence[Movement]) -> Movement:
+    """Return the sums of several stations, one at least; ``rim`` is the largest of them."""
+    return Movement(
+        by_tilt=sum(one.by_tilt for one in movements),
+        by_light=sum(one.by_light for one in movements),
+        rim=max(one.rim for one in movements),
+        steps=sum(one.steps / one.spread for one in movements if one.spread > 0),
+        spread=float(sum(one.spread > 0 for one in movements)),
+        freedom=sum(one.freedom for one in movements),
+        number=len(movements),
+    )
+
+
+@dataclass(frozen=True)
+class CommonVariation:
+    """``ratio`` and ``light`` [counts^2] as `Station.common` and `Station.common_light`, and the movement."""
+
+    ratio: float
+    light: float
+    movement: Movement
+
+
+def common_variation(frames: Array, ambiguity: float) -> CommonVariation | None:
+    """Examine complex images (F, H, W) of one scene, counts, 0 where a pixel was not valid.
+
+    ``ambiguity`` [m] is a turn of the phase. Of what is not in proportion to the light itself: power and
+    phase of the emitter vary a little. None of fewer than two frames, or of too few pixels.
+    """
+    if len(frames) < 2:
+        return None
+    valid = (frames != 0).all(axis=0)
+    stack = frames[:, valid]
+    if stack.shape[1] < _LEAST_PIXELS:
+        return None
+    light = stack.mean(axis=0)
+    deviation = stack - light
+    freedom = len(stack) - 1
+    variance = (np.abs(deviation) ** 2).sum(axis=0) / freedom
+    # noise grows with the amplitude where the floor prevails: those pixels say little
+    weight = 1.0 / np.maximum(variance, np.quantile(variance, 0.2) + 1e-12)
+    own = 1.0 - light * (weight * light.conj()).sum() / (weight * np.abs(light) ** 2).sum()
+    total = (deviation * (weight * own.conj())).sum(axis=1)
+    expected = (weight**2 * np.abs(own) ** 2 * variance).sum() * freedom / len(stack)
+    if not expected > 0:
+        return None
+    found = float((np.abs(total) ** 2).mean())
+    # light that is the same in all pixels is seen by so much, less what it adds to the variances
+    seen = (weight * np.abs(own) ** 2).sum() ** 2 - (weight**2 * np.abs(own) ** 2).sum()
+    seen *= freedom / len(stack)
+    movement = _movement(deviation, light, weight, valid, ambiguity)
+    return CommonVariation(float(found / expected), float((found - expected) / seen), movement)
+
+
+def _movement(deviation: Array, light: Array, weight: Array, valid: Array, ambiguity: float) -> Movement:
+    """Compare what tilts of the phase and what light in common explain of deviations (F, N) of the light."""
+    root = np.sqrt(2.0 * weight)
+
+    def as_columns(*images: Array) -> Array:
+        return np.stack([np.concatenate([(one * root).real, (one * root).imag]) for one in images], axis=1)
+
+    rows, columns = (one / (n / 2) - 1.0 for one, n in zip(np.nonzero(valid), valid.shape, strict=True))
+    known, _ = np.linalg.qr(as_columns(light, 1j * light))
+    one = np.ones(len(light))
+    readings = as_columns(*deviation)
+
+    def explained(*images: Array) -> tuple[float, Array]:
+        design = as_columns(*images)
+        basis, triangle = np.linalg.qr(design - known @ (known.T @ design))
+        parts = basis.T @ readings
+        return float((parts**2).sum()), np.linalg.lstsq(triangle, parts, rcond=1e-9)[0].T
+
+    by_light, phasors = explained(one, 1j * one)
+    by_tilt, tilts = explained(1j * light * rows, 1j * light * columns)
+    series = tilts if by_tilt > by_light else phasors
+    return Movement(
+        by_tilt=by_tilt,
+        by_light=by_light,
+        rim=float(np.sqrt(np.mean(np.abs(tilts).sum(axis=1) ** 2)) * ambiguity / (2 * np.pi)),
+        steps=float((np.diff(series, axis=0) ** 2).sum()),
+        spread=float(((series - series.mean(axis=0)) ** 2).sum()),
+        freedom=len(deviation) - 1,
+    )

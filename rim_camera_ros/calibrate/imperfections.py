@@ -1,0 +1,154 @@
+"""Ordinary imperfections of every camera and set-up, as nuisance parameters with stated sizes.
+
+Nobody knows the reflectivity of a printed tile to a percent, the poses of a total station share the error of
+its set-up, no surface is perfectly matt, and a camera constant is known within its covariance. What is not a
+nuisance parameter of the adjustment is found as physics that it is not (Kennedy & O'Hagan 2001 on the
+discrepancy of models). Gains of pixels and errors of single poses are random effects of `normal_equations`
+and `fold_sums`; those here are common to all poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.blocks import Block, Regressor, light_block, optics_columns
+from rim_camera_ros.calibrate.light_curves import FALLOFF, LOBE, tile_labels
+from rim_camera_ros.calibrate.prediction import Column, Prediction
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.scene import Scene
+
+Array = NDArray[Any]
+
+#: Labels of errors that all poses of a surface share, and of the optics within their covariance.
+COMMON_POSE, OPTICS = "common_pose.", "optics_covariance."
+_DIRECTIONS = ("offset", "tilt_x", "tilt_y")
+
+
+def imperfection_blocks(camera: Camera, scene: Scene, *, lobe: bool = True) -> list[Block]:
+    """Return the regressors of reflectivities, a weak lobe, common errors of poses, and known optics.
+
+    Sizes are those of the files: ``reflectivity_sigma``, ``pose_sigma`` with ``pose_common``, and the
+    covariance of the optics; that of the lobe is `light_curves.LOBE_SIGMA`. Without ``lobe`` surfaces have
+    curves of their own.
+    """
+    blocks = [
+        reflectivity_block(scene),
+        light_block(LOBE if lobe else FALLOFF),
+        common_pose_block(scene),
+        known_optics(camera),
+    ]
+    return [one for one in blocks if one.regressors]
+
+
+def linear_blocks(camera: Camera, scene: Scene) -> list[Block]:
+    """Return those of the blocks whose effect on the predictions is added as it is, without a step."""
+    return [one for one in (common_pose_block(scene), known_optics(camera)) if one.regressors]
+
+
+def reflectivity_block(scene: Scene) -> Block:
+    """Return one regressor for each tile whose reflectivity is stated but not exactly known [relative]."""
+    regressors: list[Regressor] = []
+    numbers: list[int] = []
+    first = 0
+    labels = tile_labels(scene)
+    for surface in scene.surfaces:
+        if surface.is_described and surface.reflectivity_sigma > 0:
+            for number in range(first, first + surface.tiles):
+                regressors.append(Regressor(labels[number], "radiometry", surface.reflectivity_sigma))
+                numbers.append(number)
+        first += surface.tiles
+
+    def columns(prediction: Prediction) -> list[Column]:
+        tile = prediction.view.geometry.tile
+        by_distance, by_amplitude = prediction.gain_column()
+        result = []
+        for number in numbers:
+            mine = tile == number
+            result.append((by_distance * mine, by_amplitude * mine))
+        return result
+
+    places = np.full(first + 1, -1)
+    places[numbers] = np.arange(len(numbers))
+
+    def grouped(prediction: Prediction) -> tuple[Array, Array, Array]:
+        return (places[prediction.view.geometry.tile], *prediction.gain_column())
+
+    return Block(tuple(regressors), columns, grouped=grouped)
+
+
+def common_pose_block(scene: Scene) -> Block:
+    """Return the errors of the reference instrument that are the same in all poses of a surface."""
+    regressors: list[Regressor] = []
+    for surface in scene.surfaces:
+        share = float(np.sqrt(surface.pose_common))
+        if surface.pose != "truth" or share == 0:
+            continue
+        offset, tilt = surface.pose_sigma
+        tilt = 0.0 if surface.type == "sphere" else tilt
+        for name, sigma in zip(_DIRECTIONS, (offset, tilt, tilt), strict=True):
+            if sigma > 0:
+                label = f"{COMMON_POSE}{surface.name}.{name}"
+                regressors.append(Regressor(label, "pose", share * sigma))
+
+    def columns(prediction: Prediction) -> list[Column]:
+        found = {one.path: one for one in prediction.pose_columns}
+        nothing = np.zeros(prediction.distance.shape)
+        result: list[Column] = []
+        for one in regressors:
+            column = found.get("pose." + one.label.removeprefix(COMMON_POSE))
+            result.append((nothing, nothing) if column is None else prediction.pose_change(column))
+        return result
+
+    return Block(tuple(regressors), columns)
+
+
+def known_optics(camera: Camera) -> Block:
+    """Return the principal axes of the optics' covariance in the camera file, each with its 1-sigma."""
+    stated = camera.covariance
+    if stated is None:
+        return Block((), lambda prediction: [])
+    own = [i for i, path in enumerate(stated.parameters) if path.startswith("optics.")]
+    paths = [stated.parameters[i].removeprefix("optics.") for i in own]
+    matrix = np.asarray(stated.matrix.values, float)[np.ix_(own, own)]
+    values, vectors = np.linalg.eigh(matrix) if own else (np.zeros(0), np.zeros((0, 0)))
+    # directions that are known a thousand times better than the worst are known
+    kept = [i for i, one in enumerate(values) if one > 1e-6 * max(values.max(), 1e-300)]
+    regressors = tuple(
+        Regressor(f"{OPTICS}{k}", "optics", float(np.sqrt(values[i]))) for k, i in enumerate(kept)
+    )
+    if not regressors:
+        return Block((), lambda prediction: [])
+    by_path = optics_columns(camera, paths)
+
+    def columns(prediction: Prediction) -> list[Column]:
+        found = by_path(prediction)
+        return [
+            (sum((vectors[j, i] * found[j][0] for j in range(len(paths))), np.zeros(())), None) for i in kept
+        ]
+
+    return Block(regressors, columns)
+
+
+def is_linear(path: str) -> bool:
+    """Whether a regressor is a nuisance whose value is no parameter of camera or light."""
+    return path.startswith((COMMON_POSE, OPTICS))
+
+
+def sizes_found(values: Mapping[str, float], blocks: Sequence[Block]) -> dict[str, tuple[float, float]]:
+    """Return root mean square and stated 1-sigma, both relative to nothing, by kind of imperfection."""
+    kinds: dict[str, list[tuple[float, float]]] = {}
+    for block in blocks:
+        for one in block.regressors:
+            if one.label in values:
+                kinds.setdefault(one.label.split(".")[0], []).append((values[one.label], one.prior))
+    return {
+        kind: (
+            float(np.sqrt(np.mean([v**2 for v, _ in pairs]))),
+            float(np.sqrt(np.mean([p**2 for _, p in pairs]))),
+        )
+        for kind, pairs in kinds.items()
+    }

@@ -1,0 +1,111 @@
+"""What the commands share that find poses in images: options, and a recording with poses for others."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rim_camera_ros.bags import Recording, Topics
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.commands.common import Progress, say
+from rim_camera_ros.errors import InputError, nearest_name
+from rim_camera_ros.photogrammetry.from_images import (
+    DEFAULT_BOARD_SIGMA,
+    DEFAULT_CENTRE_SIGMA,
+    DEFAULT_FOCAL_SIGMA,
+    Known,
+    poses_of_recording,
+    write_poses,
+)
+from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS
+from rim_camera_ros.scene import Scene
+
+
+def _sigma(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"must be 0 or more, found {text}")
+    return value
+
+
+def add_known(parser: argparse.ArgumentParser) -> None:
+    """Add the options that declare what is known of optics and board."""
+    parser.add_argument(
+        "--estimate",
+        metavar="fx,cx,...",
+        help="parameters of the optics to adjust with the poses: fx fy cx cy k1 k2 p1 p2 k3, or all "
+        "(default: none, those of the camera file hold)",
+    )
+    parser.add_argument(
+        "--board-sigma",
+        type=_sigma,
+        default=DEFAULT_BOARD_SIGMA,
+        metavar="REL",
+        help=f"relative 1-sigma of the size of the board ({DEFAULT_BOARD_SIGMA:g}: 0.1 mm in 200 mm)",
+    )
+    parser.add_argument(
+        "--focal-sigma",
+        type=_sigma,
+        metavar="REL",
+        help="relative 1-sigma of a focal length that is held (default: the camera file's covariance, else "
+        f"{DEFAULT_FOCAL_SIGMA:g})",
+    )
+    parser.add_argument(
+        "--centre-sigma",
+        type=_sigma,
+        metavar="PX",
+        help="1-sigma of a principal point that is held (default: the camera file's covariance, else "
+        f"{DEFAULT_CENTRE_SIGMA:g})",
+    )
+
+
+def known_of(given: argparse.Namespace) -> Known:
+    """Return what the options declare known."""
+    return Known(
+        focal_sigma=given.focal_sigma, centre_sigma=given.centre_sigma, board_sigma=given.board_sigma
+    )
+
+
+def estimated(given: argparse.Namespace) -> tuple[str, ...]:
+    """Return the parameters that are to be estimated. Raises `InputError` for unknown ones."""
+    if given.estimate is None:
+        return ()
+    names = [one.strip() for one in given.estimate.split(",") if one.strip()]
+    if names == ["all"]:
+        return OPTICS_PARAMETERS
+    for name in names:
+        if name not in OPTICS_PARAMETERS:
+            raise InputError(
+                f"no parameter '{name}' of the optics",
+                place="--estimate",
+                remedy=nearest_name(name, OPTICS_PARAMETERS),
+            )
+    return tuple(name for name in OPTICS_PARAMETERS if name in names)
+
+
+@contextmanager
+def posed_recordings(
+    given: argparse.Namespace, bags: tuple[Path, ...], board: Scene, camera: Camera, topics: Topics
+) -> Iterator[tuple[Path, ...]]:
+    """Recordings with the poses of a board found in their images, for as long as the context lasts.
+
+    Says what was found. Names of the recordings stay.
+    """
+    with tempfile.TemporaryDirectory(prefix="rim_poses.") as folder:
+        made = []
+        for number, bag in enumerate(bags):
+            with Recording(bag, topics=topics) as recording:
+                total = recording.frame_count
+            with Progress("searched", total, quiet=given.quiet) as progress:
+                found = poses_of_recording(bag, board, camera, topics=topics, progress=progress.over)
+            place = Path(folder) / str(number)
+            place.mkdir()
+            write_poses(bag, found, place / bag.name, topics=topics)
+            say(given, [*found.notes, found.scale_words(DEFAULT_BOARD_SIGMA)])
+            if not given.quiet:
+                print("\n".join(found.words()))
+            made.append(place / bag.name)
+        yield tuple(made)

@@ -1,0 +1,104 @@
+"""Completion of ``rim`` in the shell: commands, options, shipped cameras and scenes, effects, topics.
+
+``eval "$(register-python-argcomplete rim)"`` in ~/.bashrc switches it on (zsh, fish: see argcomplete).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Iterable
+
+from rim_camera_ros.errors import RimError
+
+#: What argcomplete sets where the shell asks for completions.
+_ASKED = "_ARGCOMPLETE"
+Completer = Callable[..., Iterable[str]]
+
+
+def asked_for() -> bool:
+    """Whether this process was started to complete a command line, not to run it."""
+    return _ASKED in os.environ
+
+
+def command_asked_for(known: Iterable[str]) -> str | None:
+    """Return the command on the line that is completed, None where there is none yet."""
+    words = os.environ.get("COMP_LINE", "").split(" ")
+    return next((one for one in known if [one] == words[1:2] and len(words) > 2), None)
+
+
+def parser_of_names(known: Iterable[str]) -> argparse.ArgumentParser:
+    """Return a parser that knows the names of the commands alone: to import all of them takes seconds."""
+    result = argparse.ArgumentParser(prog="rim")
+    result.add_argument("--version", action="store_true")
+    commands = result.add_subparsers()
+    for name in known:
+        commands.add_parser(name)
+    return result
+
+
+def complete(parser: argparse.ArgumentParser) -> None:
+    """Print the completions of the line and end the process; return where argcomplete is not installed."""
+    try:
+        import argcomplete
+    except ImportError:
+        return
+    for one in _parsers(parser):
+        for action in one._actions:  # argparse has no public list of them
+            completer = _completer(action)
+            if completer is not None:
+                action.completer = completer  # type: ignore[attr-defined]
+    argcomplete.autocomplete(parser)
+
+
+def _parsers(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
+    found = [parser]
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            found += list(action.choices.values())
+    return found
+
+
+def _completer(action: argparse.Action) -> Completer | None:
+    """Return what completes an option's or argument's value; None leaves it to argcomplete (files)."""
+    name = action.dest
+    if name in ("camera", "scene"):
+        return _names_and_files("calibration" if name == "camera" else "config")
+    if name == "what":
+        return _names_and_files("calibration", "config", also=("usb",))
+    if name in ("effects", "without"):
+        return _effects
+    if name == "topic":
+        return _roles
+    return None
+
+
+def _names_and_files(*kinds: str, also: tuple[str, ...] = ()) -> Completer:
+    def completer(prefix: str, **_: object) -> list[str]:
+        from argcomplete.completers import FilesCompleter
+
+        from rim_camera_ros.files import shipped
+
+        try:
+            names = [*also, *(name for kind in kinds for name in shipped(kind))]
+        except RimError:  # an installation without them
+            names = list(also)
+        files = FilesCompleter() if "usb" in also else FilesCompleter(("yaml", "yml"))
+        return [one for one in names if one.startswith(prefix)] + list(files(prefix))
+
+    return completer
+
+
+def _effects(prefix: str, **_: object) -> list[str]:
+    """Complete the last of several effects, joined by commas."""
+    from rim_camera_ros.effects import registry
+
+    before, comma, last = prefix.rpartition(",")
+    given = before.split(",")
+    return [f"{before}{comma}{one}" for one in registry() if one.startswith(last) and one not in given]
+
+
+def _roles(prefix: str, **_: object) -> list[str]:
+    from rim_camera_ros.bags.topics import ROLES
+
+    return [f"{one}=" for one in ROLES if one.startswith(prefix)]

@@ -1,0 +1,326 @@
+"""What else the scene could be: set-up faults as hypotheses that compete with the files as they are given.
+
+A board that is turned, mirrored or inverted, a wrong square size, distances along z, another lens: each is a
+change of scene, poses or camera whose prediction is compared with the recording before any physics is looked
+for. The comparison is robust and coarse: neighbouring pixels of a tile count as one observation, errors of
+distances up to those of a camera that nobody calibrated cost little. Models are compared by the paired
+differences of their poses (Vehtari, Gelman & Gabry 2017).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.coarser import coarser_camera, coarser_dataset
+from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
+from rim_camera_ros.calibrate.stations import Dataset, Station
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.errors import RimError
+from rim_camera_ros.frame import Pose
+from rim_camera_ros.parameters import NestedList
+from rim_camera_ros.scene import Scene, Surface, quaternion, rotation_matrix
+
+Array = NDArray[Any]
+
+AS_GIVEN = "as_given"
+#: 1-sigma of distances [m] and relative 1-sigma of amplitudes in which a camera and its file may differ, so
+#: that physics is not taken for a set-up.
+_CAMERA_DISTANCE, _CAMERA_AMPLITUDE = 0.03, 0.15
+#: Squares of standardised residuals count up to this: what is wrong is wrong.
+_MOST = 9.0
+#: Nats by which another set-up must be better, and standard errors of its paired differences over poses.
+LEAST_GAIN = 20.0
+STANDARD_ERRORS = 2.0
+#: ... and share of what does not fit that it must explain: physics that is missing imitates a part of it.
+LEAST_SHARE = 0.5
+#: Poses on which hypotheses are compared, at most, and about how many pixels of each.
+_MOST_POSES = 8
+_ENOUGH_PIXELS = 1600
+#: Errors of poses of a surface against the others, in their 1-sigma, from which its depth is tried.
+_FAR = 5.0
+#: Factors on sizes of tiles and surfaces, on depths, and on the focal length that are tried.
+_FACTORS = (0.8, 0.9, 0.95, 1.05, 1.1, 1.25)
+#: A focal length nearer to the file's than this is no other lens, but a camera constant that is wrong.
+_LEAST_LENS = 0.08
+_WORDS = {
+    "turned_180": "the pattern of {0} turned by 180 degrees",
+    "mirrored": "the pattern of {0} mirrored",
+    "inverted": "the bright and dark tiles of {0} exchanged",
+    "turned_90": "the pattern of {0} turned by 90 degrees",
+    "other_pattern": "another pattern on {0}: its tiles reflect otherwise than the scene file says",
+    "scale": "{0} {1:.3g} times as large as the scene file says",
+    "depth": "{0} {1:+.0f} mm farther away than its poses say",
+    "pose": "poses of {0} with another sign of an angle",
+    "units": "distances in other units, by a factor of {1:g}",
+    "z_distance": "distances along the optical axis instead of along the ray",
+    "other_lens": "another lens, of {1:.3g} times the focal length",
+}
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set-up: what it changes, of which surface, by how much, and what it gains over the files [nats].
+
+    ``standard_error`` [nats] of the gain from its paired differences over poses; ``share`` of what does not
+    fit that it explains.
+    """
+
+    hypothesis: str
+    surface: str
+    gain: float
+    standard_error: float
+    value: float = 0.0
+    share: float = 0.0
+
+    @property
+    def sentence(self) -> str:
+        """The set-up in words."""
+        if self.hypothesis == AS_GIVEN:
+            return "scene, poses and camera as the files say"
+        return _WORDS[self.hypothesis].format(self.surface or "the scene", self.value)
+
+    @property
+    def reason(self) -> str:
+        """Why the set-up cannot be trusted, and what to do."""
+        return (
+            f"{self.hypothesis}: {self.sentence} explains the recording better than the files do "
+            f"({self.share:.0%} of what does not fit); correct the scene file, the poses or the camera file"
+        )
+
+    @property
+    def is_better(self) -> bool:
+        """Whether it fits the recording better than the files do."""
+        significant = self.gain > max(LEAST_GAIN, STANDARD_ERRORS * self.standard_error)
+        return self.hypothesis != AS_GIVEN and significant
+
+    @property
+    def wins(self) -> bool:
+        """Whether it is better and explains most of what does not fit."""
+        return self.is_better and self.share > LEAST_SHARE
+
+
+@dataclass(frozen=True)
+class _Trial:
+    hypothesis: str
+    surface: str
+    value: float
+    dataset: Dataset
+    scene: Scene
+    camera: Camera
+
+
+def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypothesis]:
+    """Return the set-ups by what they gain over the files as given, the best first; these gain 0."""
+    chosen = _some_poses(dataset)
+    step = round(np.sqrt(camera.sensor.width * camera.sensor.height / _ENOUGH_PIXELS))
+    if step > 1:
+        chosen, camera = coarser_dataset(chosen, step), coarser_camera(camera, step)
+    given = _score(_Trial(AS_GIVEN, "", 0.0, chosen, scene, camera))
+    found = [Hypothesis(AS_GIVEN, "", 0.0, 0.0)]
+    for trial in _trials(chosen, scene, camera):
+        try:
+            score = _score(trial)
+        except RimError:
+            continue
+        keys = sorted(given.keys() | score.keys())
+        difference = np.array([score.get(key, 0.0) - given.get(key, 0.0) for key in keys])
+        if not difference.size:
+            continue
+        # the poses are a sample of those of the recording
+        share = len({(one.recording, one.pose) for one in dataset.stations}) / len(keys)
+        error = float(np.std(difference, ddof=1) * np.sqrt(len(keys))) if len(keys) > 1 else np.inf
+        found.append(
+            Hypothesis(
+                trial.hypothesis,
+                trial.surface,
+                float(difference.sum() * share),
+                error * share,
+                trial.value,
+                float(difference.sum()) / max(-sum(given.values()), 1e-9),
+            )
+        )
+    best: dict[tuple[str, str], Hypothesis] = {}
+    for one in found:
+        key = (one.hypothesis, one.surface)
+        if key not in best or one.gain > best[key].gain:
+            best[key] = one
+    return sorted(best.values(), key=lambda one: -one.gain)
+
+
+def _some_poses(dataset: Dataset) -> Dataset:
+    """Return the dataset with one station of each of some poses, spread over the recording."""
+    first: dict[tuple[int, int], Station] = {}
+    for one in dataset.stations:
+        first.setdefault((one.recording, one.pose), one)
+    stations = list(first.values())
+    step = max(1, -(-len(stations) // _MOST_POSES))
+    return replace(dataset, stations=stations[::step])
+
+
+def _score(trial: _Trial) -> dict[tuple[int, int], float]:
+    """Return the log likelihood of each pose, up to a constant that all trials share."""
+    forward = Forward(trial.dataset, trial.scene, trial.camera)
+    forward.estimate_amplitudes()
+    forward.amplitude_model = AmplitudeModel(dict(forward.amplitude_model.gains), 0.0)
+    described = np.array([one.is_described for one in trial.scene.surfaces])
+    result: dict[tuple[int, int], float] = {}
+    for one in forward.predictions(slopes=False):
+        measured = one.station.count > 0
+        seen = one.view.geometry.hit & measured
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = one.residual**2 / (one.sigma**2 + _CAMERA_DISTANCE**2)
+            ratio = np.log(one.station.amplitude / one.model_amplitude)
+            noise = one.amplitude_noise / one.model_amplitude
+            light = ratio**2 / (noise**2 + _CAMERA_AMPLITUDE**2)
+        light[~described[one.view.geometry.surface]] = 0.0
+        both = np.minimum(np.nan_to_num(distance, nan=_MOST), _MOST)
+        both += np.minimum(np.nan_to_num(light, nan=_MOST), _MOST)
+        # what the scene has nothing for is as wrong as can be
+        both[measured & ~seen] = 2 * _MOST
+        # of the pixels that a trial can judge, those away from its edges; each counts as its share of a patch
+        judged = measured & (one.view.clean | ~seen)
+        if not judged.any():
+            continue
+        patches = (
+            measured.sum() / float(np.median(forward.views.alike(one.view)[one.view.clean]))
+            if (one.view.clean.any())
+            else 1.0
+        )
+        key = (one.station.recording, one.station.pose)
+        result[key] = -0.5 * float(both[judged].mean()) * patches
+    return result
+
+
+def _trials(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[_Trial]:
+    for number, surface in enumerate(scene.surfaces):
+
+        def with_surface(changed: Surface, at: int = number) -> Scene:
+            others = [*scene.surfaces[:at], changed, *scene.surfaces[at + 1 :]]
+            return replace(scene, surfaces=tuple(others))
+
+        if surface.texture is not None:
+            for name, values in _patterns(surface.texture.values.values):
+                texture = replace(surface.texture, values=NestedList(values))
+                changed = with_surface(replace(surface, texture=texture))
+                yield _Trial(name, surface.name, 0.0, dataset, changed, camera)
+        if surface.texture is not None or surface.size is not None:
+            for factor in _FACTORS:
+                changed = with_surface(_scaled(surface, factor))
+                yield _Trial("scale", surface.name, factor, dataset, changed, camera)
+        if surface.pose == "truth":
+            for axis in (0, 1):
+                turned = _with_poses(dataset, surface.name, partial(_flipped, axis=axis))
+                yield _Trial("pose", surface.name, float(axis), turned, scene, camera)
+    yield from _as_measured(dataset, scene, camera)
+    yield from _of_camera(dataset, scene, camera)
+
+
+def _as_measured(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[_Trial]:
+    """Yield, for each surface, the pattern and the depth that the recording itself shows."""
+    forward = Forward(dataset, scene, camera)
+    forward.estimate_amplitudes()
+    forward.amplitude_model = AmplitudeModel(dict(forward.amplitude_model.gains), 0.0)
+    ratios: dict[int, list[float]] = {}
+    depths: dict[int, list[float]] = {}
+    for one in forward.predictions(slopes=False):
+        geometry = one.view.geometry
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.log(one.station.amplitude / one.model_amplitude)
+        lit = one.amplitude_used & np.isfinite(ratio)
+        for tile in np.unique(geometry.tile[lit]):
+            ratios.setdefault(int(tile), []).append(float(np.median(ratio[lit & (geometry.tile == tile)])))
+        for number in np.unique(geometry.surface[one.used]):
+            mine = one.used & (geometry.surface == number)
+            along = one.residual * geometry.cos_incidence
+            depths.setdefault(int(number), []).append(float(np.median(along[mine])))
+    first = 0
+    for number, surface in enumerate(scene.surfaces):
+        start, first = first, first + surface.tiles
+        others = [value for i, values in depths.items() if i != number for value in values]
+        if surface.pose == "truth" and number in depths and others:
+            depth = float(np.median(depths[number])) - float(np.median(others))
+            if abs(depth) > _FAR * surface.pose_sigma[0]:
+                moved = _with_poses(dataset, surface.name, partial(_farther, by=depth))
+                yield _Trial("depth", surface.name, 1e3 * depth, moved, scene, camera)
+        if surface.texture is None or not surface.is_described:
+            continue
+        values = surface.texture.values.values.copy()
+        limit = 3.0 * max(surface.reflectivity_sigma, _CAMERA_AMPLITUDE)
+        for k, value in enumerate(values.ravel()):
+            change = float(np.median(ratios.get(start + k, [0.0])))
+            if abs(change) > limit:
+                values.flat[k] = float(np.clip(value * np.exp(change), 0.0, 1.0))
+        if not np.array_equal(values, surface.texture.values.values):
+            changed = replace(surface, texture=replace(surface.texture, values=NestedList(values)))
+            surfaces = (*scene.surfaces[:number], changed, *scene.surfaces[number + 1 :])
+            yield _Trial(
+                "other_pattern", surface.name, 0.0, dataset, replace(scene, surfaces=surfaces), camera
+            )
+
+
+def _of_camera(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[_Trial]:
+    for factor in (1e-3, 1e3):
+        stations = [replace(one, distance=one.distance * factor) for one in dataset.stations]
+        yield _Trial("units", "", 1 / factor, replace(dataset, stations=stations), scene, camera)
+    along = camera.rays[..., 2]
+    stations = [replace(one, distance=one.distance / along) for one in dataset.stations]
+    yield _Trial("z_distance", "", 0.0, replace(dataset, stations=stations), scene, camera)
+    for factor in (one for one in _FACTORS if abs(one - 1) > _LEAST_LENS):
+        optics = replace(camera.optics, fx=camera.optics.fx * factor, fy=camera.optics.fy * factor)
+        yield _Trial("other_lens", "", factor, dataset, scene, replace(camera, optics=optics))
+
+
+def _patterns(values: Array) -> Iterator[tuple[str, Array]]:
+    """Yield textures that a print may be taken for; tiles (i, j) begin at the origin of the surface."""
+    yield "turned_180", np.ascontiguousarray(values[::-1, ::-1])
+    yield "mirrored", np.ascontiguousarray(values[:, ::-1])
+    yield "mirrored", np.ascontiguousarray(values[::-1, :])
+    yield "inverted", values.max() + values.min() - values
+    if values.shape[0] == values.shape[1]:
+        yield "turned_90", np.ascontiguousarray(np.rot90(values))
+
+
+def _scaled(surface: Surface, factor: float) -> Surface:
+    texture = surface.texture
+    if texture is not None:
+        texture = replace(texture, cell=(texture.cell[0] * factor, texture.cell[1] * factor))
+    size = None if surface.size is None else (surface.size[0] * factor, surface.size[1] * factor)
+    return replace(surface, texture=texture, size=size)
+
+
+def _with_poses(dataset: Dataset, name: str, change: Callable[[Pose], Pose]) -> Dataset:
+    def changed(truth: Mapping[str, Pose]) -> dict[str, Pose]:
+        return {key: change(pose) if key == name else pose for key, pose in truth.items()}
+
+    return replace(dataset, stations=[replace(one, truth=changed(one.truth)) for one in dataset.stations])
+
+
+def _farther(pose: Pose, *, by: float) -> Pose:
+    """Return the pose moved along its normal, away from the camera, by a length [m]."""
+    normal = rotation_matrix(pose.orientation)[:, 2]
+    normal = normal * np.sign(normal @ np.array(pose.position))
+    x, y, z = np.array(pose.position) + by * normal
+    return Pose((float(x), float(y), float(z)), pose.orientation)
+
+
+def _flipped(pose: Pose, *, axis: int) -> Pose:
+    """Return the pose with the opposite tilt about an axis of the camera: its normal is mirrored."""
+    rotation = rotation_matrix(pose.orientation)
+    mirror = np.eye(3)
+    mirror[axis, axis] = -1.0
+    # the mirror image of the frame is left-handed: its own axis turned back makes it a rotation again
+    back = np.eye(3)
+    back[axis, axis] = -1.0
+    return Pose(pose.position, quaternion(mirror @ rotation @ back))
+
+
+def best_setup(found: Sequence[Hypothesis]) -> Hypothesis | None:
+    """Return the set-up that explains the recording better than the files do; None: they are the best."""
+    winners = [one for one in found if one.wins]
+    return winners[0] if winners else None

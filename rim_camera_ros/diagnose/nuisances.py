@@ -1,0 +1,104 @@
+"""What a fit found of ordinary imperfections, beside the sizes that the files state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rim_camera_ros.calibrate.imperfections import COMMON_POSE, OPTICS
+from rim_camera_ros.calibrate.light_curves import PREFIX, TILES
+from rim_camera_ros.calibrate.problem import Fit
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.scene import Scene
+
+#: Stated sizes beyond which an imperfection is none, but a fault of the set-up.
+BEYOND = 3.0
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """An imperfection: root mean square of what was ``found``, and the 1-sigma that is ``stated``."""
+
+    name: str
+    found: float
+    stated: float
+    unit: str = "-"
+
+
+#: Names by the beginning of the labels of their parameters, with the unit.
+_KINDS = (
+    ("reflectivity", TILES, "-"),
+    ("lobe", f"{PREFIX}lobe.", "-"),
+    ("common_pose_offset", COMMON_POSE, "m"),
+    ("common_pose_tilt", COMMON_POSE, "rad"),
+    ("optics", OPTICS, "px"),
+)
+
+
+def nuisances_of(fitted: Fit, camera: Camera) -> list[Nuisance]:
+    """Return what was found of reflectivities, gains of pixels, powers and poses [m, rad], and optics."""
+    priors = {one.label: one.prior for one in fitted.equations.regressors}
+    result = []
+    for name, beginning, unit in _KINDS:
+        labels = [one for one in fitted.parameters if one.startswith(beginning) and one in priors]
+        if beginning == COMMON_POSE:
+            labels = [one for one in labels if one.endswith("offset") == (unit == "m")]
+        if labels:
+            result.append(_of(name, [(fitted.parameters[one], priors[one]) for one in labels], unit))
+    pairs: dict[str, list[tuple[float, float]]] = {}
+    for fold in fitted.equations.folds:
+        for label, prior, at in fold.nuisances:
+            kind = label.split(".", 2)[2]
+            name = (
+                "emitted_power"
+                if kind == "gain"
+                else "pose_offset"
+                if kind.endswith("offset")
+                else "pose_tilt"
+            )
+            if kind == "gain" or kind.startswith("pose."):
+                pairs.setdefault(name, []).append((at + fitted.nuisances.get(label, 0.0), prior))
+    units = {"emitted_power": "-", "pose_offset": "m", "pose_tilt": "rad"}
+    result += [_of(name, values, units[name]) for name, values in pairs.items()]
+    pixels = fitted.forward.amplitude_model.pixels
+    if pixels is not None:
+        spread = float(np.sqrt(np.mean(pixels**2)))
+        result.append(Nuisance("pixel_gain", spread, camera.radiometry.pattern_sigma))
+    return result
+
+
+def optics_beyond(fitted: Fit, camera: Camera) -> str | None:
+    """Return in words that the optics differ from the file by far more than it states; None: they do not."""
+    found = [one for one in nuisances_of(fitted, camera) if one.name == "optics"]
+    if not found or found[0].found <= BEYOND * found[0].stated:
+        return None
+    return (
+        f"the optics differ from the camera file by {found[0].found / found[0].stated:.1f} times the sigma "
+        "of its covariance, which was not used therefore"
+    )
+
+
+def reflectivities_beyond(fitted: Fit, scene: Scene) -> str | None:
+    """Return which surface reflects otherwise than stated, by far more than is stated; None: none does."""
+    priors = {one.label: one.prior for one in fitted.equations.regressors}
+    for surface in scene.surfaces:
+        beginning = f"{TILES}{surface.name}."
+        own = [one for one in fitted.parameters if one.startswith(beginning) and one in priors]
+        if not own:
+            continue
+        # by the median: a tile that few pixels see says little
+        found = float(np.median([abs(fitted.parameters[one]) / priors[one] for one in own]))
+        if found > BEYOND:
+            return (
+                f"other_pattern: half of the tiles of {surface.name} reflect otherwise than the scene file "
+                f"says by more than {found:.1f} times what it states: another board, turned or "
+                "swapped; describe the board that was recorded, or state reflectivity: unknown"
+            )
+    return None
+
+
+def _of(name: str, pairs: list[tuple[float, float]], unit: str) -> Nuisance:
+    values = np.array(pairs)
+    found, stated = np.sqrt(np.mean(values**2, axis=0))
+    return Nuisance(name, float(found), float(stated), unit)

@@ -1,0 +1,75 @@
+"""The noise model of a camera file from variances by amplitude, with the uncertainty of its parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from rim_camera_ros.first_camera.repeated import NoiseClass
+from rim_camera_ros.noise import Noise
+
+Array = NDArray[np.float64]
+
+#: Classes that a fit of all three parameters needs, and the range of amplitudes (greatest over least).
+_LEAST_CLASSES, _LEAST_RANGE = 4, 2.0
+#: Draws for the uncertainty.
+_DRAWS = 200
+#: Relative error of a class's variance that no number of values undercuts: pixels are not alike.
+_FLOOR = 0.02
+
+
+@dataclass(frozen=True)
+class NoiseEstimate:
+    """The model, 1-sigma of its parameters (floor, shot, amplitude), and the relative RMS of sigma about it.
+
+    ``whole``: all three parameters were fitted; else the amplitudes span too little, and ``amplitude`` alone
+    was.
+    """
+
+    noise: Noise
+    sigma: Noise
+    misfit: float
+    whole: bool
+
+
+def fit_noise_model(classes: tuple[NoiseClass, ...], *, seed: int = 0) -> NoiseEstimate | None:
+    """Fit sigma^2 = floor^2 + shot^2 / A + (amplitude / A)^2 by non-negative least squares.
+
+    The uncertainty comes from classes drawn anew within their errors, widened where the model does not
+    describe them. Returns None without a class.
+    """
+    if not classes:
+        return None
+    a = np.array([one.amplitude for one in classes])
+    level = np.array([one.variance for one in classes])
+    error = np.hypot([one.error for one in classes], _FLOOR * level)
+    whole = len(classes) >= _LEAST_CLASSES and a.max() / a.min() >= _LEAST_RANGE
+    columns = np.stack([np.ones_like(a), 1 / a, 1 / a**2], axis=1)
+    if not whole:
+        columns[:, :2] = 0.0
+    best = _solved(columns, level, error)
+    model = columns @ best
+    freedom = max(len(a) - int((best > 0).sum()), 1)
+    widened = error * max(1.0, float(np.sqrt(np.sum(((level - model) / error) ** 2) / freedom)))
+    rng = np.random.default_rng(seed)
+    drawn = [_solved(columns, model + widened * rng.standard_normal(len(a)), error) for _ in range(_DRAWS)]
+    spread = np.std(np.sqrt(np.array(drawn)), axis=0)
+    misfit = float(np.sqrt(np.mean((np.sqrt(level / np.maximum(model, 1e-30)) - 1) ** 2)))
+    floor, shot, slope = (float(one) for one in np.sqrt(best))
+    return NoiseEstimate(
+        Noise(floor=floor, shot=shot, amplitude=slope),
+        Noise(floor=float(spread[0]), shot=float(spread[1]), amplitude=float(spread[2])),
+        misfit,
+        whole,
+    )
+
+
+def _solved(columns: Array, level: Array, error: Array) -> Array:
+    scaled = columns / error[:, None]
+    size = np.maximum(np.linalg.norm(scaled, axis=0), 1e-300)
+    solution, _ = nnls(scaled / size, level / error)
+    result: Array = solution / size
+    return np.where(np.linalg.norm(columns, axis=0) > 0, result, 0.0)

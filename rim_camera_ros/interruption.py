@@ -1,0 +1,74 @@
+"""Ctrl-C while a program of this package still imports its libraries: an end without a traceback.
+
+The first thing of the package that runs in any program; it imports next to nothing. The programs set handlers
+of their own once they have something to clear up.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+
+#: Programs, by the name of their executable or of their module, with their exit status when interrupted. A
+#: node that is asked to end has done what it should.
+PROGRAMS = {
+    "rim": 130,
+    "demo": 130,
+    "camera_node": 0,
+    "driver_node": 0,
+    "correction_node": 0,
+    "people_node": 0,
+    "calibration_node": 0,
+}
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_PACKAGE = "rim_camera_ros"
+#: Modules that are named otherwise than their program.
+_MODULES = {"cli": "rim"}
+
+
+def program(command: Sequence[str], script: str) -> str | None:
+    """Return which of `PROGRAMS` a process is, None for any other that imports the package.
+
+    ``command``: the interpreter's command line (``sys.orig_argv``); ``script``: ``sys.argv[0]`` while the
+    package is imported, which is ``-m`` for a module.
+    """
+    if script == "-m":
+        flags = [i for i, one in enumerate(command[:-1]) if one.startswith("-") and one.endswith("m")]
+        package, _, module = command[flags[0] + 1].partition(".") if flags else ("", "", "")
+        if package != _PACKAGE:
+            return None
+        name = module.rpartition(".")[2]
+        name = _MODULES.get(name, name)
+    else:
+        name = os.path.basename(script)
+    return name if name in PROGRAMS else None
+
+
+def end_quietly_while_importing() -> None:
+    """End this process at SIGINT, SIGTERM, SIGHUP where it is one of `PROGRAMS` and does not ignore them.
+
+    Once its work is done it ignores them, until the interpreter has ended.
+    """
+    name = program(sys.orig_argv, sys.argv[0] if sys.argv else "")
+    if name is None:
+        return
+
+    def end(number: int, frame: FrameType | None) -> None:
+        status = PROGRAMS[name]
+        if status:
+            os.write(2, f"{name}: interrupted\n".encode())
+        os._exit(status)  # nothing has begun; an exception could be lost in the midst of an import
+
+    def ignore() -> None:
+        for number in heard:
+            signal.signal(number, signal.SIG_IGN)
+
+    heard = [one for one in _ENDING if signal.getsignal(one) != signal.SIG_IGN]
+    for number in heard:
+        signal.signal(number, end)
+    # the interpreter goes back to the system's handlers at its end, but leaves what is ignored
+    atexit.register(ignore)

@@ -1,0 +1,91 @@
+"""Parameters of the launch files, as files that nodes of one process tell apart; no ROS in here."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from rim_camera_ros.errors import InputError
+
+_EVERY_NODE = "/**"
+_LEVELS = ("debug", "info", "warn", "error", "fatal")
+
+
+def preset_file(name: str, presets: Path) -> str:
+    """Return the file of a preset in the folder ``presets``, or '' for no name.
+
+    Raises `InputError` that lists the presets there are.
+    """
+    if not name:
+        return ""
+    path = presets / f"{name}.yaml"
+    if not path.is_file():
+        known = ", ".join(sorted(one.stem for one in presets.glob("*.yaml")))
+        raise InputError(f"no preset '{name}'", place="preset", remedy=f"presets: {known}")
+    return str(path)
+
+
+def for_node(node: str, *, file: str = "", values: Mapping[str, Any] | None = None) -> list[str]:
+    """Return parameter files that one node of a process heeds, in the order in which they override.
+
+    ``file``: a user's parameter file, in which ``/**`` shall mean this node; ``values`` override it. Raises
+    `InputError` where the file cannot be read or is no parameter file.
+    """
+    contents: list[dict[str, Any]] = []
+    if file:
+        contents.append(_addressed(_read(file), node))
+    if values:
+        contents.append({f"{_EVERY_NODE}/{node}": {"ros__parameters": dict(values)}})
+    return [_written(one, node) for one in contents]
+
+
+def log_levels(text: str, *, namespace: str, nodes: tuple[str, ...]) -> list[str]:
+    """Return the arguments of ``--ros-args`` that set log levels, none for ''.
+
+    ``text``: a level, for all ``nodes``, or levels by node, ``driver=debug,correction=warn``. Raises
+    `InputError` for what is no level or no node.
+    """
+    levels: dict[str, str] = {}
+    for part in (one.strip() for one in text.split(",") if one.strip()):
+        node, _, level = part.rpartition("=")
+        if level not in _LEVELS:
+            raise InputError(
+                f"'{level}' is no level", place="log_level", remedy="one of: " + ", ".join(_LEVELS)
+            )
+        if node and node not in nodes:
+            raise InputError(f"no node '{node}'", place="log_level", remedy="one of: " + ", ".join(nodes))
+        levels |= dict.fromkeys([node] if node else nodes, level)
+    prefix = "".join(f"{one}." for one in namespace.strip("/").split("/") if one)
+    return [word for node, level in levels.items() for word in ("--log-level", f"{prefix}{node}:={level}")]
+
+
+def _read(file: str) -> dict[str, Any]:
+    path = Path(file).expanduser()
+    try:
+        content = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", file=path, remedy="check its path") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f"is no YAML: {' '.join(str(error).split())[:200]}", file=path) from None
+    if not isinstance(content, dict) or not all(isinstance(one, dict) for one in content.values()):
+        raise InputError(
+            "is no parameter file", file=path, remedy="/**: {ros__parameters: {name: value}}, say"
+        )
+    return content
+
+
+def _addressed(content: Mapping[str, Any], node: str) -> dict[str, Any]:
+    return {f"{_EVERY_NODE}/{node}" if name == _EVERY_NODE else name: one for name, one in content.items()}
+
+
+def _written(content: Mapping[str, Any], node: str) -> str:
+    # the node reads it after this has returned; launch_ros leaves its own files behind, too
+    with tempfile.NamedTemporaryFile(
+        "w", prefix=f"rim_camera_{node}_", suffix=".yaml", delete=False
+    ) as written:
+        yaml.safe_dump(dict(content), written)
+    return written.name

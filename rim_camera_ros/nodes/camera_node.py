@@ -1,0 +1,44 @@
+"""A camera in one process: driver, correction and, with the parameter ``people``, who follows people.
+
+The nodes have the names, topics, services and parameters that they have in processes of their own; frames
+go from one to the next in memory, and the raw topics are published only while somebody listens.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+
+from rim_camera_ros.effects import registry
+from rim_camera_ros.nodes import correction_parameters, driver_parameters, people_parameters
+from rim_camera_ros.nodes.correction_node import CorrectionNode
+from rim_camera_ros.nodes.driver_node import DriverNode
+from rim_camera_ros.nodes.handover import CorrectedCloud, Exposure, Handover
+from rim_camera_ros.nodes.run import Service, run
+
+
+def nodes() -> Iterator[Service]:
+    """Make the nodes one after the other, those that receive before those that give."""
+    frames, clouds = Handover[Exposure](), Handover[CorrectedCloud]()
+    known = {
+        spec.name
+        for one in (driver_parameters, correction_parameters, people_parameters)
+        for spec in one.SPECS
+    }
+    known |= {correction_parameters.PEOPLE.name, *(correction_parameters.EFFECT + one for one in registry())}
+    correction = CorrectionNode(frames=frames, clouds=clouds, elsewhere=known)
+    yield correction
+    if correction.follows_people:
+        from rim_camera_ros.nodes.people_node import PeopleNode
+
+        yield PeopleNode(clouds=clouds, elsewhere=known)
+    yield DriverNode(frames=frames, elsewhere=known)
+
+
+def main() -> int:
+    """Run the nodes."""
+    return run("camera_node", nodes)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

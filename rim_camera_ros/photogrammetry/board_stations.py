@@ -1,0 +1,135 @@
+"""Stations of a recorded board: where it is in each frame, and which frames show it at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.frame import Pose, RawFrame
+from rim_camera_ros.photogrammetry.board_detection import FoundBoard, find_board
+from rim_camera_ros.photogrammetry.texture_targets import TextureTargets, targets_of
+from rim_camera_ros.scene import TRUTH, Scene, Surface
+
+Array = NDArray[np.float64]
+
+#: The board rests as long as its points move by less than this, RMS of what they have in common [px].
+_REST = 0.12
+_WINDOW = 3
+
+
+@dataclass
+class BoardStations:
+    """Frames of a recording sorted to stations of a board; filled while `frames` is iterated.
+
+    ``station`` of each frame's stamp; ``first`` stamp of each station; ``unseen`` counts the frames without
+    the board, ``ambiguous`` those in which it looks alike turned by half a turn.
+    """
+
+    surface: Surface
+    camera: Camera
+    station: dict[int, int] = field(default_factory=dict)
+    first: list[int] = field(default_factory=list)
+    unseen: int = 0
+    ambiguous: int = 0
+
+    def __post_init__(self) -> None:
+        found = targets_of(self.surface)
+        assert found is not None
+        self.targets: TextureTargets = found
+
+    def frames(self, recorded: Iterable[RawFrame]) -> Iterator[RawFrame]:
+        """Yield the frames that show the board, with its approximate pose as their only truth."""
+        reference: tuple[NDArray[np.float32], FoundBoard, Any] | None = None
+        last: Pose | None = None
+        for frame in recorded:
+            if frame.shape != self.camera.shape:
+                raise InputError(
+                    f"its images have {frame.shape[1]} x {frame.shape[0]} px, "
+                    f"the camera {self.camera.shape[1]} x {self.camera.shape[0]}",
+                    remedy="give the camera file that belongs to the recording",
+                )
+            image = np.nan_to_num(np.asarray(frame.amplitude, np.float32))
+            told = frame.pose_stamps.get(self.surface.name)
+            if not (reference is not None and reference[2] == told and self._rests(reference, image)):
+                found = find_board(image, self.surface, self.targets, self.camera.optics, near=last)
+                if found is None:
+                    self.unseen += 1
+                    reference = None
+                    continue
+                self.ambiguous += found.ambiguous
+                reference = (image, found, told)
+                self.first.append(frame.stamp)
+            assert reference is not None
+            last = reference[1].pose
+            self.station[frame.stamp] = len(self.first) - 1
+            name = self.surface.name
+            yield replace(frame, truth={name: last}, pose_stamps={name: self.first[-1]})
+
+    def _rests(
+        self, reference: tuple[NDArray[np.float32], FoundBoard, Any], image: NDArray[np.float32]
+    ) -> bool:
+        before, found, _ = reference
+        if self.targets.circles:
+            again = find_board(image, self.surface, self.targets, self.camera.optics, near=found.pose)
+            if again is None or again.points.shape != found.points.shape:
+                return False
+            return _common_motion(found.points, again.points - found.points) < _REST
+        moved = [_settled(one, found.points) for one in (before, image)]
+        return _common_motion(found.points, moved[1] - moved[0]) < _REST
+
+
+def _settled(image: NDArray[np.float32], points: Array) -> Array:
+    height, width = image.shape
+    room = _WINDOW + 2
+    inside = (points > room).all(axis=1) & (points < (width - room, height - room)).all(axis=1)
+    result = points.copy()
+    if inside.any():
+        start = points[inside].astype(np.float32).reshape(-1, 1, 2).copy()
+        criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-3)
+        moved = cv2.cornerSubPix(image, start, (_WINDOW, _WINDOW), (-1, -1), criteria)
+        result[inside] = np.asarray(moved, float).reshape(-1, 2)
+    return result
+
+
+def _common_motion(points: Array, shifts: Array) -> float:
+    """Return the RMS [px] of the affine motion that points (n, 2) have in common, less what noise makes."""
+    centred = (points - points.mean(axis=0)) / float(np.ptp(points) + 1e-9)
+    design = np.column_stack([np.ones(len(points)), centred])
+    # the median first: single points that ran away tell nothing of the board
+    size = np.linalg.norm(shifts - np.median(shifts, axis=0), axis=1)
+    good = size <= 4 * float(np.median(size)) + 1e-6
+    if good.sum() < 4:
+        return float("inf")
+    fitted = design[good] @ np.linalg.lstsq(design[good], shifts[good], rcond=None)[0]
+    count = int(good.sum())
+    noise = float(np.sum((shifts[good] - fitted) ** 2)) / max(2 * count - 6, 1)
+    common = float(np.mean(np.sum(fitted**2, axis=1)))
+    return float(np.sqrt(max(common - 4 * noise * 3 / count, 0.0)))
+
+
+def board_of(scene: Scene) -> Surface:
+    """Return the surface of a scene that is a board whose poses are to be found.
+
+    Raises `InputError` where there is none, or more than one.
+    """
+    boards = [one for one in scene.surfaces if one.pose == TRUTH and targets_of(one) is not None]
+    if len(boards) == 1:
+        return boards[0]
+    if boards:
+        raise InputError(
+            f"the scene has {len(boards)} boards: {', '.join(one.name for one in boards)}",
+            place="surfaces",
+            remedy="give a scene file with one of them",
+        )
+    raise InputError(
+        "the scene has no board with pose: truth",
+        place="surfaces",
+        remedy="a rectangle with the texture of a checkerboard, markers or circles: rim board writes one",
+    )

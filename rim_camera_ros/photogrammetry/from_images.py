@@ -1,0 +1,248 @@
+"""From a recorded board to truth poses: found, adjusted, written with their covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rim_camera_ros.bags import Recording, RecordingWriter, Topics
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.frame import RawFrame
+from rim_camera_ros.optics import Optics
+from rim_camera_ros.photogrammetry.board_stations import BoardStations, board_of
+from rim_camera_ros.photogrammetry.estimate import estimate_optics
+from rim_camera_ros.photogrammetry.observe import observe
+from rim_camera_ros.photogrammetry.poses import BoardPoses, estimate_poses
+from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS, OPTICS_PATHS
+from rim_camera_ros.photogrammetry.report import OpticsCovariance, OpticsReport
+from rim_camera_ros.photogrammetry.targets import Observations
+from rim_camera_ros.scene import Scene, Surface
+
+#: What is taken of optics whose camera file states no covariance: focal length (relative), centre [px].
+DEFAULT_FOCAL_SIGMA = 0.002
+DEFAULT_CENTRE_SIGMA = 0.5
+#: ... and of the size of a printed board: 0.1 mm in 200 mm.
+DEFAULT_BOARD_SIGMA = 0.0005
+#: Stations that estimated optics need, as `docs/photogrammetry.md` says.
+_LEAST_STATIONS = 3
+
+Wrapped = Callable[[Iterable[RawFrame]], Iterable[RawFrame]]
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is declared known: relative 1-sigma of focal length and board size, of the principal point in px.
+
+    None: as the camera file's covariance says, else the defaults.
+    """
+
+    focal_sigma: float | None = None
+    centre_sigma: float | None = None
+    board_sigma: float = DEFAULT_BOARD_SIGMA
+
+    @property
+    def focal(self) -> float:
+        """Relative 1-sigma of a focal length that nothing else tells."""
+        return DEFAULT_FOCAL_SIGMA if self.focal_sigma is None else self.focal_sigma
+
+    @property
+    def centre(self) -> float:
+        """1-sigma [px] of a principal point that nothing else tells."""
+        return DEFAULT_CENTRE_SIGMA if self.centre_sigma is None else self.centre_sigma
+
+
+@dataclass(frozen=True)
+class ImagePoses:
+    """Poses of a board by the stamps of the frames that show it.
+
+    ``optics`` with ``covariance`` as they were used; ``report`` of their estimation, None: they were held.
+    """
+
+    surface: Surface
+    poses: BoardPoses
+    station: dict[int, int]
+    first: tuple[int, ...]
+    optics: Optics
+    covariance: OpticsCovariance
+    report: OpticsReport | None
+    notes: tuple[str, ...]
+    frames: int
+
+    def placed(self, frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
+        """Yield the frames that have a pose, with it; poses of other surfaces stay."""
+        name = self.surface.name
+        for frame in frames:
+            number = self.station.get(frame.stamp)
+            if number is None or number not in self.poses.stations:
+                continue
+            pose = self.poses.stations[number].pose
+            yield replace(
+                frame,
+                truth={**frame.truth, name: pose},
+                pose_stamps={**frame.pose_stamps, name: self.first[number]},
+            )
+
+    @property
+    def placed_frames(self) -> int:
+        """Number of frames that have a pose."""
+        return sum(number in self.poses.stations for number in self.station.values())
+
+    def words(self) -> list[str]:
+        """Return the result in lines."""
+        stations = list(self.poses.stations.values())
+        normal = [1e3 * one.sigma_normal for one in stations]
+        tilt = [1e3 * one.sigma_tilt for one in stations]
+        residual = [one.residual for one in stations]
+        lines = [
+            f"'{self.surface.name}' at {len(stations)} stations, in {self.placed_frames} of {self.frames} "
+            f"frames; {np.median([one.points for one in stations]):.0f} targets each, residuals "
+            f"{np.median(residual):.2g} px (medians)",
+            f"1-sigma of the poses: {np.median(normal):.2g} mm along the normal ({min(normal):.2g} to "
+            f"{max(normal):.2g}), {np.median(tilt):.2g} mrad of tilt ({min(tilt):.2g} to {max(tilt):.2g})",
+        ]
+        if self.report is None:
+            lines.append("optics: those of the camera file, held")
+        else:
+            sigmas = self.report.sigmas
+            values = [
+                f"{name} {value:.6g}" + (f" +- {sigmas[name]:.2g}" if name in sigmas else "")
+                for name, value in self.report.values.items()
+                if value != 0
+            ]
+            lines.append(f"optics: {', '.join(values)}; residuals {self.report.residual_rms:.2g} px")
+        return lines
+
+    def scale_words(self, board_sigma: float) -> str:
+        """Return what cannot be told apart: scale of distances, focal length, size of the board."""
+        return (
+            "distance scale, focal length and size of the board are not separable from images: all distances "
+            f"to the board are known to {100 * self.poses.scale_sigma:.2g} % together (focal length and "
+            "principal point, size of the board "
+            f"{100 * board_sigma:.2g} %): a distance_scale within that tells nothing of the camera; "
+            f"{100 * self.poses.common_share:.0f} % of the variance of the poses is the same at all stations"
+        )
+
+
+def poses_of_recording(
+    path: Path,
+    scene: Scene,
+    camera: Camera,
+    *,
+    topics: Topics | None = None,
+    known: Known | None = None,
+    estimate: tuple[str, ...] = (),
+    progress: Wrapped = iter,
+) -> ImagePoses:
+    """Find the board of a scene in a recording and return its poses.
+
+    ``estimate`` names parameters of the optics (fx fy cx cy k1 k2 p1 p2 k3) that are adjusted together with
+    the poses; none: the optics of ``camera`` are held. ``known`` says how well they, and the size of the
+    board, are known. Raises `InputError` where the scene has no board or no frame shows it, `RimError`
+    where no pose is determined.
+    """
+    known = known or Known()
+    surface = board_of(scene)
+    stations = BoardStations(surface, camera)
+    with Recording(path, topics=topics) as bag:
+        frames = bag.frame_count
+        try:
+            observed = observe(stations.frames(progress(bag.frames())), camera, Scene((surface,)))
+        except InputError as error:
+            if not stations.first and stations.unseen:
+                raise InputError(
+                    f"the board '{surface.name}' was found in none of {stations.unseen} frames",
+                    file=path,
+                    remedy="the whole board must be in view, its squares 5 px and more; the scene file must "
+                    "describe it as it is",
+                ) from None
+            raise error.located(path) from None
+    optics, covariance, report = _optics(observed, camera, known, estimate)
+    try:
+        poses = estimate_poses(
+            observed, optics=optics, covariance=covariance, board_scale_sigma=known.board_sigma
+        )
+    except RimError as error:
+        raise error.located(path) from None
+    notes = list(dict.fromkeys((*poses.notes, *(() if report is None else report.notes))))
+    if stations.unseen:
+        notes.append(f"{path}: left out: {stations.unseen} frames in which the board was not found")
+    if stations.ambiguous:
+        notes.append(
+            f"turned by half a turn the board '{surface.name}' looks alike: which end is which is taken from "
+            "the frame before (grey fields, markers, or an even by an odd number of squares would tell)"
+        )
+    if report is None and not _states_optics(camera):
+        notes.append(
+            "the camera file states no covariance of its optics: focal length known to "
+            f"{100 * known.focal:.2g} % and principal point to {known.centre:.2g} px are taken"
+        )
+    return ImagePoses(
+        surface=surface,
+        poses=poses,
+        station=dict(stations.station),
+        first=tuple(stations.first),
+        optics=optics,
+        covariance=covariance,
+        report=report,
+        notes=tuple(notes),
+        frames=frames,
+    )
+
+
+def write_poses(
+    source: Path, found: ImagePoses, out: Path, *, topics: Topics | None = None, force: bool = False
+) -> None:
+    """Write the frames of a recording that have a pose with it and its covariance."""
+    with Recording(source, topics=topics) as bag, RecordingWriter(out, force=force) as writer:
+        for frame in found.placed(bag.frames()):
+            writer.write_raw(frame)
+
+
+def _states_optics(camera: Camera) -> bool:
+    stated = camera.covariance
+    return stated is not None and any(path in OPTICS_PATHS for path in stated.parameters)
+
+
+def _optics(
+    observed: Observations, camera: Camera, known: Known, estimate: tuple[str, ...]
+) -> tuple[Optics, OpticsCovariance, OpticsReport | None]:
+    """Return the optics to use and their covariance."""
+    if estimate:
+        if len({one.station for one in observed.points}) < _LEAST_STATIONS:
+            raise InputError(
+                f"optics need {_LEAST_STATIONS} stations and more",
+                place="--estimate",
+                remedy="hold the board at other distances and tilts, or hold the optics (leave it out)",
+            )
+        optics, covariance, report = estimate_optics(observed, start=camera.optics, parameters=estimate)
+        held = _declared(optics, known, [one for one in OPTICS_PARAMETERS[:4] if one not in report.sigmas])
+        paths = (*covariance.parameters, *held.parameters)
+        matrix = np.zeros((len(paths), len(paths)))
+        n = len(covariance.parameters)
+        matrix[:n, :n], matrix[n:, n:] = covariance.matrix, held.matrix
+        return optics, OpticsCovariance(paths, matrix), report
+    stated = camera.covariance
+    if (
+        stated is not None
+        and _states_optics(camera)
+        and known.focal_sigma is None
+        and known.centre_sigma is None
+    ):
+        at = [i for i, path in enumerate(stated.parameters) if path in OPTICS_PATHS]
+        paths = tuple(stated.parameters[i] for i in at)
+        return camera.optics, OpticsCovariance(paths, np.asarray(stated.matrix.values)[np.ix_(at, at)]), None
+    return camera.optics, _declared(camera.optics, known, OPTICS_PARAMETERS[:4]), None
+
+
+def _declared(optics: Optics, known: Known, names: Iterable[str]) -> OpticsCovariance:
+    """Return the covariance of held parameters; focal lengths err together."""
+    effect = {"fx": (optics.fx * known.focal, 0.0, 0.0), "fy": (optics.fy * known.focal, 0.0, 0.0)}
+    effect |= {"cx": (0.0, known.centre, 0.0), "cy": (0.0, 0.0, known.centre)}
+    chosen = [name for name in names if name in effect]
+    rows = np.array([effect[name] for name in chosen]).reshape(-1, 3)
+    paths = tuple(OPTICS_PATHS[OPTICS_PARAMETERS.index(name)] for name in chosen)
+    return OpticsCovariance(paths, rows @ rows.T)

@@ -1,0 +1,197 @@
+"""Poses of a board with their covariance: each station by its image, for optics of known uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.errors import RimError
+from rim_camera_ros.frame import Pose
+from rim_camera_ros.optics import Optics
+from rim_camera_ros.photogrammetry.adjustment import (
+    Adjusted,
+    Bundle,
+    NotDetermined,
+    adjust,
+    in_camera,
+    outliers,
+)
+from rim_camera_ros.photogrammetry.checks import LEAST_TARGETS
+from rim_camera_ros.photogrammetry.estimate import GROSS, block_from, start_poses, state_from
+from rim_camera_ros.photogrammetry.projection import (
+    OPTICS_PATHS,
+    optics_of,
+    optics_vector,
+    projection_derivatives,
+)
+from rim_camera_ros.photogrammetry.report import OpticsCovariance
+from rim_camera_ros.photogrammetry.targets import Observations
+from rim_camera_ros.scene import quaternion, rotation_matrix
+
+Array = NDArray[np.float64]
+
+#: Degrees of freedom that all stations together count for in the variance of one station: an image tells
+#: its own variance poorly.
+_COMMON_FREEDOM = 20.0
+
+
+@dataclass(frozen=True)
+class StationPose:
+    """The pose of a board at one station, with its covariance.
+
+    ``own`` and ``common`` (6, 6): the parts of the covariance by the noise of its image, and by optics and
+    scale of the board, which err alike at all stations; x y z [m], rotations about the axes of the optical
+    frame [rad]. ``residual`` px RMS of one coordinate, of ``points`` targets.
+    """
+
+    pose: Pose
+    own: Array
+    common: Array
+    residual: float
+    points: int
+
+    @property
+    def sigma_normal(self) -> float:
+        """1-sigma [m] of the shift along the normal."""
+        normal = rotation_matrix(self.pose.orientation)[:, 2]
+        return float(np.sqrt(normal @ (self.own + self.common)[:3, :3] @ normal))
+
+    @property
+    def sigma_tilt(self) -> float:
+        """1-sigma [rad] of the tilt, RMS of both axes."""
+        rotation = rotation_matrix(self.pose.orientation)[:, :2]
+        return float(np.sqrt(np.trace(rotation.T @ (self.own + self.common)[3:, 3:] @ rotation) / 2))
+
+
+@dataclass(frozen=True)
+class BoardPoses:
+    """Poses by station.
+
+    ``scale_sigma``: relative 1-sigma of what all distances have in common, by focal length and size of the
+    board; ``common_share``: the share of the variance along the normal that is the same at all stations, for
+    ``pose_common`` of a scene file. ``sigma_zero``: RMS of residuals over the sigmas of the targets.
+    """
+
+    stations: Mapping[int, StationPose]
+    scale_sigma: float
+    common_share: float
+    sigma_zero: float
+    notes: tuple[str, ...]
+
+
+def estimate_poses(
+    observations: Observations,
+    *,
+    optics: Optics,
+    covariance: OpticsCovariance | None = None,
+    board_scale_sigma: float = 0.0,
+) -> BoardPoses:
+    """Adjust the pose of each station to its targets, the optics held.
+
+    ``covariance`` of the optics (None: exact) and ``board_scale_sigma``, the relative 1-sigma of the size of
+    the board, go into the covariance of every pose, C = s^2 (A'A)^-1 + G C_optics G' + sigma^2 t t', with
+    G = -(A'A)^-1 A'B of the derivatives A by the pose and B by the optics. s^2 is the variance of the
+    residuals of the station, drawn towards that of all stations. Gross errors are rejected (Baarda 1968).
+
+    Raises `RimError` where no station has a pose.
+    """
+    by_optics = _optics_matrix(covariance)
+    found: dict[int, tuple[Adjusted, Bundle, int]] = {}
+    notes = list(observations.notes)
+    for station in sorted({one.station for one in observations.points}):
+        mine = tuple(one for one in observations.points if one.station == station)
+        try:
+            found[station] = _adjusted(replace(observations, points=mine), optics)
+        except RimError as error:
+            notes.append(f"station {station} has no pose: {error.problem}")
+    if not found:
+        raise RimError(
+            f"no station has a pose{': ' + notes[-1] if notes else ''}",
+            remedy="check that the scene file describes the board that was recorded",
+        )
+    freedom = {station: max(one.redundancy, 1) for station, (one, _, _) in found.items()}
+    total = sum(freedom[station] * one.sigma_zero**2 for station, (one, _, _) in found.items())
+    pooled = total / sum(freedom.values())
+    stations = {}
+    scales, shares = [], []
+    for station, (adjusted, bundle, rejected) in found.items():
+        own_variance = adjusted.sigma_zero**2
+        variance = (_COMMON_FREEDOM * pooled + freedom[station] * own_variance) / (
+            _COMMON_FREEDOM + freedom[station]
+        )
+        inverse = adjusted.covariance / max(own_variance, 1e-300)
+        shift = adjusted.state.translations[0]
+        optical = _by_optics(adjusted, bundle, inverse)
+        order = [3, 4, 5, 0, 1, 2]
+        common = (optical @ by_optics @ optical.T)[np.ix_(order, order)]
+        common[:3, :3] += board_scale_sigma**2 * np.outer(shift, shift)
+        own = (inverse * variance)[np.ix_(order, order)]
+        pose = Pose(
+            (float(shift[0]), float(shift[1]), float(shift[2])),
+            quaternion(adjusted.state.rotations[0]),
+            tuple((own + common).ravel().tolist()),
+        )
+        residual = float(np.sqrt(np.mean(adjusted.residuals**2)))
+        stations[station] = StationPose(pose, own, common, residual, len(bundle.sigma))
+        along = shift / np.linalg.norm(shift)
+        scales.append(along @ common[:3, :3] @ along / (shift @ shift))
+        normal = adjusted.state.rotations[0][:, 2]
+        shares.append(normal @ common[:3, :3] @ normal / (normal @ (own + common)[:3, :3] @ normal))
+        if rejected:
+            notes.append(f"station {station}: {rejected} targets rejected as gross errors")
+    return BoardPoses(
+        stations=stations,
+        scale_sigma=float(np.sqrt(np.mean(scales))),
+        common_share=float(np.median(shares)),
+        sigma_zero=float(np.sqrt(pooled)),
+        notes=tuple(notes),
+    )
+
+
+def _optics_matrix(covariance: OpticsCovariance | None) -> Array:
+    """Return the covariance (9, 9) of all parameters of the optics, zero for those that are exact."""
+    result = np.zeros((len(OPTICS_PATHS), len(OPTICS_PATHS)))
+    if covariance is not None:
+        at = [OPTICS_PATHS.index(path) for path in covariance.parameters]
+        result[np.ix_(at, at)] = covariance.matrix
+    return result
+
+
+def _adjusted(observations: Observations, optics: Optics) -> tuple[Adjusted, Bundle, int]:
+    """Adjust one station; the number of targets that were rejected."""
+    points, rejected = observations.points, 0
+    start = None
+    while True:
+        if len(points) < LEAST_TARGETS:
+            raise RimError(f"{len(points)} targets found, at least {LEAST_TARGETS} are needed")
+        block = block_from(observations, points, optics, "known", (), correct_ellipses=True)
+        poses = start_poses(observations, block, optics) if start is None else start
+        start = poses
+        try:
+            adjusted = adjust(
+                block.bundle, state_from(block, poses, optics_vector(optics)), estimated=(), loss="huber"
+            )
+            gross = outliers(adjusted, block.bundle, limit=GROSS)
+            if not gross.any():
+                final = adjust(block.bundle, adjusted.state, estimated=(), loss="squared")
+                return final, block.bundle, rejected
+        except NotDetermined:
+            raise RimError("its targets lie on one line") from None
+        rejected += int(gross.sum())
+        points = tuple(one for one, bad in zip(block.points, gross, strict=True) if not bad)
+
+
+def _by_optics(adjusted: Adjusted, bundle: Bundle, inverse: Array) -> Array:
+    """Return how the pose (6: rotation, shift) follows the nine parameters of the optics."""
+    points = in_camera(bundle, adjusted.state)
+    by_optics, by_point = projection_derivatives(optics_of(adjusted.state.optics), points)
+    weight = 1 / bundle.sigma[:, None, None]
+    arm = points - adjusted.state.translations[0]
+    turn = np.cross(np.eye(3)[None], arm[:, None, :])
+    pose = np.concatenate([by_point @ np.swapaxes(turn, 1, 2), by_point], axis=2) * weight
+    a, b = pose.reshape(-1, 6), (by_optics * weight).reshape(-1, len(OPTICS_PATHS))
+    result: Array = -inverse @ (a.T @ b)
+    return result

@@ -1,0 +1,317 @@
+/* What the correction computes window by window and pixel by pixel, for float32 images.
+ *
+ * Optional: without a compiler at installation the functions of planes.py, normals.py and mixed.py that these
+ * stand for are used, which say what is computed and why (test/test_kernels.py compares both).
+ * A NaN makes a comparison false, as there.
+ */
+#include <math.h>
+#include <stdint.h>
+
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__linux__)
+/* chosen when the library is loaded: the wide registers of a processor of the last ten years, or none */
+#define FOR_EACH_PROCESSOR __attribute__((target_clones("arch=x86-64-v3", "default")))
+#else
+#define FOR_EACH_PROCESSOR
+#endif
+
+enum { WINDOW = 5, STRIDE = 3, PIXELS = WINDOW * WINDOW };
+static const float SPREAD = 50.0f;
+
+typedef struct {
+    int64_t width, rows, columns, stride;
+} Grid;
+
+/* PlaneWindows: what does not change from frame to frame, (rows, stride) each */
+typedef struct {
+    const float *inverse[4], *mean_x, *mean_y, *tilt, *centre_z, *slopes[4];
+    const int64_t *over;
+} Geometry;
+
+/* of one frame, (rows, stride) each */
+typedef struct {
+    float *mean, *along_row, *along_column, *residual, *x, *y, *z, *metre, *noise;
+    uint8_t *good, *noisy;
+} Windows;
+
+/* _Fits.of; `columns` has room for four rows of the image */
+FOR_EACH_PROCESSOR
+static void fit(const Grid *grid, const float *values, const Windows *to, float *columns)
+{
+    const int64_t width = grid->width;
+    float *restrict middle = columns, *restrict total = columns + width;
+    float *restrict slope = columns + 2 * width, *restrict square = columns + 3 * width;
+    for (int64_t r = 0; r < grid->rows; r++) {
+        const float *restrict row = values + STRIDE * r * width;
+        for (int64_t u = 0; u < width; u++) {
+            const float centre = row[2 * width + u];
+            const float above2 = row[u] - centre, above = row[width + u] - centre;
+            const float below = row[3 * width + u] - centre, below2 = row[4 * width + u] - centre;
+            middle[u] = centre;
+            total[u] = above2 + above + below + below2;
+            slope[u] = 2.0f * (below2 - above2) + below - above;
+            square[u] = above2 * above2 + above * above + below * below + below2 * below2;
+        }
+        for (int64_t c = 0; c < grid->columns; c++) {
+            const int64_t u = STRIDE * c, at = r * grid->stride + c;
+            const float centre = middle[u + 2];
+            float first = total[u + 2], along_row = 0.0f, along_column = slope[u + 2];
+            float second = square[u + 2];
+            for (int j = 0; j < WINDOW; j++) {
+                if (j == 2)
+                    continue;
+                const float step = middle[u + j] - centre, sum = step * WINDOW + total[u + j];
+                first += sum;
+                along_row += (float)(j - 2) * sum;
+                along_column += slope[u + j];
+                second += square[u + j] + step * (sum + total[u + j]);
+            }
+            first /= PIXELS;
+            along_row /= SPREAD;
+            along_column /= SPREAD;
+            to->mean[at] = centre + first;
+            to->along_row[at] = along_row;
+            to->along_column[at] = along_column;
+            to->residual[at] = second - PIXELS * first * first
+                               - SPREAD * (along_row * along_row + along_column * along_column);
+        }
+    }
+}
+
+/* The planes of all windows and which of them are good; returns how many good ones are too uncertain.
+ * sigma [m] of one distance with the elements from row to row and from column to column (0 and 0: one number) */
+FOR_EACH_PROCESSOR
+int64_t rim_planes(const Grid *grid, const Geometry *geometry, const Windows *to, const float *inverse_depth,
+                   const float *sigma, int64_t sigma_row, int64_t sigma_column, float factor, float excess,
+                   float residual, float tilt, float *columns)
+{
+    int64_t noisy = 0;
+    fit(grid, inverse_depth, to, columns);
+    const float shrunk = 1.0f / (factor * factor) / 3.0f;
+    const float least = (residual / factor) * (residual / factor), squared = excess * excess;
+    const float uncertain = tilt * sqrtf(SPREAD);
+    for (int64_t r = 0; r < grid->rows; r++) {
+        for (int64_t c = 0; c < grid->columns; c++) {
+            const int64_t at = r * grid->stride + c;
+            const float *corner = sigma + STRIDE * (r * sigma_row + c * sigma_column);
+            const float s0 = corner[4 * sigma_column], s1 = corner[2 * sigma_row + 2 * sigma_column];
+            const float s2 = corner[4 * sigma_row];
+            const float variance = (s0 * s0 + s1 * s1 + s2 * s2) * shrunk;
+            const float mean = to->mean[at], row = to->along_row[at], column = to->along_column[at];
+            const float x = geometry->inverse[0][at] * row + geometry->inverse[1][at] * column;
+            const float y = geometry->inverse[2][at] * row + geometry->inverse[3][at] * column;
+            const float metre = mean * mean * geometry->centre_z[at];
+            float most = variance * squared;
+            most = most < least ? least : most;
+            const float noise = sqrtf(variance);
+            const int good = to->residual[at] <= metre * metre * (float)(PIXELS - 3) * most;
+            const int wide = good & (noise * metre * geometry->tilt[at] > uncertain * mean);
+            to->x[at] = x;
+            to->y[at] = y;
+            to->z[at] = mean - x * geometry->mean_x[at] - y * geometry->mean_y[at];
+            to->metre[at] = metre;
+            to->noise[at] = noise;
+            to->good[at] = (uint8_t)good;
+            to->noisy[at] = (uint8_t)wide;
+            noisy += wide;
+        }
+    }
+    return noisy;
+}
+
+/* PlaneWindows._widen; `wider` are the entries of the wider windows, four numbers each */
+void rim_widen(const Grid *grid, const Geometry *geometry, const Windows *to, const float *wider,
+               float mean_sigmas, float near, float slope_sigmas, float slope)
+{
+    const float *const *slopes = geometry->slopes;
+    for (int64_t r = 0; r < grid->rows; r++) {
+        for (int64_t c = 0; c < grid->columns; c++) {
+            const int64_t at = r * grid->stride + c;
+            if (!to->noisy[at])
+                continue;
+            const float *plane = wider + 4 * geometry->over[at];
+            const float x = plane[0], y = plane[1], z = plane[2];
+            const float mean = x * geometry->mean_x[at] + y * geometry->mean_y[at] + z;
+            const float metre = to->metre[at], noise = to->noise[at];
+            const float by_noise = noise * mean_sigmas;
+            const float most = metre * (noise * slope_sigmas + slope);
+            if (fabsf(mean - to->mean[at]) <= metre * (by_noise < near ? near : by_noise)
+                && fabsf(x * slopes[0][at] + y * slopes[1][at] - to->along_row[at]) <= most
+                && fabsf(x * slopes[2][at] + y * slopes[3][at] - to->along_column[at]) <= most) {
+                to->x[at] = x;
+                to->y[at] = y;
+                to->z[at] = z;
+            }
+        }
+    }
+}
+
+/* The good window of the highest number within `reach` windows, -1 without one. */
+static int64_t nearest(const Grid *grid, const uint8_t *good, int64_t r, int64_t c, int64_t reach)
+{
+    const int64_t last_row = r + reach < grid->rows ? r + reach : grid->rows - 1;
+    const int64_t last = c + reach < grid->columns ? c + reach : grid->columns - 1;
+    for (int64_t v = last_row; v >= 0 && v >= r - reach; v--)
+        for (int64_t u = last; u >= 0 && u >= c - reach; u--)
+            if (good[v * grid->stride + u])
+                return v * grid->stride + u;
+    return -1;
+}
+
+/* PlaneWindows._nearest_good; writes the entries, of which the first, of no window, stays NaN */
+void rim_entries(const Grid *grid, const Windows *from, float *entries)
+{
+    for (int64_t r = 0; r < grid->rows; r++) {
+        for (int64_t c = 0; c < grid->columns; c++) {
+            int64_t at = r * grid->stride + c, source = at;
+            float *entry = entries + 4 * (at + 1), sign = 1.0f;
+            if (!from->good[at]) {
+                sign = -1.0f;
+                source = nearest(grid, from->good, r, c, 1);
+                if (source < 0)
+                    source = nearest(grid, from->good, r, c, 2);
+            }
+            if (source < 0) {
+                entry[0] = entry[1] = entry[2] = entry[3] = NAN;
+                continue;
+            }
+            const float x = from->x[source], y = from->y[source], z = from->z[source];
+            entry[0] = x;
+            entry[1] = y;
+            entry[2] = z;
+            entry[3] = sign / (sqrtf(x * x + y * y + z * z) + 1e-20f);
+        }
+    }
+}
+
+/* IncidenceEstimator.cosine of `count` pixels from the entries of the windows. rays: x, y, z of all pixels;
+ * window: of each pixel; neighbours: (4, windows + 1); sigma as above, of `each` 0 or 1 elements a pixel */
+void rim_cosine(int64_t count, const float *distance, const float *sigma, int64_t each, const float *rays,
+                const float *entries, const int64_t *window, const int64_t *neighbours, int64_t windows,
+                float near, float sure, float sigmas, float *cosine)
+{
+    for (int64_t i = 0; i < count; i++) {
+        const float rx = rays[i], ry = rays[count + i], rz = rays[2 * count + i];
+        const float *own = entries + 4 * window[i];
+        const float inverse = own[0] * rx + own[1] * ry + own[2] * rz;
+        float found = fabsf(inverse * own[3]);
+        const float d = distance[i];
+        if (!(own[3] > 0.0f) && d > 0.0f) {
+            const float noise = sigmas * sigma[each * i], miss = fabsf(1.0f / inverse - d);
+            if (!(miss < noise || miss < sure)) {
+                float least = INFINITY, best = 0.0f;
+                for (int k = 0; k < 4; k++) {
+                    const float *other = entries + 4 * neighbours[k * windows + window[i]];
+                    if (!(other[3] > 0.0f))
+                        continue; /* holds a step itself */
+                    const float there = other[0] * rx + other[1] * ry + other[2] * rz;
+                    const float error = fabsf(1.0f / there - d), other_cosine = fabsf(there * other[3]);
+                    if (error < least || (error == least && other_cosine > best)) {
+                        least = error;
+                        best = other_cosine;
+                    }
+                }
+                if (!(miss <= least))
+                    found = best;
+                if (!(fminf(least, miss) < (noise < near ? near : noise)))
+                    found = NAN;
+            }
+        }
+        cosine[i] = found > 1.0f ? 1.0f : found;
+    }
+}
+
+FOR_EACH_PROCESSOR
+static void mixed_along(const float *restrict distance, const float *restrict sigma, int64_t count,
+                        int64_t stride, float least, float sigmas, float share, uint8_t bit,
+                        uint8_t *restrict flags)
+{
+    for (int64_t i = 0; i < count; i++) {
+        const float low = distance[i - 2 * stride], high = distance[i + 2 * stride];
+        const float slopes = fabsf(low - distance[i - 3 * stride]) + fabsf(distance[i + 3 * stride] - high);
+        const float excess = fabsf(high - low) - 4.0f * slopes;
+        const float at = (distance[i] - low) / (high - low);
+        const int mixed = (excess > least) & (excess > sigmas * sigma[i]) & (at > share) & (at < 1.0f - share);
+        flags[i] |= mixed ? bit : 0;
+    }
+}
+
+/* mixed_pixels: sets `bit` in the flags (height, width) */
+void rim_mixed(const float *distance, const float *sigma, int64_t height, int64_t width, float least,
+               float sigmas, float share, int32_t bit, uint8_t *flags)
+{
+    for (int64_t v = 0; width > 6 && v < height; v++) {
+        const int64_t at = v * width + 3;
+        mixed_along(distance + at, sigma + at, width - 6, 1, least, sigmas, share, (uint8_t)bit, flags + at);
+    }
+    if (height > 6) {
+        const int64_t at = 3 * width;
+        mixed_along(distance + at, sigma + at, (height - 6) * width, width, least, sigmas, share, (uint8_t)bit,
+                    flags + at);
+    }
+}
+
+/* DistanceSolver.solve of `count` pixels: y + value + slope * (distance from the entry's lower edge) + by_phase *
+ * beside. `entries` of four numbers each; `length` entries a row, of which y comes round (a power of two) or
+ * ends at the last; `beside` may be NULL; `slope` is written, `solved` may be y. */
+FOR_EACH_PROCESSOR
+void rim_solve(int64_t count, const float *y, const float *restrict shift, const int32_t *restrict row,
+               const float *restrict beside, const float *restrict entries, float scale, int32_t length,
+               int32_t wraps, float *restrict slope, float *solved)
+{
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC ivdep
+#endif
+    for (int64_t i = 0; i < count; i++) {
+        const float at = y[i] * scale + shift[i], edge = floorf(at);
+        int32_t entry = edge >= -2e9f && edge <= 2e9f ? (int32_t)edge : 0; /* NaN: any */
+        if (wraps)
+            entry &= length - 1;
+        else
+            entry = entry < 0 ? 0 : entry >= length ? length - 1 : entry;
+        const float *restrict found = entries + 4 * (int64_t)(entry + row[i]);
+        float value = found[0] + found[1] * (at - edge);
+        if (beside)
+            value += found[2] * beside[i];
+        slope[i] = found[1];
+        solved[i] = y[i] + value;
+    }
+}
+
+/* Folded.incidence_term of `count` pixels: t + b / distance from a table of pairs over the cosine, whose first
+ * pair is for pixels without a plane */
+FOR_EACH_PROCESSOR
+void rim_incidence(int64_t count, const float *restrict cosine, const float *restrict distance,
+                   const float *restrict table, int32_t last, float *restrict term)
+{
+    for (int64_t i = 0; i < count; i++) {
+        const float at = cosine[i] * (float)last + 1.5f;
+        int32_t entry = at >= 0.0f ? (int32_t)at : 0;
+        entry = entry > last + 1 ? last + 1 : entry;
+        term[i] = table[2 * entry] + table[2 * entry + 1] / distance[i];
+    }
+}
+
+/* PlaneTable.term of `count` pixels: base + slope * d + the sum of bend * |d - knot| over `inner` knots, with d
+ * held between first and last; `bends` holds `inner` images */
+FOR_EACH_PROCESSOR
+void rim_plane_table(int64_t count, const float *restrict distance, const float *restrict base,
+                     const float *restrict slope, int64_t inner, const float *restrict knots,
+                     const float *restrict bends, float first, float last, float *restrict term)
+{
+    for (int64_t i = 0; i < count; i++) {
+        float held = distance[i];
+        held = held < first ? first : held;
+        held = held > last ? last : held;
+        term[i] = base[i] + held * slope[i];
+    }
+    for (int64_t k = 0; k < inner; k++) {
+        const float *restrict bend = bends + k * count;
+        const float knot = knots[k];
+        for (int64_t i = 0; i < count; i++) {
+            float held = distance[i];
+            held = held < first ? first : held;
+            held = held > last ? last : held;
+            term[i] += bend[i] * fabsf(held - knot);
+        }
+    }
+}

@@ -1,0 +1,308 @@
+"""The compiled functions of the correction (kernels.c), where they were compiled at the installation.
+
+Without them numpy computes the same: the classes that use these say what. `LIBRARY` is None then.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.float32]
+
+_POINTER, _WHOLE, _NUMBER = ctypes.c_void_p, ctypes.c_int64, ctypes.c_float
+#: Arguments, and what is returned.
+_FUNCTIONS: dict[str, tuple[list[Any], Any]] = {
+    "rim_planes": ([*[_POINTER] * 5, *[_WHOLE] * 2, *[_NUMBER] * 4, _POINTER], _WHOLE),
+    "rim_widen": ([*[_POINTER] * 4, *[_NUMBER] * 4], None),
+    "rim_entries": ([_POINTER] * 3, None),
+    "rim_cosine": (
+        [_WHOLE, _POINTER, _POINTER, _WHOLE, *[_POINTER] * 4, _WHOLE, *[_NUMBER] * 3, _POINTER],
+        None,
+    ),
+    "rim_solve": ([_WHOLE, *[_POINTER] * 5, _NUMBER, *[ctypes.c_int32] * 2, *[_POINTER] * 2], None),
+    "rim_incidence": ([_WHOLE, *[_POINTER] * 3, ctypes.c_int32, _POINTER], None),
+    "rim_plane_table": ([_WHOLE, *[_POINTER] * 3, _WHOLE, *[_POINTER] * 2, *[_NUMBER] * 2, _POINTER], None),
+    "rim_mixed": ([_POINTER, _POINTER, _WHOLE, _WHOLE, *[_NUMBER] * 3, ctypes.c_int32, _POINTER], None),
+}
+
+
+def load(folder: Path) -> Any:
+    """Return the compiled functions in a folder, None where there are none that this system can load."""
+    for suffix in EXTENSION_SUFFIXES:
+        path = folder / f"_kernels{suffix}"
+        if path.is_file():
+            try:
+                library = ctypes.CDLL(str(path))
+                for name, (arguments, result) in _FUNCTIONS.items():
+                    function = getattr(library, name)
+                    function.argtypes, function.restype = arguments, result
+            except (OSError, AttributeError):  # of another system, or of another version
+                return None
+            return library
+    return None
+
+
+LIBRARY: Any = load(Path(__file__).parent)
+
+
+class _Grid(ctypes.Structure):
+    _fields_ = [(name, _WHOLE) for name in ("width", "rows", "columns", "stride")]
+
+
+class _Geometry(ctypes.Structure):
+    _fields_ = [
+        ("inverse", _POINTER * 4),
+        *[(name, _POINTER) for name in ("mean_x", "mean_y", "tilt", "centre_z")],
+        ("slopes", _POINTER * 4),
+        ("over", _POINTER),
+    ]
+
+
+class _Windows(ctypes.Structure):
+    _fields_ = [
+        (name, _POINTER)
+        for name in (
+            *("mean", "along_row", "along_column", "residual", "x", "y", "z", "metre", "noise"),
+            *("good", "noisy"),
+        )
+    ]
+
+
+class CompiledWindows:
+    """What `rim_camera_ros.pipeline.planes.PlaneWindows` computes of a frame, from its arrays.
+
+    Those are (rows, stride) and are kept here; ``over`` is None where there are no wider windows.
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        *,
+        columns: int,
+        inverse: Sequence[Image],
+        mean: Sequence[Image],
+        tilt: Image,
+        centre_z: Image,
+        slopes: Sequence[Image],
+        over: NDArray[np.intp] | None,
+        entries: NDArray[np.complex128],
+    ) -> None:
+        rows, stride = tilt.shape
+        self._held = [
+            np.ascontiguousarray(one, np.float32) for one in (*inverse, *mean, tilt, centre_z, *slopes)
+        ]
+        self._over = np.zeros(1, np.int64) if over is None else np.ascontiguousarray(over, np.int64)
+        addresses = [one.ctypes.data for one in self._held]
+        geometry = _Geometry(
+            (_POINTER * 4)(*addresses[:4]),
+            *addresses[4:8],
+            (_POINTER * 4)(*addresses[8:]),
+            self._over.ctypes.data,
+        )
+        self._numbers = np.zeros((9, rows, stride), np.float32)
+        self._states = np.zeros((2, rows, stride), np.uint8)
+        windows = _Windows(*(one.ctypes.data for one in (*self._numbers, *self._states)))
+        self._columns = np.empty((4, shape[1]), np.float32)
+        self._entries = entries
+        self._structures = _Grid(shape[1], rows, columns, stride), geometry, windows
+        self._grid, self._geometry, self._windows = (ctypes.addressof(one) for one in self._structures)
+
+    def fit(
+        self,
+        inverse_depth: Image,
+        sigma: NDArray[Any] | float,
+        *,
+        factor: float,
+        excess: float,
+        residual: float,
+        tilt: float,
+    ) -> bool:
+        """Fit planes; return whether wider ones are asked for."""
+        noise = np.asarray(sigma, np.float32)
+        row, column = (one // noise.itemsize for one in noise.strides) if noise.ndim else (0, 0)
+        inverse_depth = np.ascontiguousarray(inverse_depth, np.float32)
+        return bool(
+            LIBRARY.rim_planes(
+                self._grid,
+                self._geometry,
+                self._windows,
+                inverse_depth.ctypes.data,
+                noise.ctypes.data,
+                row,
+                column,
+                factor,
+                excess,
+                residual,
+                tilt,
+                self._columns.ctypes.data,
+            )
+        )
+
+    def widen(
+        self,
+        wider: NDArray[np.complex128],
+        *,
+        mean_sigmas: float,
+        near: float,
+        slope_sigmas: float,
+        slope: float,
+    ) -> None:
+        """Put wider planes, by their entries, in the place of noisy ones where they agree."""
+        LIBRARY.rim_widen(
+            self._grid,
+            self._geometry,
+            self._windows,
+            wider.ctypes.data,
+            mean_sigmas,
+            near,
+            slope_sigmas,
+            slope,
+        )
+
+    def entries(self) -> NDArray[np.complex128]:
+        """Return the entries of all windows, bad ones replaced by a good one within reach."""
+        LIBRARY.rim_entries(self._grid, self._windows, self._entries.ctypes.data)
+        return self._entries
+
+
+def cosine(
+    distance: Image,
+    sigma: NDArray[Any] | float,
+    *,
+    rays: Image,
+    entries: NDArray[np.complex128],
+    window: NDArray[np.int64],
+    neighbours: NDArray[np.int64],
+    near: float,
+    sure: float,
+    sigmas: float,
+) -> Image:
+    """Return the cosines of `rim_camera_ros.pipeline.normals.IncidenceEstimator` (H, W), a new array."""
+    result = np.empty(distance.shape, np.float32)
+    distance, noise = np.ascontiguousarray(distance, np.float32), np.ascontiguousarray(sigma, np.float32)
+    LIBRARY.rim_cosine(
+        distance.size,
+        distance.ctypes.data,
+        noise.ctypes.data,
+        int(np.ndim(sigma) > 0),
+        rays.ctypes.data,
+        entries.ctypes.data,
+        window.ctypes.data,
+        neighbours.ctypes.data,
+        neighbours.shape[1],
+        near,
+        sure,
+        sigmas,
+        result.ctypes.data,
+    )
+    return result
+
+
+def mark_mixed(
+    flags: NDArray[np.uint8],
+    distance: Image,
+    sigma: Image,
+    *,
+    bit: int,
+    least: float,
+    sigmas: float,
+    share: float,
+) -> None:
+    """Set a bit in flags (H, W) where `rim_camera_ros.pipeline.mixed.mixed_pixels` is true."""
+    height, width = distance.shape
+    assert flags.flags.c_contiguous  # written in place
+    distance, sigma = (np.ascontiguousarray(one, np.float32) for one in (distance, sigma))
+    LIBRARY.rim_mixed(
+        distance.ctypes.data,
+        sigma.ctypes.data,
+        height,
+        width,
+        least,
+        sigmas,
+        share,
+        bit,
+        flags.ctypes.data,
+    )
+
+
+def solve(
+    y: Image,
+    *,
+    shift: Image,
+    row: NDArray[np.int32],
+    beside: Image | None,
+    entries: NDArray[np.complex128],
+    scale: float,
+    length: int,
+    wraps: bool,
+    slope: Image,
+    out: Image | None,
+) -> Image:
+    """Return what `rim_camera_ros.pipeline.tables.DistanceSolver.solve` does; ``slope`` is written, too."""
+    y = np.ascontiguousarray(y, np.float32)
+    solved = np.empty_like(y) if out is None else out
+    assert solved.flags.c_contiguous  # written in place
+    LIBRARY.rim_solve(
+        y.size,
+        y.ctypes.data,
+        shift.ctypes.data,
+        row.ctypes.data,
+        None if beside is None else beside.ctypes.data,
+        entries.ctypes.data,
+        scale,
+        length,
+        int(wraps),
+        slope.ctypes.data,
+        solved.ctypes.data,
+    )
+    return solved
+
+
+def incidence_term(cosine: Image, distance: Image, *, table: NDArray[np.complex64]) -> Image:
+    """Return the terms in metres of cosines and distances [m] (H, W), from a table over the cosine."""
+    term = np.empty(cosine.shape, np.float32)
+    cosine, distance = (np.ascontiguousarray(one, np.float32) for one in (cosine, distance))
+    LIBRARY.rim_incidence(
+        term.size,
+        cosine.ctypes.data,
+        distance.ctypes.data,
+        table.ctypes.data,
+        table.size - 2,
+        term.ctypes.data,
+    )
+    return term
+
+
+def plane_table(
+    distance: Image,
+    *,
+    base: Image,
+    slope: Image,
+    knots: Image,
+    bends: Image,
+    first: float,
+    last: float,
+) -> Image:
+    """Return the terms in metres of `rim_camera_ros.pipeline.tables.PlaneTable` at distances (H, W) [m]."""
+    term = np.empty(distance.shape, np.float32)
+    distance = np.ascontiguousarray(distance, np.float32)
+    LIBRARY.rim_plane_table(
+        term.size,
+        distance.ctypes.data,
+        base.ctypes.data,
+        slope.ctypes.data,
+        knots.size,
+        knots.ctypes.data,
+        bends.ctypes.data,
+        first,
+        last,
+        term.ctypes.data,
+    )
+    return term

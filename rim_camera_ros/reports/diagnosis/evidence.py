@@ -1,0 +1,381 @@
+"""The numbers behind the pictures of a diagnosis: residuals with and without what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.adjustment import fit
+from rim_camera_ros.calibrate.coarser import finer_covariate
+from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.library import GEOMETRY
+from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.problem import Fit, Problem
+from rim_camera_ros.calibrate.residuals import after_nuisances
+from rim_camera_ros.calibrate.sizes import contribution
+from rim_camera_ros.calibrate.stations import Station
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.result import Diagnosis
+from rim_camera_ros.diagnose.smooth import values_of
+from rim_camera_ros.diagnose.where import OF_AMPLITUDE
+from rim_camera_ros.effects.covariates import COVARIATES
+
+Array = NDArray[Any]
+
+#: Angle between a pixel's ray and the optical axis [rad]: what the emitter's lobe depends on.
+AXIS = "axis_angle"
+_SAMPLE = 2500
+_SEED = 11
+
+
+@dataclass
+class Samples:
+    """Values of pixels drawn from every station, (N,) each.
+
+    ``after`` [m] residuals of the better simulation; ``parts`` [m] what each effect adds, less its mean over
+    all pixels; ``weight`` 1 / variance [m^-2]. ``brightness`` residuals of the amplitude relative to it,
+    ``brightness_part`` what the better camera changes of it. ``station`` numbers them.
+    """
+
+    station: Array
+    setting: Array
+    weight: Array
+    after: Array
+    parts: dict[str, Array]
+    brightness: Array
+    brightness_part: Array
+    covariates: dict[str, Array]
+
+
+@dataclass
+class PoseImage:
+    """The station that shows an effect best: (H, W), NaN where nothing is compared.
+
+    Residuals ``without`` the effects and ``after`` in sigmas of the station's mean, what they add (``part``)
+    in m.
+    """
+
+    pose: int
+    time: float
+    amplitude: Array
+    without: Array
+    after: Array
+    part: Array
+
+
+@dataclass
+class SetupImage:
+    """The station that agrees worst: amplitudes ``recorded`` and ``simulated`` [counts], and the
+    ``difference`` of distances [m], recorded - simulated; (H, W), NaN where there is nothing.
+    """
+
+    pose: int
+    time: float
+    recorded: Array
+    simulated: Array
+    difference: Array
+
+
+@dataclass
+class Evidence:
+    """Residuals of the simulation as it was (None: nothing changed) and of the better one.
+
+    Maps (H, W): ``rms_*`` over the poses in sigmas of a pose's mean (1: noise), ``brightness_*`` mean
+    relative residual of the amplitude. Per station: ``times`` [s], ``poses``, ``placements`` (numbers of
+    recording and placement), ``chi_*`` per value,
+    ``strength`` [m] the RMS of what was found. ``changed`` are the effects that distances are taken apart by.
+    ``worst`` is there where the setup cannot be trusted.
+    """
+
+    times: Array
+    poses: Array
+    placements: list[tuple[int, int]]
+    chi_before: Array | None
+    chi_after: Array
+    strength: Array | None
+    rms_before: Array | None
+    rms_after: Array
+    brightness_before: Array | None
+    brightness_after: Array
+    samples: Samples
+    changed: tuple[str, ...]
+    image: PoseImage | None
+    worst: SetupImage | None = None
+    errors: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class _Compared:
+    after: Array
+    sigma: Array
+    change: Array
+    parts: dict[str, Array]
+    brightness: Array
+    brightness_part: Array
+
+
+def evidence(result: Diagnosis) -> Evidence:
+    """Compare the recording with the camera file as it was and with the improved one.
+
+    Both with the errors of poses and powers of the improved fit, and each with the fixed pattern that suits
+    it best, so that what differs is the physics.
+    """
+    fitted = better_fit(result)
+    start = result.baseline.fit.start
+    moved = result.verdict not in ("consistent", "inconsistent_setup") and bool(changed_effects(result))
+    named = changed_effects(result) if moved else ()
+    before = Forward(fitted.forward.dataset, fitted.scene, start, views=fitted.forward.views)
+    before.amplitude_model, before.shifts = fitted.forward.amplitude_model, fitted.forward.shifts
+    shape = fitted.camera.shape
+    rng = np.random.default_rng(_SEED)
+    stations: list[_Compared] = []
+    drawn: list[Array] = []
+    kept: list[Station] = []
+    pictures: list[SetupImage] = []
+    covariates: dict[str, list[Array]] = {name: [] for name in (*COVARIATES, AXIS)} if moved else {}
+    predictions = fitted.forward.predictions()
+    pairs = zip(before.predictions(), predictions, strict=True) if moved else ((p, p) for p in predictions)
+    # a station keeps its images in single precision: all of them are in memory
+    for old, new in pairs:
+        one = _compared(old, new, fitted, named, start)
+        pixels = np.flatnonzero(np.isfinite(one.after).ravel())
+        drawn.append(rng.choice(pixels, min(_SAMPLE, pixels.size), replace=False))
+        _collect(new, drawn[-1], covariates)
+        stations.append(one)
+        kept.append(new.station)
+        if result.verdict == "inconsistent_setup":
+            pictures.append(_as_set_up(new))
+    samples = _samples(stations, kept, drawn, covariates)
+    if result.step > 1:
+        told = {name: finer_covariate(name, x, result.step) for name, x in samples.covariates.items()}
+        samples = replace(samples, covariates=told)
+    _centre(stations, shape)
+    after = np.stack([one.after / one.sigma for one in stations])
+    without = np.stack([(one.after + one.change) / one.sigma for one in stations])
+    return Evidence(
+        times=np.array([one.time for one in kept]),
+        poses=np.array([one.pose for one in kept]),
+        placements=[(one.recording, one.placed) for one in kept],
+        chi_before=_chi(without) if moved else None,
+        chi_after=_chi(after),
+        strength=_strength(stations) if moved else None,
+        rms_before=_rms(without) if moved else None,
+        rms_after=_rms(after),
+        brightness_before=_mean([one.brightness + one.brightness_part for one in stations])
+        if moved
+        else None,
+        brightness_after=_mean([one.brightness for one in stations]),
+        samples=samples,
+        changed=named,
+        image=_image(stations, kept) if moved else None,
+        worst=_worst(pictures, _chi(after)),
+        errors=_errors(fitted),
+    )
+
+
+def better_fit(result: Diagnosis) -> Fit:
+    """Return a fit by the improved camera: one of the search where there is one, or its nuisances anew."""
+    final, baseline = result.final.fit, result.baseline.fit
+    if result.verdict in ("consistent", "inconsistent_setup"):
+        return final
+    for one in (final, baseline):
+        if one.camera.effects == result.model.effects and one.camera.optics == result.model.optics:
+            return one
+    frozen = Problem(
+        final.forward.dataset,
+        final.scene,
+        effects=(),
+        gain=False,
+        robust=False,
+        masks=final.forward.masks,
+        shifts=final.forward.shifts,
+        threads=final.forward.threads,
+    )
+    return fit(frozen, result.model, iterations=1, views=final.forward.views)
+
+
+def changed_effects(result: Diagnosis) -> tuple[str, ...]:
+    """Return the effects whose contribution is shown, by their names in the improved camera."""
+    present = set(result.model.effects) | set(GEOMETRY) | {"radiometry"}
+    missing = ["empirical" if one.modelled else one.effect for one in result.missing]
+    names = missing or [one.effect for one in result.adjusted]
+    return tuple(name for name in names if name in present)
+
+
+def _compared(
+    old: Prediction, new: Prediction, fitted: Fit, names: Sequence[str], start: Camera
+) -> _Compared:
+    rest, brightness = after_nuisances(new, fitted.pattern, fitted.nuisances)
+    reading = new.station.amplitude - new.amplitude_residual
+    change = new.distance - old.distance
+    parts = {}
+    for name in names:
+        if name in OF_AMPLITUDE:
+            continue
+        part = contribution(new, name, start)
+        if name in start.effects:
+            part = part - contribution(old, name, start)
+        parts[name] = np.broadcast_to(part, rest.shape).astype(np.float32)
+    used = new.used & np.isfinite(rest) & np.isfinite(change)
+    for part in parts.values():
+        used &= np.isfinite(part)
+    bright = new.amplitude_used & (reading > 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.where(bright, brightness / reading, np.nan)
+        relative_part = np.where(bright, (new.station.amplitude - old.amplitude_residual) / reading, np.nan)
+    return _Compared(
+        np.where(used, rest, np.nan).astype(np.float32),
+        new.sigma.astype(np.float32),
+        np.where(used, change, np.nan).astype(np.float32),
+        {name: np.where(used, part, np.nan) for name, part in parts.items()},
+        relative.astype(np.float32),
+        # the reading by the old camera is smaller by this share
+        (1.0 - relative_part).astype(np.float32),
+    )
+
+
+def _collect(prediction: Prediction, pixels: Array, covariates: dict[str, list[Array]]) -> None:
+    for name, parts in covariates.items():
+        if name == AXIS:
+            value: Any = np.arccos(np.clip(prediction.context.camera.rays[..., 2], -1, 1))
+        else:
+            value = values_of(name, prediction)
+        if value is None:
+            parts.append(np.full(pixels.size, np.nan))
+        else:
+            shape = prediction.used.shape
+            parts.append(np.broadcast_to(np.asarray(value, float), shape).ravel()[pixels])
+
+
+def _centre(stations: list[_Compared], shape: tuple[int, int]) -> None:
+    """Remove the weighted mean over the stations of each pixel: it belongs to the fixed pattern."""
+
+    def mean(of: Callable[[_Compared], Array]) -> Array:
+        total, norm = np.zeros(shape), np.zeros(shape)
+        for one in stations:
+            values = of(one)
+            valid = np.isfinite(values)
+            weight = 1.0 / one.sigma[valid].astype(float) ** 2
+            total[valid] += weight * values[valid]
+            norm[valid] += weight
+        return np.divide(total, norm, out=np.zeros(shape), where=norm > 0).astype(np.float32)
+
+    names = stations[0].parts if stations else {}
+    change = mean(lambda one: one.change)
+    parts = {name: mean(lambda one, name=name: one.parts[name]) for name in names}  # type: ignore[misc]
+    for one in stations:
+        one.change -= change
+        for name in names:
+            one.parts[name] = one.parts[name] - parts[name]
+
+
+def _chi(z: Array) -> Array:
+    with np.errstate(invalid="ignore"):
+        count = np.isfinite(z).sum(axis=(1, 2))
+        return np.asarray(np.nansum(z**2, axis=(1, 2)) / np.where(count > 0, count, np.nan))
+
+
+def _rms(z: Array) -> Array:
+    count = np.isfinite(z).sum(axis=0)
+    # the figure of a pixel that few poses see is chance
+    enough = count >= max(2, len(z) // 8)
+    return np.asarray(np.sqrt(np.nansum(z**2, axis=0) / np.where(enough, count, np.nan)))
+
+
+def _mean(images: Sequence[Array]) -> Array:
+    stack = np.stack(images)
+    count = np.isfinite(stack).sum(axis=0)
+    return np.asarray(np.nansum(stack, axis=0) / np.where(count >= max(2, len(stack) // 8), count, np.nan))
+
+
+def _found(one: _Compared) -> Array:
+    """Return what the effects add to distances [m]; by way of amplitudes alone, all that changed."""
+    return np.asarray(np.sum(list(one.parts.values()), axis=0)) if one.parts else one.change
+
+
+def _strength(stations: Sequence[_Compared]) -> Array:
+    result = []
+    for one in stations:
+        values = _found(one)
+        known = values[np.isfinite(values)]
+        result.append(float(np.sqrt(np.mean(known**2))) if known.size else np.nan)
+    return np.array(result)
+
+
+def _samples(
+    stations: Sequence[_Compared],
+    kept: Sequence[Station],
+    drawn: Sequence[Array],
+    covariates: Mapping[str, Sequence[Array]],
+) -> Samples:
+    def together(of: Callable[[_Compared], Array]) -> Array:
+        parts = [of(one).ravel()[pixels] for one, pixels in zip(stations, drawn, strict=True)]
+        return np.concatenate(parts).astype(float) if parts else np.zeros(0)
+
+    sizes = [len(pixels) for pixels in drawn]
+    settings = [one.settings.integration_time for one in kept]
+    names = stations[0].parts if stations else {}
+    weight = together(lambda one: one.sigma) ** -2
+
+    def centred(values: Array) -> Array:
+        return np.asarray(values - np.average(values, weights=weight)) if values.size else values
+
+    return Samples(
+        station=np.repeat(np.arange(len(sizes)), sizes),
+        setting=np.repeat([np.nan if one is None else one for one in settings], sizes),
+        weight=weight,
+        after=together(lambda one: one.after),
+        parts={name: centred(together(lambda one, name=name: one.parts[name])) for name in names},  # type: ignore[misc]
+        brightness=together(lambda one: one.brightness),
+        brightness_part=together(lambda one: one.brightness_part),
+        covariates={name: np.concatenate(parts) for name, parts in covariates.items()},
+    )
+
+
+def _image(stations: Sequence[_Compared], kept: Sequence[Station]) -> PoseImage | None:
+    """Return the station at which the effects stand out most from pixel to pixel."""
+    best: tuple[float, int] | None = None
+    for number, one in enumerate(stations):
+        z = _found(one) / one.sigma
+        known = z[np.isfinite(z)]
+        if known.size > 0.2 * z.size:
+            energy = float(np.var(known) * known.size)
+            if best is None or energy > best[0]:
+                best = (energy, number)
+    if best is None:
+        return None
+    one, station = stations[best[1]], kept[best[1]]
+    part = _found(one)
+    amplitude = np.where(station.count > 0, station.amplitude, np.nan)
+    without, after = (one.after + part) / one.sigma, one.after / one.sigma
+    return PoseImage(station.pose, station.time, amplitude, without, after, part)
+
+
+def _as_set_up(prediction: Prediction) -> SetupImage:
+    station = prediction.station
+    measured = station.count > 0
+    simulated = station.amplitude - prediction.amplitude_residual
+    return SetupImage(
+        station.pose,
+        station.time,
+        np.where(measured, station.amplitude, np.nan).astype(np.float32),
+        np.where(simulated > 0, simulated, np.nan).astype(np.float32),
+        np.where(measured, prediction.residual, np.nan).astype(np.float32),
+    )
+
+
+def _worst(pictures: Sequence[SetupImage], chi: Array) -> SetupImage | None:
+    """Return the station with the greatest chi-square, or where distances tell none the first."""
+    if not pictures:
+        return None
+    return pictures[int(np.nanargmax(chi)) if np.isfinite(chi).any() else 0]
+
+
+def _errors(fitted: Fit) -> dict[str, float]:
+    from rim_camera_ros.diagnose.setup import standard_errors
+
+    return dict(standard_errors(fitted))

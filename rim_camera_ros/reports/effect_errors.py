@@ -1,0 +1,104 @@
+"""How far off each effect was by the camera file before, and how well it is known now, in the recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.blocks import UNFITTED
+from rim_camera_ros.calibrate.coarser import coarser_camera
+from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.library import GEOMETRY
+from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.calibrate.run import Calibration
+from rim_camera_ros.calibrate.sizes import change_by, contribution
+from rim_camera_ros.camera import Camera
+
+Array = NDArray[Any]
+
+#: Stations that are looked at, evenly, where there are more.
+_MOST_STATIONS = 24
+
+
+@dataclass(frozen=True)
+class EffectError:
+    """An effect's share of the error of distances [m] (1-sigma, RMS over the recordings, less its mean).
+
+    ``size``: what the effect does to the distances. ``before``: what the camera file before had wrong of it.
+    ``after``: its uncertainty by the covariance, NaN where no parameter of it was determined.
+    """
+
+    size: float
+    before: float
+    after: float
+
+
+def effect_errors(result: Calibration) -> dict[str, EffectError]:
+    """Return the errors of every effect of the new camera that moves distances, by its name.
+
+    Means over all distances are taken out: the offsets of pixels take them up.
+    """
+    fitted = result.solution.fit
+    new = fitted.forward
+    step = max(1, round(result.before.sensor.width / fitted.camera.sensor.width))
+    start = result.before if step == 1 else coarser_camera(result.before, step)
+    old = Forward(new.dataset, fitted.scene, start, views=new.views)
+    old.amplitude_model, old.shifts = new.amplitude_model, new.shifts
+    old.masks, old.margins, old.light_curves = new.masks, new.margins, new.light_curves
+    paths, covariance = result.solution.covariance()
+    names = [name for name in fitted.camera.effects if name not in UNFITTED - {"empirical"}]
+    names += [name for name in GEOMETRY if any(path.startswith("optics.") for path in paths)]
+    every = max(1, len(new.dataset.stations) // _MOST_STATIONS)
+    sums = {name: _Sums(name, paths, covariance) for name in names}
+    pairs = zip(old.predictions(slopes=True, every=every), new.predictions(every=every), strict=True)
+    for before, after in pairs:
+        for one in sums.values():
+            one.add(before, after, start)
+    return {name: one.error() for name, one in sums.items() if one.count}
+
+
+class _Sums:
+    """Sums over pixels of an effect's size, its change, and its derivatives."""
+
+    def __init__(self, name: str, paths: Sequence[str], covariance: Array) -> None:
+        lead = f"effects.{name}."
+        own = [i for i, path in enumerate(paths) if path.startswith(lead)]
+        self._name = name
+        self._paths = [paths[i].removeprefix(lead) for i in own]
+        self._covariance = covariance[np.ix_(own, own)]
+        self.count = 0
+        self._first = np.zeros(2 + len(own))
+        self._second = np.zeros((2 + len(own),) * 2)
+
+    def add(self, before: Prediction, after: Prediction, start: Camera) -> None:
+        old: Array = np.zeros(after.used.shape)
+        if self._name in GEOMETRY:
+            # what the optics do is their change already
+            size = contribution(after, self._name, start)
+        else:
+            size = change_by(after, self._name)[0]
+            if self._name in start.effects:
+                old = change_by(before, self._name)[0]
+        columns: list[Any] = [size, size - old]
+        if self._paths:
+            slopes = after.columns(after.context.camera.effects[self._name])
+            columns += [slopes[path][0] if path in slopes else 0.0 for path in self._paths]
+        used = after.used & np.isfinite(size + old)
+        rows = np.stack([np.nan_to_num(np.broadcast_to(one, used.shape)[used]) for one in columns])
+        self.count += int(used.sum())
+        self._first += rows.sum(axis=1)
+        self._second += rows @ rows.T
+
+    def error(self) -> EffectError:
+        mean = self._first / self.count
+        products = self._second / self.count - np.outer(mean, mean)
+        uncertain = float(np.sum(products[2:, 2:] * self._covariance))
+        return EffectError(
+            size=float(np.sqrt(max(products[0, 0], 0.0))),
+            before=float(np.sqrt(max(products[1, 1], 0.0))),
+            after=float(np.sqrt(max(uncertain, 0.0))) if self._paths else float("nan"),
+        )

@@ -1,0 +1,72 @@
+"""From a driver's bag to a diagnosis by the three commands that the documentation shows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rim_camera_ros.bags import messages
+from rim_camera_ros.bags.topics import CAMERA_INFO
+from rim_camera_ros.camera_file import load_camera
+from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
+from test.calibrate import helpers
+from test.calibrate.bags import frames
+from test.helpers_bags import Line, pose
+from test.helpers_cli import run
+from test.imports.drivers import (
+    METADATA,
+    Own,
+    compressed_depth,
+    image,
+    json_text,
+    own_line,
+    write_driver_bag,
+)
+
+
+@pytest.mark.slow
+def test_from_a_femto_to_the_missing_effect(tmp_path: Path, capsys: Any) -> None:
+    """A cyclic error of 30 mm, published as a Femto does: whole millimetres along z, compressed."""
+    truth = helpers.camera(tmp_path, CyclicError(harmonics=(Harmonic(order=4, amplitude=0.03, phase=0.6),)))
+    board = helpers.scene(tmp_path)
+    kind = Own("orbbec_camera_msgs/msg/Metadata", METADATA)
+    lines: list[Line] = []
+    own = []
+    for frame in frames(truth, board):
+        z = frame.distance * truth.sensor.lsb * truth.rays[..., 2]
+        info = messages.camera_info_message(truth.intrinsics, frame.stamp, "optical")
+        info.d = np.zeros(8)
+        lines += [
+            compressed_depth(np.rint(z * 1e3).astype(np.uint16), "/camera/depth/image_raw", frame.stamp),
+            image(frame.amplitude, "/camera/ir/image_raw", frame.stamp + 9_000_000, "mono16"),
+            Line("/camera/depth/camera_info", CAMERA_INFO, frame.stamp, info),
+        ]
+        exposure = json_text(exposure=int(frame.settings.integration_time or 0))
+        own.append(own_line(kind, "/camera/depth/metadata", frame.stamp, json_data=exposure))
+        told = pose(frame.pose_stamps["board"], frame.truth["board"])
+        if not any(one.topic == told.topic and one.time == told.time for one in lines):
+            lines.append(told)
+    bag = write_driver_bag(tmp_path / "femto_bag", lines, own, ros1=False)
+    imported, file = tmp_path / "bag", tmp_path / "mine.yaml"
+    assert run(capsys, "import", bag, "--out", imported)[0] == 0
+    options = ("--modulation-frequency", "20e6", "--reflectivity", "0.5")
+    status, _, notes = run(capsys, "camera", imported, "--out", file, *options)
+    assert status == 0, notes
+    mine = load_camera(file)
+    # 3 mm, 6 m counts, and 1 mm along z rounded
+    assert mine.noise.sigma_distance(np.array([3000.0]))[0] == pytest.approx(0.0036, rel=0.15)
+    scene = tmp_path / "scene.yaml"
+    status, _, error = run(
+        capsys, "diagnose", imported, "--camera", file, "--scene", scene, "--out", tmp_path / "diagnosis"
+    )
+    assert status == 0, error
+    report = json.loads((tmp_path / "diagnosis" / "report.json").read_text())
+    assert report["verdict"] == "missing_physics"
+    assert [one["effect"] for one in report["missing"]] == ["cyclic_error"]
+    found = report["missing"][0]["parameters"]["harmonics"][0]
+    assert found["order"] == 4
+    assert found["amplitude"] == pytest.approx(0.03, abs=0.003)
