@@ -115,7 +115,9 @@ def _run(argv: list[str]) -> int:
 def _signals() -> Iterator[None]:
     """Make the first signal that ends the work a KeyboardInterrupt, and further ones for a while nothing.
 
-    One that comes in the midst of an import, whose callbacks lose exceptions, is put off until it is over.
+    One that comes in the midst of an import, whose callbacks lose exceptions, or of code that is made from text
+    (dataclasses), after which the interpreter ends itself by the signal whoever caught it, is put off until it
+    is over.
     Signals that are ignored (``nohup``, a script's background job) stay so. In other threads than the main
     one nothing is done.
     """
@@ -126,7 +128,7 @@ def _signals() -> Iterator[None]:
     put_off: list[int] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        if _importing(frame):
+        if _uninterruptible(frame):
             put_off.append(number)
             signal.signal(signal.SIGALRM, interrupt)
             signal.setitimer(signal.ITIMER_REAL, _AFTER_IMPORT)
@@ -156,10 +158,10 @@ def _with_home(word: str) -> str:
     return option + equals + expanded(value) if value.startswith("~") else word
 
 
-def _importing(frame: FrameType | None) -> bool:
-    """Whether a frame or one of its callers is of the import system."""
+def _uninterruptible(frame: FrameType | None) -> bool:
+    """Whether a frame or one of its callers is of the import system, or of code that ``exec`` made from text."""
     while frame is not None:
-        if frame.f_code.co_filename.startswith("<frozen importlib"):
+        if frame.f_code.co_filename.startswith(("<frozen importlib", "<string>")):
             return True
         frame = frame.f_back
     return False

@@ -48,21 +48,26 @@ def test_topics_services_and_parameters_are_those_of_separate_processes(world: W
         for check in ("driver: frames", "correction: frames", "people: people"):
             name = f"/{namespace}/{check}"
             assert world.until(lambda name=name: said.of(name)), world.output()
-    parameters = {}
-    services = {}
-    for namespace in ("/apart", "/camera"):
+
+    def services(namespace: str) -> dict[str, dict[str, str]]:
         world.namespace = namespace
-        services[namespace] = {
+        return {
             node: {name.replace(namespace, "", 1): kind for name, kind in found.items()}
             for node, found in offered(world, nodes).items()
         }
+
+    # discovery brings the services of a node one by one
+    world.until(lambda: services("/camera") == services("/apart"))
+    assert services("/camera") == services("/apart")
+    assert len(services("/camera")["correction"]) > 15
+    parameters = {}
+    for namespace in ("/apart", "/camera"):
+        world.namespace = namespace
         world._clients.clear()  # they are kept by the name of the node
         parameters[namespace] = {
             node: {one for one in world.describe(node) if not one.startswith("qos_overrides.")}
             for node in nodes
         }
-    assert services["/camera"] == services["/apart"]
-    assert len(services["/camera"]["correction"]) > 15
     only_together = parameters["/camera"]["correction"] - parameters["/apart"]["correction"]
     assert only_together == {"people"}
     parameters["/camera"]["correction"].discard("people")

@@ -99,30 +99,43 @@ def test_topics(nodes: World) -> None:
         for topic in re.findall(r"`([^`]+)`", topics):
             kinds = kind.split(", ")
             documented[topic] = (kinds[-1] if "camera_info" in topic else kinds[0], node)
-    published: dict[str, set[str]] = {}
     types: dict[str, str] = {}
-    for node in _SPECS:
-        for name, kinds in nodes.node.get_publisher_names_and_types_by_node(node, "/camera"):
-            if name in _EVERY_TOPIC or name.endswith("/transition_event"):
-                continue
-            short = re.sub(r"^ground_truth/[^/]+/", "ground_truth/<surface>/", name.removeprefix("/camera/"))
-            published.setdefault(short, set()).add(node)
-            types[short] = kinds[0].rpartition("/")[2]
-    assert set(published) == set(documented) - {"/tf_static"}
+
+    def published() -> dict[str, set[str]]:
+        found: dict[str, set[str]] = {}
+        for node in _SPECS:
+            for name, kinds in nodes.node.get_publisher_names_and_types_by_node(node, "/camera"):
+                if name in _EVERY_TOPIC or name.endswith("/transition_event"):
+                    continue
+                short = name.removeprefix("/camera/")
+                short = re.sub(r"^ground_truth/[^/]+/", "ground_truth/<surface>/", short)
+                found.setdefault(short, set()).add(node)
+                types[short] = kinds[0].rpartition("/")[2]
+        return found
+
+    expected = set(documented) - {"/tf_static"}
+    nodes.until(lambda: set(published()) == expected)  # discovery brings topics one by one
+    assert set(published()) == expected
     for name, (kind, node) in documented.items():
         if name != "/tf_static":
             assert types[name] == kind.split()[0], name
-            assert published[name] == (set(_SPECS) if node == "all" else {node}), name
+            assert published()[name] == (set(_SPECS) if node == "all" else {node}), name
 
 
 def test_services(nodes: World) -> None:
     rows = {row[0].strip("`"): row for row in table(PAGE, "## Services", "service")}
-    offered: dict[str, tuple[str, str]] = {}
-    for node in _SPECS:
-        for name, kinds in nodes.node.get_service_names_and_types_by_node(node, "/camera"):
-            if not re.search(_EVERY_SERVICE, name):
-                offered[name.removeprefix("/camera/")] = (kinds[0].replace("/srv", ""), node)
-    assert offered == {name: (row[1], row[2]) for name, row in rows.items()}
+
+    def offered() -> dict[str, tuple[str, str]]:
+        return {
+            name.removeprefix("/camera/"): (kinds[0].replace("/srv", ""), node)
+            for node in _SPECS
+            for name, kinds in nodes.node.get_service_names_and_types_by_node(node, "/camera")
+            if not re.search(_EVERY_SERVICE, name)
+        }
+
+    expected = {name: (row[1], row[2]) for name, row in rows.items()}
+    nodes.until(lambda: offered() == expected)
+    assert offered() == expected
 
 
 def test_camera_info_is_what_depth_image_proc_reads(nodes: World) -> None:
