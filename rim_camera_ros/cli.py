@@ -115,9 +115,9 @@ def _run(argv: list[str]) -> int:
 def _signals() -> Iterator[None]:
     """Make the first signal that ends the work a KeyboardInterrupt, and further ones for a while nothing.
 
-    One that comes in the midst of an import, whose callbacks lose exceptions, or of code that is made from text
-    (dataclasses), after which the interpreter ends itself by the signal whoever caught it, is put off until it
-    is over.
+    One that comes in the midst of an import, whose callbacks lose exceptions, or of code that is made from
+    text (dataclasses), after which the interpreter ends itself by the signal whoever caught it, is put off
+    until it is over.
     Signals that are ignored (``nohup``, a script's background job) stay so. In other threads than the main
     one nothing is done.
     """
@@ -159,7 +159,7 @@ def _with_home(word: str) -> str:
 
 
 def _uninterruptible(frame: FrameType | None) -> bool:
-    """Whether a frame or one of its callers is of the import system, or of code that ``exec`` made from text."""
+    """Whether a frame or one of its callers is of the import system, or of code ``exec`` made from text."""
     while frame is not None:
         if frame.f_code.co_filename.startswith(("<frozen importlib", "<string>")):
             return True
