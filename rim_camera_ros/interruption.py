@@ -58,6 +58,7 @@ def end_quietly_while_importing() -> None:
         return
 
     def end(number: int, frame: FrameType | None) -> None:
+        ignore()  # a second one between the line and the end would write the line again
         status = PROGRAMS[name]
         if status:
             os.write(2, f"{name}: interrupted\n".encode())
