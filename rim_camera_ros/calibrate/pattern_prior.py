@@ -26,7 +26,7 @@ Array = NDArray[Any]
 FEW_LOOKS = 5.0
 FIRST_SIZE = 0.001
 #: Sizes that are tried, 1-sigma of a pixel's offset [m].
-SIZES = (0.0003, 0.0005, 0.001, 0.002, 0.004, 0.008, 0.015, 0.03, PATTERN_PRIOR)
+SIZES = (0.0003, 0.0005, 0.001, 0.002, 0.004, 0.008, 0.015, 0.03, 0.06, PATTERN_PRIOR)
 
 
 def first_pattern_prior(masks: Sequence[tuple[Array, Array]]) -> float:

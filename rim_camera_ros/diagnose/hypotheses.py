@@ -9,7 +9,7 @@ differences of their poses (Vehtari, Gelman & Gabry 2017).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -29,6 +29,8 @@ from rim_camera_ros.scene import Scene, Surface, quaternion, rotation_matrix
 Array = NDArray[Any]
 
 AS_GIVEN = "as_given"
+#: Hypotheses about the tiles of a surface.
+_OF_PATTERN = frozenset({"turned_180", "mirrored", "inverted", "turned_90", "other_pattern", "scale"})
 #: 1-sigma of distances [m] and relative 1-sigma of amplitudes in which a camera and its file may differ, so
 #: that physics is not taken for a set-up.
 _CAMERA_DISTANCE, _CAMERA_AMPLITUDE = 0.03, 0.15
@@ -46,6 +48,8 @@ _ENOUGH_PIXELS = 1600
 _FAR = 5.0
 #: Factors on sizes of tiles and surfaces, on depths, and on the focal length that are tried.
 _FACTORS = (0.8, 0.9, 0.95, 1.05, 1.1, 1.25)
+#: Factors on the size of another board.
+_BOARD_FACTORS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 1.6, 2.0)
 #: A focal length nearer to the file's than this is no other lens, but a camera constant that is wrong.
 _LEAST_LENS = 0.08
 _WORDS = {
@@ -54,6 +58,7 @@ _WORDS = {
     "inverted": "the bright and dark tiles of {0} exchanged",
     "turned_90": "the pattern of {0} turned by 90 degrees",
     "other_pattern": "another pattern on {0}: its tiles reflect otherwise than the scene file says",
+    "other_board": "another board for {0}: {1:.3g} times as large, and its tiles reflect otherwise",
     "scale": "{0} {1:.3g} times as large as the scene file says",
     "depth": "{0} {1:+.0f} mm farther away than its poses say",
     "pose": "poses of {0} with another sign of an angle",
@@ -122,8 +127,25 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
     if step > 1:
         chosen, camera = coarser_dataset(chosen, step), coarser_camera(camera, step)
     given = _score(_Trial(AS_GIVEN, "", 0.0, chosen, scene, camera))
+    poses = len({(one.recording, one.pose) for one in dataset.stations})
     found = [Hypothesis(AS_GIVEN, "", 0.0, 0.0)]
-    for trial in _trials(chosen, scene, camera):
+    found += _compared(_trials(chosen, scene, camera), given, poses)
+    # a surface of which neither size nor pattern is right fits with neither of them alone
+    patterned = {one.surface for one in found if one.is_better and one.hypothesis in _OF_PATTERN}
+    for name in sorted(patterned):
+        found += _compared(_other_boards(chosen, scene, camera, name), given, poses)
+    best: dict[tuple[str, str], Hypothesis] = {}
+    for one in found:
+        key = (one.hypothesis, one.surface)
+        if key not in best or one.gain > best[key].gain:
+            best[key] = one
+    return sorted(best.values(), key=lambda one: -one.gain)
+
+
+def _compared(trials: Iterable[_Trial], given: Mapping[tuple[int, int], float], poses: int) -> list[Hypothesis]:
+    """Return what trials gain over the log likelihoods of poses as ``given``, for a recording of ``poses``."""
+    found = []
+    for trial in trials:
         try:
             score = _score(trial)
         except RimError:
@@ -133,7 +155,7 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
         if not difference.size:
             continue
         # the poses are a sample of those of the recording
-        share = len({(one.recording, one.pose) for one in dataset.stations}) / len(keys)
+        share = poses / len(keys)
         error = float(np.std(difference, ddof=1) * np.sqrt(len(keys))) if len(keys) > 1 else np.inf
         found.append(
             Hypothesis(
@@ -145,12 +167,7 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
                 float(difference.sum()) / max(-sum(given.values()), 1e-9),
             )
         )
-    best: dict[tuple[str, str], Hypothesis] = {}
-    for one in found:
-        key = (one.hypothesis, one.surface)
-        if key not in best or one.gain > best[key].gain:
-            best[key] = one
-    return sorted(best.values(), key=lambda one: -one.gain)
+    return found
 
 
 def _some_poses(dataset: Dataset) -> Dataset:
@@ -165,9 +182,7 @@ def _some_poses(dataset: Dataset) -> Dataset:
 
 def _score(trial: _Trial) -> dict[tuple[int, int], float]:
     """Return the log likelihood of each pose, up to a constant that all trials share."""
-    forward = Forward(trial.dataset, trial.scene, trial.camera)
-    forward.estimate_amplitudes()
-    forward.amplitude_model = AmplitudeModel(dict(forward.amplitude_model.gains), 0.0)
+    forward = _coarse_forward(trial.dataset, trial.scene, trial.camera)
     described = np.array([one.is_described for one in trial.scene.surfaces])
     result: dict[tuple[int, int], float] = {}
     for one in forward.predictions(slopes=False):
@@ -223,45 +238,76 @@ def _trials(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[_Trial]:
 
 def _as_measured(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[_Trial]:
     """Yield, for each surface, the pattern and the depth that the recording itself shows."""
-    forward = Forward(dataset, scene, camera)
-    forward.estimate_amplitudes()
-    forward.amplitude_model = AmplitudeModel(dict(forward.amplitude_model.gains), 0.0)
-    ratios: dict[int, list[float]] = {}
+    forward = _coarse_forward(dataset, scene, camera)
+    ratios = _ratios(forward)
     depths: dict[int, list[float]] = {}
     for one in forward.predictions(slopes=False):
         geometry = one.view.geometry
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.log(one.station.amplitude / one.model_amplitude)
-        lit = one.amplitude_used & np.isfinite(ratio)
-        for tile in np.unique(geometry.tile[lit]):
-            ratios.setdefault(int(tile), []).append(float(np.median(ratio[lit & (geometry.tile == tile)])))
         for number in np.unique(geometry.surface[one.used]):
             mine = one.used & (geometry.surface == number)
             along = one.residual * geometry.cos_incidence
             depths.setdefault(int(number), []).append(float(np.median(along[mine])))
-    first = 0
     for number, surface in enumerate(scene.surfaces):
-        start, first = first, first + surface.tiles
         others = [value for i, values in depths.items() if i != number for value in values]
         if surface.pose == "truth" and number in depths and others:
             depth = float(np.median(depths[number])) - float(np.median(others))
             if abs(depth) > _FAR * surface.pose_sigma[0]:
                 moved = _with_poses(dataset, surface.name, partial(_farther, by=depth))
                 yield _Trial("depth", surface.name, 1e3 * depth, moved, scene, camera)
-        if surface.texture is None or not surface.is_described:
-            continue
-        values = surface.texture.values.values.copy()
-        limit = 3.0 * max(surface.reflectivity_sigma, _CAMERA_AMPLITUDE)
-        for k, value in enumerate(values.ravel()):
-            change = float(np.median(ratios.get(start + k, [0.0])))
-            if abs(change) > limit:
-                values.flat[k] = float(np.clip(value * np.exp(change), 0.0, 1.0))
-        if not np.array_equal(values, surface.texture.values.values):
-            changed = replace(surface, texture=replace(surface.texture, values=NestedList(values)))
-            surfaces = (*scene.surfaces[:number], changed, *scene.surfaces[number + 1 :])
-            yield _Trial(
-                "other_pattern", surface.name, 0.0, dataset, replace(scene, surfaces=surfaces), camera
-            )
+        changed = _repainted(scene, number, ratios)
+        if changed is not None:
+            yield _Trial("other_pattern", surface.name, 0.0, dataset, changed, camera)
+
+
+def _ratios(forward: Forward) -> dict[int, list[float]]:
+    """Return log ratios of measured and predicted amplitudes by tile, a median for each station."""
+    ratios: dict[int, list[float]] = {}
+    for one in forward.predictions(slopes=False):
+        tiles = one.view.geometry.tile
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.log(one.station.amplitude / one.model_amplitude)
+        lit = one.amplitude_used & np.isfinite(ratio)
+        for tile in np.unique(tiles[lit]):
+            ratios.setdefault(int(tile), []).append(float(np.median(ratio[lit & (tiles == tile)])))
+    return ratios
+
+
+def _repainted(scene: Scene, number: int, ratios: Mapping[int, Sequence[float]]) -> Scene | None:
+    """Return the scene with a surface whose tiles reflect as measured; None where it agrees already."""
+    surface = scene.surfaces[number]
+    if surface.texture is None or not surface.is_described:
+        return None
+    start = sum(one.tiles for one in scene.surfaces[:number])
+    values = surface.texture.values.values.copy()
+    limit = 3.0 * max(surface.reflectivity_sigma, _CAMERA_AMPLITUDE)
+    for k, value in enumerate(values.ravel()):
+        change = float(np.median(ratios.get(start + k, [0.0])))
+        if abs(change) > limit:
+            values.flat[k] = float(np.clip(value * np.exp(change), 0.0, 1.0))
+    if np.array_equal(values, surface.texture.values.values):
+        return None
+    changed = replace(surface, texture=replace(surface.texture, values=NestedList(values)))
+    return replace(scene, surfaces=(*scene.surfaces[:number], changed, *scene.surfaces[number + 1 :]))
+
+
+def _other_boards(dataset: Dataset, scene: Scene, camera: Camera, name: str) -> Iterator[_Trial]:
+    """Yield boards of other sizes whose tiles reflect as the recording shows, in the place of a surface."""
+    number = next(i for i, one in enumerate(scene.surfaces) if one.name == name)
+    for factor in _BOARD_FACTORS:
+        surfaces = list(scene.surfaces)
+        surfaces[number] = _scaled(surfaces[number], factor)
+        scaled = replace(scene, surfaces=tuple(surfaces))
+        forward = _coarse_forward(dataset, scaled, camera)
+        changed = _repainted(scaled, number, _ratios(forward))
+        if changed is not None:
+            yield _Trial("other_board", name, factor, dataset, changed, camera)
+
+
+def _coarse_forward(dataset: Dataset, scene: Scene, camera: Camera) -> Forward:
+    forward = Forward(dataset, scene, camera)
+    forward.estimate_amplitudes()
+    forward.amplitude_model = AmplitudeModel(dict(forward.amplitude_model.gains), 0.0)
+    return forward
 
 
 def _of_camera(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[_Trial]:

@@ -79,6 +79,19 @@ def optics_beyond(fitted: Fit, camera: Camera) -> str | None:
     )
 
 
+def poses_beyond(fitted: Fit, camera: Camera) -> str | None:
+    """Return in words that poses err by far more than is stated, all taken together; None: they do not."""
+    for one in nuisances_of(fitted, camera):
+        if one.name in ("pose_offset", "pose_tilt") and one.found > BEYOND * one.stated:
+            size = f"{one.found * 1e3:.2g} {'mm' if one.unit == 'm' else 'mrad'}"
+            return (
+                f"poses err by {size} (RMS), {one.found / one.stated:.1f} times what is stated: another scene, "
+                "poses of another recording, or an instrument that is not as good as its pose_sigma says; "
+                "correct the poses or state a larger pose_sigma"
+            )
+    return None
+
+
 def reflectivities_beyond(fitted: Fit, scene: Scene) -> str | None:
     """Return which surface reflects otherwise than stated, by far more than is stated; None: none does."""
     priors = {one.label: one.prior for one in fitted.equations.regressors}

@@ -25,7 +25,7 @@ from rim_camera_ros.diagnose.described import best_rest, describe, explained_sha
 from rim_camera_ros.diagnose.full_grid import on_full_grid
 from rim_camera_ros.diagnose.hypotheses import Hypothesis, best_setup, compare_setups
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, only_rectified_noise
-from rim_camera_ros.diagnose.nuisances import nuisances_of, optics_beyond, reflectivities_beyond
+from rim_camera_ros.diagnose.nuisances import nuisances_of, optics_beyond, poses_beyond, reflectivities_beyond
 from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.setup import Setup, check_setup
 from rim_camera_ros.diagnose.smooth import axes_of, single_terms
@@ -189,7 +189,11 @@ def _diagnose(
         physics=[one.effect for one in result.found] if described is None else ["empirical"],
         before=baseline.fit,
     )
-    reason = setup.reason or reflectivities_beyond(final.fit, scene)
+    reason = setup.reason
+    if reason is None and described is None:
+        # what was so before any physics was fitted, and stays
+        of_board = reflectivities_beyond(baseline.fit, scene) and reflectivities_beyond(final.fit, scene)
+        reason = of_board or poses_beyond(final.fit, camera)
     reason = None if variance.pixels_vary_together or codes is not None else reason
     if reason is not None and setup.may_do_without and against is None and again > 0:
         say("once more without what does not agree")
