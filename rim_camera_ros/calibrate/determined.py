@@ -73,7 +73,10 @@ def undetermined_effects(scores: Scores, names: Sequence[str]) -> list[str]:
 
 @dataclass
 class _Size:
-    """Mean products (K, K) of a candidate's columns over the values used: distances [m], log amplitudes."""
+    """Mean products (K, K) of a candidate's columns over the values used: distances [m], log amplitudes.
+
+    Of distances without the mean of each pixel, which its offset takes up.
+    """
 
     distance: Array
     brightness: Array
@@ -88,6 +91,9 @@ def sizes_of(
         for one in candidates
     ]
     counts = [0, 0]
+    shape = fitted.forward.camera.shape
+    looks = np.zeros(shape)
+    sums = [np.zeros((len(one.block.regressors), *shape)) for one in candidates]
     step = max(1, len(fitted.forward.dataset.stations) // MOST_STATIONS)
     for number, prediction in enumerate(fitted.forward.predictions()):
         if number % step:
@@ -98,13 +104,18 @@ def sizes_of(
         counts[0] += int(used.sum())
         counts[1] += int(lit.sum())
         reading = prediction.station.amplitude[lit] - prediction.amplitude_residual[lit]
-        for one, total in zip(candidates, totals, strict=True):
+        looks += used
+        for one, total, by_pixel in zip(candidates, totals, sums, strict=True):
             columns = one.block.columns(prediction)
             distance = np.nan_to_num(np.stack([c[0][used] for c in columns]))
             total[0] += distance @ distance.T
+            by_pixel[:, used] += distance
             if columns[0][1] is not None and lit.any():
                 light = np.stack([np.asarray(c[1])[lit] / reading for c in columns])
                 total[1] += np.nan_to_num(light) @ np.nan_to_num(light).T
+    for total, by_pixel in zip(totals, sums, strict=True):
+        weighted = by_pixel[:, looks > 0] / np.sqrt(looks[looks > 0])
+        total[0] -= weighted @ weighted.T
     return [_Size(a / max(counts[0], 1), b / max(counts[1], 1)) for a, b in totals]
 
 

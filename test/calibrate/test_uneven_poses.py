@@ -136,7 +136,8 @@ def test_a_curve_that_turns_negative_is_told_from_a_hyperbola(tmp_path: Path) ->
         NestedList(np.array([0.03, 0.004, -0.009, -0.006, 0.002])),
     )
     other = with_effects(given, {"empirical": curve})
-    said = beyond_hyperbola(*solved(record(other, scene(tmp_path)), given, tmp_path))
+    dataset = record(other, scene(tmp_path), poses=36)
+    said = beyond_hyperbola(*solved(dataset, given, tmp_path))
     assert said is not None
     assert said.startswith("a smooth curve in amplitude fits held-out poses better than the hyperbola")
     assert "empirical:amplitude" in said
