@@ -25,28 +25,65 @@ Array = NDArray[Any]
 
 #: Labels of errors that all poses of a surface share, and of the optics within their covariance.
 COMMON_POSE, OPTICS = "common_pose.", "optics_covariance."
+#: Labels of the smooth field of the pixels' offsets: powers of row and column over the array.
+PATTERN_FIELD = "pattern_field."
+_POWERS = ((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))
+#: 1-sigma of each part of the field [m]: unknown.
+_FIELD_SIGMA = 5.0
 _DIRECTIONS = ("offset", "tilt_x", "tilt_y")
 
 
-def imperfection_blocks(camera: Camera, scene: Scene, *, lobe: bool = True) -> list[Block]:
+def imperfection_blocks(
+    camera: Camera, scene: Scene, *, lobe: bool = True, pattern_field: bool = False
+) -> list[Block]:
     """Return the regressors of reflectivities, a weak lobe, common errors of poses, and known optics.
 
     Sizes are those of the files: ``reflectivity_sigma``, ``pose_sigma`` with ``pose_common``, and the
     covariance of the optics; that of the lobe is `light_curves.LOBE_SIGMA`. Without ``lobe`` surfaces have
-    curves of their own.
+    curves of their own. With ``pattern_field`` what offsets of pixels have in common is estimated, where each
+    of them is taken to be small by itself.
     """
     blocks = [
         reflectivity_block(scene),
         light_block(LOBE if lobe else FALLOFF),
-        common_pose_block(scene),
-        known_optics(camera),
+        *linear_blocks(camera, scene, pattern_field=pattern_field),
     ]
     return [one for one in blocks if one.regressors]
 
 
-def linear_blocks(camera: Camera, scene: Scene) -> list[Block]:
+def linear_blocks(camera: Camera, scene: Scene, *, pattern_field: bool = False) -> list[Block]:
     """Return those of the blocks whose effect on the predictions is added as it is, without a step."""
-    return [one for one in (common_pose_block(scene), known_optics(camera)) if one.regressors]
+    blocks = [common_pose_block(scene), known_optics(camera)]
+    if pattern_field:
+        blocks.append(pattern_field_block(camera.shape))
+    return [one for one in blocks if one.regressors]
+
+
+def pattern_field_block(shape: tuple[int, int]) -> Block:
+    """Return the regressors of a smooth field of offsets over an array of ``shape`` (H, W), each in metres.
+
+    Offsets of pixels by themselves say little of their mean; where they are taken to be small, it would be
+    known far better than any camera's is.
+    """
+    regressors = tuple(Regressor(f"{PATTERN_FIELD}{i}.{j}", "pattern", _FIELD_SIGMA) for i, j in _POWERS)
+    images = [_power(i, j, shape) for i, j in _POWERS]
+
+    def columns(prediction: Prediction) -> list[Column]:
+        return [(image, None) for image in images]
+
+    return Block(regressors, columns)
+
+
+def pattern_field(values: Mapping[str, float], shape: tuple[int, int]) -> Array:
+    """Return the smooth field of offsets (H, W) [m] that fitted values, by label, describe."""
+    return sum(
+        (values.get(f"{PATTERN_FIELD}{i}.{j}", 0.0) * _power(i, j, shape) for i, j in _POWERS), np.zeros(shape)
+    )
+
+
+def _power(i: int, j: int, shape: tuple[int, int]) -> Array:
+    rows, columns = np.linspace(-1, 1, shape[0])[:, None], np.linspace(-1, 1, shape[1])[None, :]
+    return np.asarray(rows**i * columns**j * np.ones(shape))
 
 
 def reflectivity_block(scene: Scene) -> Block:
@@ -135,7 +172,7 @@ def known_optics(camera: Camera) -> Block:
 
 def is_linear(path: str) -> bool:
     """Whether a regressor is a nuisance whose value is no parameter of camera or light."""
-    return path.startswith((COMMON_POSE, OPTICS))
+    return path.startswith((COMMON_POSE, OPTICS, PATTERN_FIELD))
 
 
 def sizes_found(values: Mapping[str, float], blocks: Sequence[Block]) -> dict[str, tuple[float, float]]:

@@ -69,6 +69,11 @@ class Problem:
     tick: Callable[[], None] | None = None
     threads: int = 1
 
+    @property
+    def has_pattern_field(self) -> bool:
+        """Whether what offsets of pixels have in common is estimated beside offsets that are small."""
+        return self.pattern and self.pattern_prior < PATTERN_PRIOR
+
 
 @dataclass
 class Fit:
@@ -127,7 +132,7 @@ def forward_of(
     forward.camera_of_noise = problem.origin
     forward.light_curves = moved_light(offsets, problem.response, scene)
     if problem.imperfections:
-        forward.linear = linear_blocks(camera, scene)
+        forward.linear = linear_blocks(camera, scene, pattern_field=problem.has_pattern_field)
     return forward
 
 
@@ -152,7 +157,9 @@ def blocks_of(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
     blocks += [optics_block(camera, name) for name in problem.geometry]
     blocks += [light_block(labels) for labels in light_groups(problem, camera)]
     if problem.imperfections:
-        blocks += imperfection_blocks(camera, scene, lobe=not problem.reflectance)
+        blocks += imperfection_blocks(
+            camera, scene, lobe=not problem.reflectance, pattern_field=problem.has_pattern_field
+        )
     free = [
         (f"scene.{one.name}.{axis}", 1.0 if axis in "xyz" else 0.3)
         for one in scene.surfaces

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from rim_camera_ros.calibrate.blocks import GAIN
 from rim_camera_ros.calibrate.empirical_fit import with_empirical_changes
-from rim_camera_ros.calibrate.imperfections import is_linear
+from rim_camera_ros.calibrate.imperfections import is_linear, pattern_field
 from rim_camera_ros.calibrate.light_curves import of_light
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import after_nuisances
@@ -84,7 +84,8 @@ class Solution:
         """
         camera = self.fit.camera
         if leave_out is None:
-            return with_pattern(camera, self.fit.pattern, self.pattern_variance())
+            pattern = self.fit.pattern + pattern_field(self.fit.nuisances, camera.shape)
+            return with_pattern(camera, pattern, self.pattern_variance())
         reduced = self.scores.trained[leave_out]
         values = self.scores.values(leave_out=leave_out)
         moved = moved_by(camera, values)
@@ -93,6 +94,7 @@ class Solution:
             everything[int(i)] = values[self.scores.regressors[int(i)].label]
         _, flat, _ = reduced.recover(everything)
         pattern = flat.reshape(camera.shape) if flat.size == self.fit.pattern.size else self.fit.pattern * 0.0
+        pattern = pattern + pattern_field(values, camera.shape)
         return with_pattern(moved, pattern, self.pattern_variance(leave_out))
 
     def pattern_variance(self, leave_out: int | None = None) -> Array:

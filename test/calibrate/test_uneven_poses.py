@@ -115,6 +115,29 @@ def test_the_size_of_the_pattern_where_pixels_have_few_looks(
     assert within[0] <= likely_pattern_prior(found) <= within[1]
 
 
+def test_small_offsets_of_pixels_leave_their_common_field_free(tmp_path: Path) -> None:
+    """38 mm that all pixels share, and 21 mm from row to row, are neither a scale nor errors of poses."""
+    plain, board = camera(tmp_path, hyperbola(21.0)), scene(tmp_path)
+    rows = np.linspace(-1, 1, 36)[:, None] * np.ones((36, 44))
+    field = (0.038 + 0.021 * rows).astype(np.float32)
+    truth = with_effects(
+        plain, {**plain.effects, "fixed_pattern_offset": FixedPatternOffset(ArrayFile("pattern.npy", field))}
+    )
+    dataset = record(truth, board, poses=30)
+    problem = Problem(dataset, board, pattern_prior=FIRST_SIZE)
+    folds = folds_of(dataset)
+    step = explore(problem, plain, [], folds, replicates=0)
+    poses = [v for name, v in step.fit.nuisances.items() if ".pose." in name and name.endswith("offset")]
+    assert np.std(poses) < 0.006
+    solution = Solution(step.fit, step.scores, folds, plain)
+    for leave_out in (None, 0):
+        found = solution.camera(leave_out).effects["fixed_pattern_offset"]
+        assert isinstance(found, FixedPatternOffset)
+        difference = found.map.values - field
+        assert abs(np.mean(difference[6:-6, 6:-6])) < 0.006
+        assert np.std(difference[6:-6, 6:-6]) < 0.003
+
+
 def test_pixels_with_many_looks_tell_their_own_offset() -> None:
     everything = [(np.ones((4, 7), bool), np.ones((4, 7), bool))] * 6
     assert first_pattern_prior(everything) == PATTERN_PRIOR
