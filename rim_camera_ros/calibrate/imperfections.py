@@ -74,14 +74,15 @@ def pattern_field_block(shape: tuple[int, int]) -> Block:
     return Block(regressors, columns)
 
 
-def pattern_field(values: Mapping[str, float], shape: tuple[int, int]) -> Array:
+def pattern_field(values: Mapping[str, float], shape: tuple[int, ...]) -> Array:
     """Return the smooth field of offsets (H, W) [m] that fitted values, by label, describe."""
     return sum(
-        (values.get(f"{PATTERN_FIELD}{i}.{j}", 0.0) * _power(i, j, shape) for i, j in _POWERS), np.zeros(shape)
+        (values.get(f"{PATTERN_FIELD}{i}.{j}", 0.0) * _power(i, j, shape) for i, j in _POWERS),
+        np.zeros(shape),
     )
 
 
-def _power(i: int, j: int, shape: tuple[int, int]) -> Array:
+def _power(i: int, j: int, shape: tuple[int, ...]) -> Array:
     rows, columns = np.linspace(-1, 1, shape[0])[:, None], np.linspace(-1, 1, shape[1])[None, :]
     return np.asarray(rows**i * columns**j * np.ones(shape))
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.coarser import coarser_camera, coarser_dataset, finer_camera, finer_number
 from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.imperfections import pattern_field
 from rim_camera_ros.calibrate.pixels import BESIDE, WIDEST, usable_pixels
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT, after_nuisances
@@ -104,6 +105,7 @@ class LargeSensor:
         with np.errstate(divide="ignore"):
             variance = np.where(weight > 0, solution.factor / weight, np.inf)
         offsets = total / (weight + fitted.equations.pattern_prior**-2)
+        offsets += pattern_field(fitted.nuisances, camera.shape)
         return with_pattern(camera, offsets, variance), variance
 
     def covariance(self, paths: Sequence[str], matrix: Array) -> Array:

@@ -25,9 +25,9 @@ from rim_camera_ros.threads import in_order
 Array = NDArray[Any]
 
 
-#: 1-sigma of the fixed pattern's prior [m]: unknown, also that of all pixels together. With 50 mm of each pixel by
-#: itself the mean of 6,000 pixels would be known to 0.6 mm, and every smooth field nearly as well, which no
-#: camera's is: effects that are smooth over the array would gain what it costs.
+#: 1-sigma of the fixed pattern's prior [m]: unknown, also that of all pixels together. With 50 mm of each
+#: pixel by itself the mean of 6,000 pixels would be known to 0.6 mm, and every smooth field nearly as well,
+#: which no camera's is: effects that are smooth over the array would gain what it costs.
 PATTERN_PRIOR = 5.0
 #: Pixels of which the sums are put together at once.
 _BLOCK = 4096

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from rim_camera_ros.calibrate.blocks import GAIN, UNFITTED
+from rim_camera_ros.calibrate.entry import LEAST_SIZE, PAIRED_ERRORS, paired_error
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.outcome import Result
@@ -21,12 +22,8 @@ from rim_camera_ros.calibrate.sizes import contribution
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers
 
-#: A term has moved where chance would do so once in this many times, and distances by this much [m].
+#: A term has moved where chance would do so once in this many times.
 _CHANCE = 1e-4
-LEAST_CHANGE = 0.0004
-#: The verdict speaks of wrong parameters where all terms together move distances by this many single-frame
-#: sigmas (RMS).
-LEAST_TOTAL = 0.2
 #: A relative change of the radiometric gain that matters, and in units of its 1-sigma.
 LEAST_GAIN = 0.03
 _FAR = 4.0
@@ -61,7 +58,7 @@ def adjusted_terms(camera: Camera, fitted: Fit) -> list[Adjusted]:
         normal = change / scale
         correlation = covariance / scale[:, None] / scale[None, :] + 1e-9 * np.eye(len(index))
         wald = float(normal @ np.linalg.solve(correlation, normal))
-        if wald < chdtri(len(index), _CHANCE) or _moved(camera, fitted, name) < LEAST_CHANGE:
+        if wald < chdtri(len(index), _CHANCE) or _moved(camera, fitted, name) < LEAST_SIZE:
             continue
         result.append(
             Adjusted(
@@ -87,20 +84,6 @@ def _moved(camera: Camera, fitted: Fit, name: str) -> float:
         fitted,
         lambda old, new: contribution(new, name, fitted.start) - contribution(old, name, fitted.start),
     )
-
-
-def total_change(camera: Camera, fitted: Fit) -> float:
-    """RMS, in single-frame sigmas, of how a fit changes the predicted distances.
-
-    Without the mean of each pixel, which the fixed pattern takes up. Changes of whole stations count: errors
-    of poses take them up only as far as they are stated, which the likelihood says.
-    """
-
-    def change(old: Prediction, new: Prediction) -> NDArray[Any]:
-        single = new.sigma * np.sqrt(np.maximum(new.station.count, 1))
-        return np.asarray((new.distance - old.distance) / single)
-
-    return _varying(camera, fitted, change)
 
 
 def _varying(
@@ -133,16 +116,18 @@ def _varying(
 def parameters_matter(camera: Camera, result: Result, adjusted: Sequence[Adjusted]) -> bool:
     """Return whether freeing the known terms, of which some moved, gains on held-out poses.
 
+    As much as an effect must gain to enter, beside two standard errors paired over the folds of poses.
+
     A wrong radiometric gain matters by itself: fits of poses take up a power that is wrong in all of them, so
     that no likelihood tells it.
     """
-    fitted = result.explorations[-1].fit
     if any(one.effect == "radiometry" for one in adjusted):
         return True
-    if total_change(camera, fitted) < LEAST_TOTAL:
+    if not adjusted:
         return False
     frozen = replace(result.problem, effects=(), gain=False, geometry=())
     folds = folds_of(result.problem.dataset)
     step = explore(frozen, camera, [], folds, replicates=0, views=result.fit.forward.views, iterations=2)
-    gain = result.explorations[-1].scores.log_likelihood() - step.scores.log_likelihood()
-    return gain > max(result.explorations[0].threshold, 10.0)
+    after, before = (one.scores.log_likelihoods() for one in (result.explorations[-1], step))
+    threshold = result.explorations[0].threshold
+    return sum(after) - sum(before) > max(threshold, PAIRED_ERRORS * paired_error(after, before))

@@ -59,10 +59,11 @@ _WORDS = {
     "turned_90": "the pattern of {0} turned by 90 degrees",
     "other_pattern": "another pattern on {0}: its tiles reflect otherwise than the scene file says",
     "other_board": "another board for {0}: {1:.3g} times as large, and its tiles reflect otherwise",
+    "moved_poses": "poses of {0} that stand elsewhere",
     "scale": "{0} {1:.3g} times as large as the scene file says",
     "depth": "{0} {1:+.0f} mm farther away than its poses say",
     "pose": "poses of {0} with another sign of an angle",
-    "units": "distances in other units, by a factor of {1:g}",
+    "units": "distances or poses in other units, by a factor of {1:g}",
     "z_distance": "distances along the optical axis instead of along the ray",
     "other_lens": "another lens, of {1:.3g} times the focal length",
 }
@@ -110,6 +111,10 @@ class Hypothesis:
         return self.is_better and self.share > LEAST_SHARE
 
 
+#: Mean loss and number of patches of each pose.
+_Losses = Mapping[tuple[int, int], tuple[float, float]]
+
+
 @dataclass(frozen=True)
 class _Trial:
     hypothesis: str
@@ -139,24 +144,25 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
         key = (one.hypothesis, one.surface)
         if key not in best or one.gain > best[key].gain:
             best[key] = one
-    return sorted(best.values(), key=lambda one: -one.gain)
+    return by_gain(best.values())
 
 
-def _compared(trials: Iterable[_Trial], given: Mapping[tuple[int, int], float], poses: int) -> list[Hypothesis]:
-    """Return what trials gain over the log likelihoods of poses as ``given``, for a recording of ``poses``."""
+def _compared(trials: Iterable[_Trial], given: _Losses, poses: int) -> list[Hypothesis]:
+    """Return what trials gain over the losses of poses as ``given``, for a recording of so many ``poses``."""
     found = []
     for trial in trials:
         try:
             score = _score(trial)
         except RimError:
             continue
-        keys = sorted(given.keys() | score.keys())
-        difference = np.array([score.get(key, 0.0) - given.get(key, 0.0) for key in keys])
+        difference, short = _differences(given, score)
         if not difference.size:
             continue
         # the poses are a sample of those of the recording
-        share = poses / len(keys)
-        error = float(np.std(difference, ddof=1) * np.sqrt(len(keys))) if len(keys) > 1 else np.inf
+        share = poses / len(difference)
+        error = (
+            float(np.std(difference, ddof=1) * np.sqrt(len(difference))) if len(difference) > 1 else np.inf
+        )
         found.append(
             Hypothesis(
                 trial.hypothesis,
@@ -164,7 +170,7 @@ def _compared(trials: Iterable[_Trial], given: Mapping[tuple[int, int], float], 
                 float(difference.sum() * share),
                 error * share,
                 trial.value,
-                float(difference.sum()) / max(-sum(given.values()), 1e-9),
+                float(difference.sum()) / max(short, 1e-9),
             )
         )
     return found
@@ -180,13 +186,20 @@ def _some_poses(dataset: Dataset) -> Dataset:
     return replace(dataset, stations=stations[::step])
 
 
-def _score(trial: _Trial) -> dict[tuple[int, int], float]:
-    """Return the log likelihood of each pose, up to a constant that all trials share."""
+def _score(trial: _Trial) -> dict[tuple[int, int], tuple[float, float]]:
+    """Return, for each pose, the mean loss of its pixels and the number of patches that they make up.
+
+    The loss is twice the negative log likelihood up to a constant that all trials share; that of a pose of
+    which a trial predicts no pixel is as great as can be, and its patches are not known (0).
+    """
     forward = _coarse_forward(trial.dataset, trial.scene, trial.camera)
     described = np.array([one.is_described for one in trial.scene.surfaces])
-    result: dict[tuple[int, int], float] = {}
+    result: dict[tuple[int, int], tuple[float, float]] = {}
     for one in forward.predictions(slopes=False):
+        key = (one.station.recording, one.station.pose)
         measured = one.station.count > 0
+        if not measured.any():
+            continue
         seen = one.view.geometry.hit & measured
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = one.residual**2 / (one.sigma**2 + _CAMERA_DISTANCE**2)
@@ -200,16 +213,26 @@ def _score(trial: _Trial) -> dict[tuple[int, int], float]:
         both[measured & ~seen] = 2 * _MOST
         # of the pixels that a trial can judge, those away from its edges; each counts as its share of a patch
         judged = measured & (one.view.clean | ~seen)
-        if not judged.any():
-            continue
+        clean = one.view.clean
         patches = (
-            measured.sum() / float(np.median(forward.views.alike(one.view)[one.view.clean]))
-            if (one.view.clean.any())
-            else 1.0
+            measured.sum() / float(np.median(forward.views.alike(one.view)[clean])) if clean.any() else 0.0
         )
-        key = (one.station.recording, one.station.pose)
-        result[key] = -0.5 * float(both[judged].mean()) * patches
+        loss = float(both[judged].mean()) if judged.any() else 2 * _MOST
+        result[key] = (loss, patches)
     return result
+
+
+def _differences(given: _Losses, score: _Losses) -> tuple[NDArray[Any], float]:
+    """Return each pose's gain, and what all poses as ``given`` fall short of a perfect fit [nats].
+
+    A pose has as many patches under both, those of the files as given where these predict any.
+    """
+    gains, short = [], 0.0
+    for key in sorted(given.keys() & score.keys()):
+        patches = given[key][1] or score[key][1]
+        gains.append(0.5 * patches * (given[key][0] - score[key][0]))
+        short += 0.5 * patches * given[key][0]
+    return np.array(gains), short
 
 
 def _trials(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[_Trial]:
@@ -314,6 +337,8 @@ def _of_camera(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[_Tria
     for factor in (1e-3, 1e3):
         stations = [replace(one, distance=one.distance * factor) for one in dataset.stations]
         yield _Trial("units", "", 1 / factor, replace(dataset, stations=stations), scene, camera)
+        # poses in other units, as light tells the distances of a camera
+        yield _Trial("units", "", factor, _in_units(dataset, factor), scene, camera)
     along = camera.rays[..., 2]
     stations = [replace(one, distance=one.distance / along) for one in dataset.stations]
     yield _Trial("z_distance", "", 0.0, replace(dataset, stations=stations), scene, camera)
@@ -340,6 +365,18 @@ def _scaled(surface: Surface, factor: float) -> Surface:
     return replace(surface, texture=texture, size=size)
 
 
+def _in_units(dataset: Dataset, factor: float) -> Dataset:
+    def scaled(pose: Pose) -> Pose:
+        x, y, z = pose.position
+        return Pose((factor * x, factor * y, factor * z), pose.orientation)
+
+    stations = [
+        replace(one, truth={name: scaled(pose) for name, pose in one.truth.items()})
+        for one in dataset.stations
+    ]
+    return replace(dataset, stations=stations)
+
+
 def _with_poses(dataset: Dataset, name: str, change: Callable[[Pose], Pose]) -> Dataset:
     def changed(truth: Mapping[str, Pose]) -> dict[str, Pose]:
         return {key: change(pose) if key == name else pose for key, pose in truth.items()}
@@ -364,6 +401,20 @@ def _flipped(pose: Pose, *, axis: int) -> Pose:
     back = np.eye(3)
     back[axis, axis] = -1.0
     return Pose(pose.position, quaternion(mirror @ rotation @ back))
+
+
+def by_gain(found: Iterable[Hypothesis]) -> list[Hypothesis]:
+    """Return hypotheses by what they gain, the best first."""
+    return sorted(found, key=lambda one: -one.gain)
+
+
+def moved_poses(errors: Mapping[tuple[int, int], float]) -> Hypothesis:
+    """Return the set-up in which some poses stand elsewhere, by their ``errors`` in stated 1-sigma.
+
+    It gains what the errors of these poses cost as errors of the instrument.
+    """
+    gain = 0.5 * float(np.sum(np.square(list(errors.values()))))
+    return Hypothesis("moved_poses", "", gain, 0.0, float(len(errors)))
 
 
 def best_setup(found: Sequence[Hypothesis]) -> Hypothesis | None:

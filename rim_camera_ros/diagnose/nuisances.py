@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ from rim_camera_ros.scene import Scene
 
 #: Stated sizes beyond which an imperfection is none, but a fault of the set-up.
 BEYOND = 3.0
+#: Poses that a sentence names.
+_MOST_NAMED = 5
 
 
 @dataclass(frozen=True)
@@ -79,15 +82,20 @@ def optics_beyond(fitted: Fit, camera: Camera) -> str | None:
     )
 
 
-def poses_beyond(fitted: Fit, camera: Camera) -> str | None:
-    """Return in words that poses err by far more than is stated, all taken together; None: they do not."""
+def poses_beyond(fitted: Fit, camera: Camera, errors: Mapping[tuple[int, int], float]) -> str | None:
+    """Return in words that poses err by far more than is stated, all taken together; None: they do not.
+
+    ``errors`` of those that do, in stated 1-sigma.
+    """
     for one in nuisances_of(fitted, camera):
         if one.name in ("pose_offset", "pose_tilt") and one.found > BEYOND * one.stated:
             size = f"{one.found * 1e3:.2g} {'mm' if one.unit == 'm' else 'mrad'}"
+            worst = sorted(errors, key=lambda key: -errors[key])[:_MOST_NAMED]
+            which = f", most of all {', '.join(str(pose) for _, pose in worst)}" if worst else ""
             return (
-                f"poses err by {size} (RMS), {one.found / one.stated:.1f} times what is stated: another scene, "
-                "poses of another recording, or an instrument that is not as good as its pose_sigma says; "
-                "correct the poses or state a larger pose_sigma"
+                f"moved_poses: poses err by {size} (RMS), {one.found / one.stated:.1f} times what is "
+                f"stated{which}: these stand elsewhere, or the instrument is not as good as its pose_sigma "
+                "says; correct the poses or state a larger pose_sigma"
             )
     return None
 

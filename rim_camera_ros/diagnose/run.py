@@ -23,9 +23,15 @@ from rim_camera_ros.diagnose.accuracy import accuracy
 from rim_camera_ros.diagnose.codes import missing_codes, note_on_grid
 from rim_camera_ros.diagnose.described import best_rest, describe, explained_share, is_unknown
 from rim_camera_ros.diagnose.full_grid import on_full_grid
-from rim_camera_ros.diagnose.hypotheses import Hypothesis, best_setup, compare_setups
+from rim_camera_ros.diagnose.hypotheses import Hypothesis, best_setup, by_gain, compare_setups, moved_poses
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, only_rectified_noise
-from rim_camera_ros.diagnose.nuisances import nuisances_of, optics_beyond, poses_beyond, reflectivities_beyond
+from rim_camera_ros.diagnose.nuisances import (
+    BEYOND,
+    nuisances_of,
+    optics_beyond,
+    poses_beyond,
+    reflectivities_beyond,
+)
 from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.setup import Setup, check_setup
 from rim_camera_ros.diagnose.smooth import axes_of, single_terms
@@ -36,7 +42,7 @@ from rim_camera_ros.errors import RimError
 from rim_camera_ros.scene import Scene
 
 #: A term outside the vocabulary must gain this share more than the named ones to take their place.
-BEYOND = 1.2
+_BEYOND_NAMED = 1.2
 #: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
 _COMMON_LIGHT = 0.1
 #: Times that a diagnosis is made anew without poses that do not agree.
@@ -177,7 +183,7 @@ def _diagnose(
     linear = any(one.effect in OF_SURFACES for one in result.found)
     by_itself = linear and unknown is not None and unknown.on_top < named
     if unknown is not None and not by_itself and not only_noise(result, unknown, variance):
-        beyond = not result.found or unknown.gain > BEYOND * result.found[0].gain
+        beyond = not result.found or unknown.gain > _BEYOND_NAMED * result.found[0].gain
         if beyond and is_unknown(unknown, named, final, result):
             try:
                 described = describe(unknown, baseline, result, seed)
@@ -193,7 +199,14 @@ def _diagnose(
     if reason is None and described is None:
         # what was so before any physics was fitted, and stays
         of_board = reflectivities_beyond(baseline.fit, scene) and reflectivities_beyond(final.fit, scene)
-        reason = of_board or poses_beyond(final.fit, camera)
+        astray = {one.key: one.error for one in setup.poses if one.error > BEYOND}
+        reason = of_board or poses_beyond(final.fit, camera, astray)
+        if reason is not None and not of_board:
+            setups = by_gain([*setups, moved_poses(astray)])
+    elif setup.bad:
+        setups = by_gain(
+            [*setups, moved_poses({one.key: one.error for one in setup.poses if one.key in setup.bad})]
+        )
     reason = None if variance.pixels_vary_together or codes is not None else reason
     if reason is not None and setup.may_do_without and against is None and again > 0:
         say("once more without what does not agree")

@@ -133,7 +133,7 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
             own + (0.0 if second is None else second.scatter(one.amplitude[pixels], one.context) ** 2)
         )
         freedom.append(np.full(int(pixels.sum()), station.frames - 1.0))
-    floor = float(np.sqrt(np.mean(np.concatenate(floors)))) if floors else 0.0
+    floor = float(np.sqrt(np.mean(np.concatenate(floors)))) if sum(map(len, floors)) else 0.0
     if not amplitude:
         return Variance(1.0, np.inf, (), camera.noise, None, np.inf, floor, False)
     a, s, m, f = (np.concatenate(parts).astype(float) for parts in (amplitude, measured, model, freedom))
