@@ -17,6 +17,9 @@ def contradictions(report: Mapping[str, Any]) -> list[str]:
         found.append(f"{verdict} with {len(missing)} missing")
     if (verdict == "inconsistent_setup") != ("reason" in report):
         found.append(f"{verdict} and a reason do not go together")
+    setups = [one["hypothesis"] for one in report.get("setup", [])]
+    if verdict != "inconsistent_setup" and setups and setups[0] != "as_given":
+        found.append(f"{verdict}, though {setups[0]} ranks above the set-up as given")
     if verdict == "wrong_parameters" and not report["adjusted"]:
         found.append("wrong parameters without any that moved")
     for one in missing:

@@ -43,6 +43,10 @@ def test_a_report_that_agrees_with_itself() -> None:
         ({"verdict": "consistent"}, "consistent with 1 missing"),
         ({"missing": [{"effect": "cyclic_error", "probability": 1e-17}]}, "named with probability 1e-17"),
         ({"reason": "a board is turned"}, "a reason do not go together"),
+        (
+            {"setup": [{"hypothesis": "scale", "gain": 42.0}, {"hypothesis": "as_given", "gain": 0.0}]},
+            "though scale ranks above the set-up as given",
+        ),
         ({"verdict": "wrong_parameters", "missing": []}, "wrong parameters without any that moved"),
         (
             {

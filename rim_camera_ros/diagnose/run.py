@@ -21,9 +21,10 @@ from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import accuracy
 from rim_camera_ros.diagnose.codes import missing_codes, note_on_grid
+from rim_camera_ros.diagnose.compare_setups import compare_setups
 from rim_camera_ros.diagnose.described import best_rest, describe, explained_share, is_unknown
 from rim_camera_ros.diagnose.full_grid import on_full_grid
-from rim_camera_ros.diagnose.hypotheses import Hypothesis, best_setup, by_gain, compare_setups, moved_poses
+from rim_camera_ros.diagnose.hypotheses import AS_GIVEN, Hypothesis, best_setup, by_gain, moved_poses
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, only_rectified_noise
 from rim_camera_ros.diagnose.nuisances import (
     BEYOND,
@@ -38,7 +39,7 @@ from rim_camera_ros.diagnose.smooth import axes_of, single_terms
 from rim_camera_ros.diagnose.variance import Variance, examine_variance, moving
 from rim_camera_ros.diagnose.verdict import Findings, verdict_of
 from rim_camera_ros.diagnose.where import of_residuals
-from rim_camera_ros.errors import RimError
+from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.scene import Scene
 
 #: A term outside the vocabulary must gain this share more than the named ones to take their place.
@@ -127,7 +128,7 @@ def _diagnose(
     light = _COMMON_LIGHT * facts.amplitude if variance.pixels_vary_together else 0.0
     problem = Problem(dataset, scene, shifts=shifts, stray_light=light, threads=threads)
     if other is not None:
-        return with_setups(_hopeless(problem, camera, variance, seed, reason=other.reason), setups)
+        return with_setups(_of_another_setup(other, problem, camera, variance, seed), setups)
     samples = axes_of(forward, seed=seed)
     smooth = single_terms(samples)
     # the light of a second camera has a pattern and a phase of its own, which many effects can imitate
@@ -236,8 +237,13 @@ def _diagnose(
 
 
 def with_setups(diagnosis: Diagnosis, setups: list[Hypothesis]) -> Diagnosis:
-    """Return the diagnosis with the set-ups; a reason not to trust the set-up names the best of them."""
+    """Return the diagnosis with the set-ups, the best first; a reason not to trust the set-up names it.
+
+    Where the set-up is trusted the files as given come first: whatever gained more did not gain enough.
+    """
     reason = diagnosis.reason
+    if reason is None:
+        setups = sorted(setups, key=lambda one: one.hypothesis != AS_GIVEN)
     best = setups[0] if setups else None
     if reason is not None and best is not None and best.is_better and best.hypothesis not in reason:
         reason = f"{reason}; of the set-ups tried {best.hypothesis} fits best: {best.sentence}"
@@ -248,6 +254,22 @@ def _without(dataset: Dataset, setup: Setup) -> Dataset:
     """Return the recording without its bad poses, which a note tells."""
     kept = dataset.without({*setup.bad})
     return replace(kept, notes=[*kept.notes, f"{setup.fault}; left out"])
+
+
+def _of_another_setup(
+    other: Hypothesis, problem: Problem, camera: Camera, variance: Variance, seed: int
+) -> Diagnosis:
+    """Return the diagnosis of a recording of another set-up, compared with the files as they are given.
+
+    Where these describe not one pixel, it is compared with the other set-up.
+    """
+    try:
+        return _hopeless(problem, camera, variance, seed, reason=other.reason)
+    except InputError:
+        assert other.change is not None
+        dataset, scene, changed = other.change(problem.dataset, problem.scene, camera)
+        there = replace(problem, dataset=dataset, scene=scene)
+        return replace(_hopeless(there, changed, variance, seed, reason=other.reason), camera=camera)
 
 
 def _hopeless(

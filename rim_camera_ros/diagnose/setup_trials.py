@@ -1,0 +1,223 @@
+"""Which set-ups are tried, and what makes the files of each from those that are given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
+from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.hypotheses import Change, Files, Trial
+from rim_camera_ros.frame import Pose
+from rim_camera_ros.parameters import NestedList
+from rim_camera_ros.scene import Scene, Surface, quaternion, rotation_matrix
+
+Array = NDArray[Any]
+
+#: Relative 1-sigma of amplitudes in which a camera and its file may differ.
+CAMERA_AMPLITUDE = 0.15
+#: Errors of poses of a surface against the others, in their 1-sigma, from which its depth is tried.
+_FAR = 5.0
+#: Factors on sizes of tiles and surfaces, on depths, and on the focal length that are tried.
+_FACTORS = (0.8, 0.9, 0.95, 1.05, 1.1, 1.25)
+#: Factors on the size of another board.
+_BOARD_FACTORS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 1.6, 2.0)
+#: A focal length nearer to the file's than this is no other lens, but a camera constant that is wrong.
+_LEAST_LENS = 0.08
+
+
+def trials_of(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[Trial]:
+    """Yield the set-ups that compete with the files as given."""
+    for number, surface in enumerate(scene.surfaces):
+
+        def with_surface(changed: Surface, at: int = number) -> Scene:
+            others = [*scene.surfaces[:at], changed, *scene.surfaces[at + 1 :]]
+            return replace(scene, surfaces=tuple(others))
+
+        if surface.texture is not None:
+            for name, values in _patterns(surface.texture.values.values):
+                texture = replace(surface.texture, values=NestedList(values))
+                changed = with_surface(replace(surface, texture=texture))
+                yield Trial(name, surface.name, 0.0, _to_scene(changed))
+        if surface.texture is not None or surface.size is not None:
+            for factor in _FACTORS:
+                changed = with_surface(_scaled(surface, factor))
+                yield Trial("scale", surface.name, factor, _to_scene(changed))
+        if surface.pose == "truth":
+            for axis in (0, 1):
+                turned = _to_poses(surface.name, partial(_flipped, axis=axis))
+                yield Trial("pose", surface.name, float(axis), turned)
+    yield from _as_measured(dataset, scene, camera)
+    yield from _of_camera()
+
+
+def _as_measured(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[Trial]:
+    """Yield, for each surface, the pattern and the depth that the recording itself shows."""
+    forward = coarse_forward(dataset, scene, camera)
+    ratios = _ratios(forward)
+    depths: dict[int, list[float]] = {}
+    for one in forward.predictions(slopes=False):
+        geometry = one.view.geometry
+        for number in np.unique(geometry.surface[one.used]):
+            mine = one.used & (geometry.surface == number)
+            along = one.residual * geometry.cos_incidence
+            depths.setdefault(int(number), []).append(float(np.median(along[mine])))
+    for number, surface in enumerate(scene.surfaces):
+        others = [value for i, values in depths.items() if i != number for value in values]
+        if surface.pose == "truth" and number in depths and others:
+            depth = float(np.median(depths[number])) - float(np.median(others))
+            if abs(depth) > _FAR * surface.pose_sigma[0]:
+                moved = _to_poses(surface.name, partial(_farther, by=depth))
+                yield Trial("depth", surface.name, 1e3 * depth, moved)
+        changed = _repainted(scene, number, ratios)
+        if changed is not None:
+            yield Trial("other_pattern", surface.name, 0.0, _to_scene(changed))
+
+
+def _ratios(forward: Forward) -> dict[int, list[float]]:
+    """Return log ratios of measured and predicted amplitudes by tile, a median for each station."""
+    ratios: dict[int, list[float]] = {}
+    for one in forward.predictions(slopes=False):
+        tiles = one.view.geometry.tile
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.log(one.station.amplitude / one.model_amplitude)
+        lit = one.amplitude_used & np.isfinite(ratio)
+        for tile in np.unique(tiles[lit]):
+            ratios.setdefault(int(tile), []).append(float(np.median(ratio[lit & (tiles == tile)])))
+    return ratios
+
+
+def _repainted(scene: Scene, number: int, ratios: Mapping[int, Sequence[float]]) -> Scene | None:
+    """Return the scene with a surface whose tiles reflect as measured; None where it agrees already."""
+    surface = scene.surfaces[number]
+    if surface.texture is None or not surface.is_described:
+        return None
+    start = sum(one.tiles for one in scene.surfaces[:number])
+    values = surface.texture.values.values.copy()
+    limit = 3.0 * max(surface.reflectivity_sigma, CAMERA_AMPLITUDE)
+    for k, value in enumerate(values.ravel()):
+        change = float(np.median(ratios.get(start + k, [0.0])))
+        if abs(change) > limit:
+            values.flat[k] = float(np.clip(value * np.exp(change), 0.0, 1.0))
+    if np.array_equal(values, surface.texture.values.values):
+        return None
+    changed = replace(surface, texture=replace(surface.texture, values=NestedList(values)))
+    return replace(scene, surfaces=(*scene.surfaces[:number], changed, *scene.surfaces[number + 1 :]))
+
+
+def other_boards(dataset: Dataset, scene: Scene, camera: Camera, name: str) -> Iterator[Trial]:
+    """Yield boards of other sizes whose tiles reflect as the recording shows, in the place of a surface."""
+    number = next(i for i, one in enumerate(scene.surfaces) if one.name == name)
+    for factor in _BOARD_FACTORS:
+        surfaces = list(scene.surfaces)
+        surfaces[number] = _scaled(surfaces[number], factor)
+        scaled = replace(scene, surfaces=tuple(surfaces))
+        forward = coarse_forward(dataset, scaled, camera)
+        changed = _repainted(scaled, number, _ratios(forward))
+        if changed is not None:
+            yield Trial("other_board", name, factor, _to_scene(changed))
+
+
+def coarse_forward(dataset: Dataset, scene: Scene, camera: Camera) -> Forward:
+    """Return predictions with a power for each pose and no error of the amplitudes."""
+    forward = Forward(dataset, scene, camera)
+    forward.estimate_amplitudes()
+    forward.amplitude_model = AmplitudeModel(dict(forward.amplitude_model.gains), 0.0)
+    return forward
+
+
+def _of_camera() -> Iterator[Trial]:
+    for factor in (1e-3, 1e3):
+        yield Trial("units", "", 1 / factor, _to_distances(partial(_times, factor=factor)))
+        # poses in other units, as light tells the distances of a camera
+        yield Trial("units", "", factor, _to_poses(None, partial(_nearer, factor=factor)))
+    yield Trial("z_distance", "", 0.0, _to_distances(lambda one, rays: one / rays[..., 2]))
+    for factor in (one for one in _FACTORS if abs(one - 1) > _LEAST_LENS):
+        yield Trial("other_lens", "", factor, partial(_through_lens, factor=factor))
+
+
+def _times(distance: Array, rays: Array, *, factor: float) -> Array:
+    return distance * factor
+
+
+def _through_lens(dataset: Dataset, scene: Scene, camera: Camera, *, factor: float) -> Files:
+    optics = replace(camera.optics, fx=camera.optics.fx * factor, fy=camera.optics.fy * factor)
+    return dataset, scene, replace(camera, optics=optics)
+
+
+def _to_scene(changed: Scene) -> Change:
+    return lambda dataset, scene, camera: (dataset, changed, camera)
+
+
+def _to_distances(change: Callable[[Array, Array], Array]) -> Change:
+    """Return what changes the distances (H, W) [m], given the rays (H, W, 3) of the pixels."""
+
+    def changed(dataset: Dataset, scene: Scene, camera: Camera) -> Files:
+        stations = [replace(one, distance=change(one.distance, camera.rays)) for one in dataset.stations]
+        return replace(dataset, stations=stations), scene, camera
+
+    return changed
+
+
+def _to_poses(name: str | None, change: Callable[[Pose], Pose]) -> Change:
+    """Return what changes the poses of a surface; None: of all."""
+
+    def changed(dataset: Dataset, scene: Scene, camera: Camera) -> Files:
+        stations = [
+            replace(
+                one,
+                truth={key: change(pose) if name in (None, key) else pose for key, pose in one.truth.items()},
+            )
+            for one in dataset.stations
+        ]
+        return replace(dataset, stations=stations), scene, camera
+
+    return changed
+
+
+def _patterns(values: Array) -> Iterator[tuple[str, Array]]:
+    """Yield textures that a print may be taken for; tiles (i, j) begin at the origin of the surface."""
+    yield "turned_180", np.ascontiguousarray(values[::-1, ::-1])
+    yield "mirrored", np.ascontiguousarray(values[:, ::-1])
+    yield "mirrored", np.ascontiguousarray(values[::-1, :])
+    yield "inverted", values.max() + values.min() - values
+    if values.shape[0] == values.shape[1]:
+        yield "turned_90", np.ascontiguousarray(np.rot90(values))
+
+
+def _scaled(surface: Surface, factor: float) -> Surface:
+    texture = surface.texture
+    if texture is not None:
+        texture = replace(texture, cell=(texture.cell[0] * factor, texture.cell[1] * factor))
+    size = None if surface.size is None else (surface.size[0] * factor, surface.size[1] * factor)
+    return replace(surface, texture=texture, size=size)
+
+
+def _nearer(pose: Pose, *, factor: float) -> Pose:
+    x, y, z = pose.position
+    return Pose((factor * x, factor * y, factor * z), pose.orientation)
+
+
+def _farther(pose: Pose, *, by: float) -> Pose:
+    """Return the pose moved along its normal, away from the camera, by a length [m]."""
+    normal = rotation_matrix(pose.orientation)[:, 2]
+    normal = normal * np.sign(normal @ np.array(pose.position))
+    x, y, z = np.array(pose.position) + by * normal
+    return Pose((float(x), float(y), float(z)), pose.orientation)
+
+
+def _flipped(pose: Pose, *, axis: int) -> Pose:
+    """Return the pose with the opposite tilt about an axis of the camera: its normal is mirrored."""
+    rotation = rotation_matrix(pose.orientation)
+    mirror = np.eye(3)
+    mirror[axis, axis] = -1.0
+    # the mirror image of the frame is left-handed: its own axis turned back makes it a rotation again
+    back = np.eye(3)
+    back[axis, axis] = -1.0
+    return Pose(pose.position, quaternion(mirror @ rotation @ back))
