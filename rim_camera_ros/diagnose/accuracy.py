@@ -69,6 +69,13 @@ class Accuracy:
         risen = self.chi2_after > _RISEN * max(self.chi2_before, 1.0)
         return self.held_out and (risen or self.rms_after > _WORSE * self.rms_before)
 
+    @property
+    def explained(self) -> float:
+        """Share of the excess of chi-square over 1 that the model explains; 1 where nothing is left."""
+        if not self.held_out or self.chi2_after <= LEFT or self.chi2_before <= LEFT:
+            return 1.0
+        return float(np.clip((self.chi2_before - self.chi2_after) / (self.chi2_before - 1.0), 0.0, 1.0))
+
     def notes(self) -> list[str]:
         """Return what speaks against the improved camera or is left of it, in words."""
         return [*self._of_poses(), *([_OF_ALL] if self.held_out and self.table_of_all else [])]

@@ -14,7 +14,7 @@ from rim_camera_ros.calibrate.plan import shipped_experiments
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.accuracy import accuracy
+from rim_camera_ros.diagnose.accuracy import Accuracy, accuracy
 from rim_camera_ros.diagnose.adjusted import Adjusted, adjusted_terms, parameters_matter
 from rim_camera_ros.diagnose.codes import MissingCodes
 from rim_camera_ros.diagnose.described import Described, Rest, unexplained
@@ -47,8 +47,14 @@ from rim_camera_ros.diagnose.where import (
 #: Chi-square per value of held-out poses above which a recording that nothing explains is not consistent:
 #: where nothing is left out it was 1.02 at most.
 _UNEXPLAINED = 1.05
+#: What is named must be more probable than not.
+LEAST_PROBABILITY = 0.5
 _AGAINST = (
     "held-out poses got worse with {}: what is missing is something else, which no named effect describes"
+)
+_LITTLE = (
+    "{0} would explain {1.explained:.0%} of what does not fit (chi-square per value of held-out poses "
+    "{1.chi2_before:.3g} -> {1.chi2_after:.3g}): most of what is missing is something else"
 )
 _BESIDE_CODES = "not told beside counts that are left out, which may look like it; mend those first"
 
@@ -125,13 +131,8 @@ def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
         draft.verdict = "unknown_physics"
         missing, draft.where = unexplained(found.fitted, measure.chi2_before)
         draft.missing = [missing]
-    if draft.verdict == "missing_physics" and measure.got_worse:
-        # what was named stands for something else: held-out poses speak against it
-        draft.notes.append(_AGAINST.format(", ".join(one.effect for one in draft.missing)))
-        draft.verdict, draft.ties, draft.model = "unknown_physics", [], found.camera
-        missing, draft.where = unexplained(found.baseline.fit, measure.chi2_before)
-        draft.missing = [missing]
-        measure = replace(measure, rms_after=measure.rms_before, chi2_after=measure.chi2_before)
+    if draft.verdict == "missing_physics":
+        measure = _made_sure(draft, found, measure)
     named = {one.effect for one in draft.missing}
     return Diagnosis(
         verdict=draft.verdict,
@@ -153,6 +154,27 @@ def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
         gained=found.result.gained,
         smooth_rest=None if found.rest is None else (" and ".join(found.rest.covariates), found.rest.on_top),
     )
+
+
+def _made_sure(draft: _Draft, found: Findings, measure: Accuracy) -> Accuracy:
+    """Hold the names against held-out poses; return how accurate what is said is then.
+
+    A model that leaves much has not found what is missing: names are as certain as they explain what does
+    not fit. What held-out poses speak against is something else.
+    """
+    sure = [
+        one if one.effect in OF_NOISE else replace(one, probability=measure.explained * one.probability)
+        for one in draft.missing
+    ]
+    names = ", ".join(one.effect for one in sure)
+    draft.missing = [one for one in sure if one.probability >= LEAST_PROBABILITY]
+    if draft.missing and not measure.got_worse:
+        return measure
+    draft.notes.append(_AGAINST.format(names) if measure.got_worse else _LITTLE.format(names, measure))
+    draft.verdict, draft.ties, draft.model = "unknown_physics", [], found.camera
+    missing, draft.where = unexplained(found.baseline.fit, measure.chi2_before)
+    draft.missing = [missing]
+    return replace(measure, rms_after=measure.rms_before, chi2_after=measure.chi2_before)
 
 
 def _begun(found: Findings) -> _Draft:

@@ -235,6 +235,22 @@ def test_what_got_worse_is_said(
     assert all(note is not None and re.search(note, one) for one in notes)
 
 
+@pytest.mark.parametrize(
+    ("chi2", "held_out", "share"),
+    [
+        ((3.0, 1.5), True, 0.75),
+        ((16.8, 7.1), True, 9.7 / 15.8),
+        ((1.44, 1.06), True, 1.0),  # what is left is within what nulls leave
+        ((2.0, 2.6), True, 0.0),
+        ((3.0, 1.5), False, 1.0),  # nothing is held out
+    ],
+)
+def test_names_are_as_certain_as_they_explain_what_does_not_fit(
+    chi2: tuple[float, float], held_out: bool, share: float
+) -> None:
+    assert Accuracy(0.02, 0.019, 0.018, *chi2, held_out).explained == pytest.approx(share)
+
+
 def test_a_note_for_each_reason_tells_what_was_not_added() -> None:
     refused = [
         Refused("emitter_offset", 2381.4, 54.0, NOT_IN_ALL_POSES),
