@@ -138,14 +138,13 @@ def of_scatter(fitted: Fit, effect: Interference) -> Where:
 
 
 def of_change(fitted: Fit, camera: Camera) -> Where:
-    """Locate how a fit changes the distances that a camera file predicts, without each station's mean."""
+    """Locate how a fit changes the distances that a camera file predicts."""
     before = Forward(fitted.forward.dataset, fitted.scene, camera, views=fitted.forward.views)
     before.amplitude_model = fitted.forward.amplitude_model
     stations = before.predictions(slopes=False)
 
     def value(one: Prediction) -> Array:
-        change = one.distance - next(stations).distance
-        return np.asarray(change - np.nanmean(change[one.used])) if one.used.any() else change
+        return np.asarray(one.distance - next(stations).distance)
 
     return _locate(fitted, value)
 
