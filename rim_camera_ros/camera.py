@@ -203,8 +203,11 @@ class Camera:
 
     def light_of(self, published: Any) -> Any:
         """Return the amplitude before its compression, of which the noise model speaks, of published ones."""
-        effect: Any = self.effects.get("amplitude_nonlinearity")
-        return published if effect is None else effect.expanded(published)
+        for effect in self.effects.values():
+            # that of the amplitude response, a `rim_camera_ros.effects.base.ResponseEffect`
+            if hasattr(effect, "expanded"):
+                return effect.expanded(published)
+        return published
 
     def check_modulation(self, settings: Settings) -> None:
         """Raise `InputError` where a frame was taken at another modulation frequency than the file's."""
@@ -219,6 +222,5 @@ class Camera:
 
     @property
     def background(self) -> float:
-        """Counts of unmodulated light (effect ``background_light``), which add noise only."""
-        effect = self.effects.get("background_light")
-        return 0.0 if effect is None else float(effect.level)
+        """Counts of unmodulated light that the effects state, which add noise only."""
+        return float(sum(effect.unmodulated_light for effect in self.effects.values()))

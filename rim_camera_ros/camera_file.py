@@ -96,7 +96,9 @@ def _decode_effects(data: Any, camera: Camera, document: Document) -> Mapping[st
     for name in data:
         if name in SECTIONS:
             raise document.error(
-                ("effects", name), "has no parameters here", f"they belong to the section '{SECTIONS[name]}'"
+                ("effects", name),
+                "has no parameters here",
+                f"they belong to the section '{SECTIONS[name].section}'",
             )
         if name not in known:
             raise document.error(("effects", name), "unknown effect", nearest_name(name, known))
@@ -127,6 +129,23 @@ def with_effects(camera: Camera, effects: Mapping[str, Effect]) -> Camera:
         except ValueError as error:
             raise InputError(str(error), place=f"effects.{name}") from None
     return replace(camera, effects=MappingProxyType(ordered))
+
+
+def in_order(camera: Camera) -> Camera:
+    """Return the camera with its effects ordered along the light and checked, as `with_effects` does."""
+    return with_effects(camera, camera.effects)
+
+
+def added(camera: Camera, effect: Effect) -> Camera:
+    """Return the camera with one effect more, in the order along the light. Raises as `with_effects`."""
+    return with_effects(camera, {**camera.effects, effect.name: effect})
+
+
+def lean_camera(camera: Camera) -> Camera:
+    """Return the camera without parts of its effects that do nothing, itself where it has none."""
+    lean = {name: effect.lean() for name, effect in camera.effects.items()}
+    same = all(lean[name] is effect for name, effect in camera.effects.items())
+    return camera if same else with_effects(camera, lean)
 
 
 def camera_numbers(camera: Camera) -> dict[str, float]:

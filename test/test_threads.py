@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.blocks import Block, gain_block, present_blocks
-from rim_camera_ros.calibrate.candidate import Facts
+from rim_camera_ros.calibrate.blocks import gain_block, present_blocks
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.normal_equations import NormalEquations, accumulate
@@ -22,6 +21,7 @@ from rim_camera_ros.calibrate.selection import Scores, folds_of
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
+from rim_camera_ros.effects.candidate import Block, Facts
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.scene import Scene

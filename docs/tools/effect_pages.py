@@ -78,6 +78,7 @@ def page(effect: type[Effect]) -> str:
 def pages() -> dict[Path, str]:
     """Return the content of every page by its path."""
     result = {FOLDER / f"{one.name}.md": page(one) for one in ORDER}
+    sections = sorted({one.section for one in SECTIONS.values()})
     lines = [
         "# Effects, in the order along the light",
         "",
@@ -90,7 +91,7 @@ def pages() -> dict[Path, str]:
         "",
         "These pages are written by `docs/tools/effect_pages.py` from the classes in `effects/`.",
         "The names " + ", ".join(f"`{one}`" for one in SECTIONS) + " belong to the vocabulary as well;",
-        f"their parameters are sections of the camera file ({', '.join(sorted(set(SECTIONS.values())))}).",
+        f"their parameters are sections of the camera file ({', '.join(sections)}).",
         "",
         "Another package adds an effect by a subclass of `rim_camera_ros.effects.Effect` and the entry-point",
         "group `rim_camera_ros.effects`.",

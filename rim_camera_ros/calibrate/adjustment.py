@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from rim_camera_ros.calibrate.blocks import Block
 from rim_camera_ros.calibrate.gauss_newton import TOLERANCE, GaussNewton
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.candidate import Block
 
 Progress = Callable[[str], None]
 

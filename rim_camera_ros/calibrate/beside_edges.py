@@ -1,4 +1,4 @@
-"""Pixels beside edges, which a search leaves out until it looks for mixed pixels."""
+"""Pixels beside edges, which a search leaves out until it looks for what acts there."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, Exploration
-from rim_camera_ros.calibrate.mixed_candidates import footprint_of, footprints
 from rim_camera_ros.calibrate.pixels import more_pixels
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.views import CROSSED
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.effects import registry
+from rim_camera_ros.effects.candidate import Candidate
 
-#: Share of what mixed pixels must gain that they gain before the other parameters are fitted.
+#: Share of what such an effect must gain that it gains before the other parameters are fitted.
 _AT_FIRST_SIGHT = 0.5
 _REPLICATES = 200
 #: Side [px] of footprints up to which only the pixels show them that an edge crosses amid.
@@ -40,11 +40,17 @@ class Fits(Protocol):
 
 @dataclass(frozen=True)
 class Look:
-    """A fit of pixels beside edges, the problem with them, and the variants of mixed pixels to try there."""
+    """A fit of pixels beside edges, the problem with them, and the variants to try there."""
 
     problem: Problem
     fitted: Exploration
     variants: Sequence[Candidate]
+
+
+def edge_candidates(*, at_first_sight: bool = False) -> list[Candidate]:
+    """Return the variants of all effects that only pixels show which an edge crosses."""
+    kinds = registry().values()
+    return [one for kind in kinds for one in kind.edge_candidates(at_first_sight=at_first_sight)]
 
 
 def with_edges(problem: Problem, fitted: Fit) -> Problem:
@@ -63,21 +69,21 @@ def promising(
     *,
     footprint: bool,
 ) -> Look | None:
-    """Return a fit of pixels beside edges in which mixed pixels gain what they must; None: they do not.
+    """Return a fit of pixels beside edges in which a variant gains what it must; None: none does.
 
     The ``footprint`` of a pixel is looked for as well, unless it is left out; a narrow one in those that
     edges cross amid, where errors of poses tell most. ``step`` is the last exploration away from edges.
     """
     camera = step.fit.camera
-    variants = [*blurs, *(footprints(at_first_sight=True) if footprint else [])]
+    variants = [*blurs, *(edge_candidates(at_first_sight=True) if footprint else [])]
     first = fit(problem, camera, step, variants, iterations=0)
     leader = _leader(first, _AT_FIRST_SIGHT)
     if leader is None:
         return None
-    side = footprint_of(leader)
+    side = leader.footprint
     if side is not None and side <= _NARROW:
         problem = replace(problem, masks=step.fit.forward.pixels_near_edges(CROSSED))
-    variants = [*blurs, *(footprints() if footprint else [])]
+    variants = [*blurs, *(edge_candidates() if footprint else [])]
     then = fit(problem, camera, step, variants, replicates=_REPLICATES)
     return None if _leader(then, 1.0) is None else Look(problem, then, variants)
 
@@ -88,9 +94,9 @@ def sharper(problem: Problem, step: Exploration, fit: Fits) -> tuple[Exploration
     None where the footprint fits no better.
     """
     camera = step.fit.camera
-    without = with_effects(camera, {n: one for n, one in camera.effects.items() if n != "mixed_pixels"})
-    first = fit(problem, without, step, footprints(), iterations=0)
-    number = first.best()["mixed_pixels"]
+    without = with_effects(camera, {n: one for n, one in camera.effects.items() if not one.at_edges})
+    first = fit(problem, without, step, edge_candidates(), iterations=0)
+    number = next(iter(first.best().values()))
     if first.gains[number] <= LEAST_THRESHOLD:
         return None
     blur, footprint = (fit(problem, one, step, ()) for one in (camera, first.camera_with([number])))
@@ -99,6 +105,6 @@ def sharper(problem: Problem, step: Exploration, fit: Fits) -> tuple[Exploration
 
 
 def _leader(step: Exploration, share: float) -> Candidate | None:
-    """Return the best variant of mixed pixels where it gains a share of what it must."""
-    number = step.best()["mixed_pixels"]
+    """Return the best variant where it gains a share of what it must."""
+    number = next(iter(step.best().values()))
     return step.candidates[number] if step.gains[number] > share * step.thresholds[number] else None

@@ -17,16 +17,13 @@ from rim_camera_ros.calibrate.held_out import wrapped
 from rim_camera_ros.calibrate.reduction import check_frame, of_known_exposure
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects import without_poses
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Intrinsics, RawFrame
 from rim_camera_ros.scene import Scene, ScenePose, rotation_matrix, see
 
 Array = NDArray[Any]
 
-#: Effects that change with time or setting, and so can be told from one pose.
-WITHOUT_POSES = frozenset(
-    {"warm_up_drift", "ambient_temperature", "integration_time_offset", "reference_path"}
-)
 #: A pose off by more than this [m] from the others is no pose of this scene; all of them off by more than
 #: `WHOLE_SCENE` [m] is another scene.
 FAR_POSE = 0.3
@@ -299,9 +296,9 @@ def require_variety(dataset: Dataset, scene: Scene, camera: Camera, effects: Seq
 
     Not where all that is asked for changes with time or setting.
     """
-    if effects is not None and effects and set(effects) <= WITHOUT_POSES:
+    if effects and set(effects) <= set(without_poses()):
         return
-    only = ", ".join(sorted(WITHOUT_POSES))
+    only = ", ".join(without_poses())
     file = dataset.files[0] if len(dataset.files) == 1 else None
     if dataset.poses < 2:
         raise InputError(

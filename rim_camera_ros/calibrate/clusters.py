@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.calibrate.blocks import Block
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT, after_nuisances
 from rim_camera_ros.calibrate.selection import Scores
+from rim_camera_ros.effects.candidate import Block
 
 Array = NDArray[Any]
 Key = tuple[int, int]

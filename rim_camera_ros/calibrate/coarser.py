@@ -7,56 +7,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.camera_file import with_effects
-from rim_camera_ros.effects.base import Effect
-from rim_camera_ros.effects.covariates import COVARIATES
-from rim_camera_ros.effects.cyclic_error import CyclicError
-from rim_camera_ros.effects.empirical import Empirical
-from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
-from rim_camera_ros.effects.mixed_pixels import MixedPixels
-from rim_camera_ros.effects.scattering import Ghost, Kernel, Scattering
-from rim_camera_ros.footprint import FINE
-from rim_camera_ros.parameters import ArrayFile
+from rim_camera_ros.camera_file import added, with_effects
+from rim_camera_ros.effects import CovariateTable, PixelMap, registry, vocabulary
+from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.effects.candidate import MANY_PIXELS
+from rim_camera_ros.effects.covariates import POINTWISE, resampled_knots
 
 Array = NDArray[Any]
 
-#: Number of pixels from which a coarser grid is looked at, and how many it has at most.
-MANY_PIXELS = 60_000
+#: How many pixels a coarser grid has at most.
 _COARSE_PIXELS = 30_000
-#: Effects stated for pixels of the full grid.
-BY_POSITION = ("integral_table", "empirical", "reference_path")
-#: Effects that a calibration fits to all pixels: they act on neighbours, or are stated by pixels.
-ALL_PIXELS = frozenset(
-    {
-        "camera_constant",
-        "integral_table",
-        "lens_distortion",
-        "mixed_pixels",
-        "multipath",
-        "reference_path",
-        "saturation_bleed",
-        "scattering",
-    }
-)
-#: Covariates of ``empirical`` that a pixel has whatever its neighbours and its place on the grid.
-_POINTWISE = frozenset(COVARIATES) - {
-    "row", "column", "row_amplitude", "column_amplitude", "contrast", "edge", "saturation"
-}  # fmt: skip
 
 
 def coarseness(camera: Camera) -> int:
     """Return the step of the coarser grid in pixels, 1 where all pixels are looked at."""
     pixels = camera.sensor.width * camera.sensor.height
-    if pixels <= MANY_PIXELS or any(name in camera.effects for name in BY_POSITION):
+    if pixels <= MANY_PIXELS or any(one.stated_by_pixels for one in camera.effects.values()):
         return 1
     return int(np.ceil(np.sqrt(pixels / _COARSE_PIXELS)))
 
@@ -69,12 +42,16 @@ def coarseness_of(camera: Camera, words: Sequence[str]) -> int:
     """
     covariates = {one for word in words for one in word.split(":")[1:]}
     names = {word.partition(":")[0] for word in words}
-    kept = camera.effects.get("empirical")
-    if isinstance(kept, Empirical):
+    kept = effect_of(camera, CovariateTable)
+    if kept is not None:
         covariates |= set(kept.covariates)
-    if names & (ALL_PIXELS | {"fixed_pattern_offset"}) or set(camera.effects) & ALL_PIXELS:
+    known = vocabulary()
+    present = [one for one in camera.effects.values() if not isinstance(one, PixelMap)]
+    if any(one.needs_all_pixels for one in present) or any(
+        known[name].needs_all_pixels for name in names if name in known
+    ):
         return 1
-    if covariates - _POINTWISE:
+    if covariates - POINTWISE:
         return 1
     return int(np.ceil(np.sqrt(camera.sensor.width * camera.sensor.height / MANY_PIXELS)))
 
@@ -102,7 +79,9 @@ def coarser_camera(camera: Camera, step: int) -> Camera:
         ),
         covariance=None,
     )
-    return with_effects(small, {name: _scaled(one, 1.0 / step, step) for name, one in camera.effects.items()})
+    return with_effects(
+        small, {name: one.resampled(1.0 / step, step) for name, one in camera.effects.items()}
+    )
 
 
 def coarser_dataset(dataset: Dataset, step: int) -> Dataset:
@@ -144,9 +123,7 @@ def finer_camera(small: Camera, camera: Camera, step: int) -> Camera:
     )
     for name, one in small.effects.items():
         own = camera.effects.get(name)
-        result = added(
-            result, own if isinstance(own, FixedPatternOffset) else _scaled(one, float(step), None)
-        )
+        result = added(result, own if isinstance(own, PixelMap) else one.resampled(float(step), None))
     return result
 
 
@@ -161,55 +138,15 @@ def finer_image(image: Array, shape: tuple[int, int], step: int) -> Array:
 
 def finer_number(path: str, value: float, step: int) -> float:
     """Return a number of the coarser grid's camera, by its path in the camera file, as the full one's."""
-    name = path.rpartition(".")[2]
     if path in ("optics.cx", "optics.cy"):
         return value * step + step // 2
-    if path.startswith("effects.cyclic_error.gradient."):
-        return value / step
-    if path == "effects.mixed_pixels.footprint":
-        return min(value * step, FINE.widest)
-    by_pixels = path in ("optics.fx", "optics.fy", "effects.mixed_pixels.blur")
-    if path.startswith("effects.scattering."):
-        by_pixels = name != "weight"
-    return value * step if by_pixels else value
+    if path.startswith("effects."):
+        _, name, inner = path.split(".", 2)
+        effect = registry().get(name)
+        return value if effect is None else effect.resampled_number(inner, value, step)
+    return value * step if path in ("optics.fx", "optics.fy") else value
 
 
 def finer_covariate(name: str, values: Array, step: int) -> Array:
     """Return the values of a covariate of the coarser grid as they are on the full one."""
-    return np.asarray(_knots(float(step), name, tuple(np.asarray(values, float).tolist())))
-
-
-def _knots(factor: float, covariate: str, knots: tuple[float, ...]) -> tuple[float, ...]:
-    """Return knots over a covariate with ``factor`` times as many pixels along each axis."""
-    if covariate in ("row", "column"):
-        # from pixel step // 2 on
-        first = round(max(factor, 1 / factor)) // 2
-        return tuple(one * factor + first if factor > 1 else (one - first) * factor for one in knots)
-    if covariate in ("edge", "saturation"):
-        return tuple(one * factor for one in knots)
-    return knots
-
-
-def _scaled(effect: Effect, factor: float, step: int | None) -> Effect:
-    """Scale what an effect states in pixels; a map is thinned out where a ``step`` is given."""
-    if isinstance(effect, Scattering):
-        kernels = tuple(
-            Kernel(one.weight, (one.sigma[0] * factor, one.sigma[1] * factor)) for one in effect.kernels
-        )
-        ghost = effect.ghost
-        if ghost is not None:
-            ghost = Ghost(ghost.weight, (ghost.shift[0] * factor, ghost.shift[1] * factor))
-        return Scattering(kernels=kernels, ghost=ghost)
-    if isinstance(effect, MixedPixels):
-        side = effect.footprint
-        # no wider than can be sampled: no pixel of the full grid is
-        side = None if side is None else min(side * factor, FINE.widest)
-        return replace(effect, blur=effect.blur * factor, footprint=side)
-    if isinstance(effect, CyclicError):
-        return replace(effect, gradient=(effect.gradient[0] / factor, effect.gradient[1] / factor))
-    if isinstance(effect, Empirical):
-        return replace(effect, knots=tuple(map(partial(_knots, factor), effect.covariates, effect.knots)))
-    if isinstance(effect, FixedPatternOffset) and step is not None:
-        picked = effect.map.values[step // 2 :: step, step // 2 :: step]
-        return FixedPatternOffset(map=ArrayFile(effect.map.file, np.ascontiguousarray(picked)))
-    return effect
+    return np.asarray(resampled_knots(float(step), name, tuple(np.asarray(values, float).tolist())))

@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.calibrate.blocks import UNFITTED
-from rim_camera_ros.calibrate.candidate import Candidate
-from rim_camera_ros.calibrate.library import GEOMETRY
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects import registry
+from rim_camera_ros.effects import OPTICS, registry, vocabulary
+from rim_camera_ros.effects.candidate import Candidate
 
 Array = NDArray[Any]
 Status = Literal["fitted", "kept", "absent", "undetermined", "left out"]
@@ -31,15 +29,6 @@ KEPT = 0.7
 
 #: Stations from which sizes are taken, evenly, where there are more.
 MOST_STATIONS = 60
-
-#: Effects that no joint fit of mean frames can estimate, and what does.
-_ELSEWHERE = {
-    "interference": "changes from frame to frame, so that means do not show it: switch the second camera off",
-    "reference_path": "no reading of an internal reference was recorded, or it was not asked for",
-    "background_light": "shows in the noise only",
-}
-#: Tables that stand for physics: no candidates, listed only where they are asked for.
-TABLES = frozenset({"integral_table", "empirical"})
 
 
 @dataclass(frozen=True)
@@ -140,27 +129,24 @@ def statuses(
     owners = {scores.regressors[int(i)].owner for i in scores.base}
     known = registry()
     result = []
-    for name in [*known, *GEOMETRY]:
+    for name in [*known, *OPTICS]:
         effect = fitted.camera.effects.get(name)
-        if name == "fixed_pattern_offset":
+        if vocabulary()[name].estimated == "pixels":
             continue
         if name in kept:
             result.append(EffectStatus(name, "kept", kept[name]))
         elif name in owners:
-            words = (
-                "fitted" if name in start.effects or name in GEOMETRY else "fitted; not in the file before"
-            )
+            words = "fitted" if name in start.effects or name in OPTICS else "fitted; not in the file before"
             tied = (ties or {}).get(name, ())
             if tied:
                 words += f"; these recordings cannot tell it from {' and '.join(tied)}"
             result.append(EffectStatus(name, "fitted", words))
-        elif name in UNFITTED:
+        elif vocabulary()[name].estimated != "joint":
+            why = vocabulary()[name].estimated_elsewhere
             if effect is not None:
-                result.append(
-                    EffectStatus(name, "kept", "as in the file: " + _ELSEWHERE.get(name, "a table"))
-                )
-            elif name not in TABLES:
-                result.append(EffectStatus(name, "left out", _ELSEWHERE[name]))
+                result.append(EffectStatus(name, "kept", f"as in the file: {why or 'a table'}"))
+            elif why:
+                result.append(EffectStatus(name, "left out", why))
         else:
             own = [k for k, one in enumerate(candidates) if one.effect == name]
             result.append(_absent(name, own, candidates, scores, spans, sizes, threshold))
@@ -177,7 +163,7 @@ def _absent(
     threshold: float,
 ) -> EffectStatus:
     if not own:
-        return EffectStatus(name, "undetermined", f"{_missing(name)}; {_record(name)}")
+        return EffectStatus(name, "undetermined", undeterminable(name))
     told: list[tuple[float, float, float]] = []
     best_ratio = np.inf
     for k in own:
@@ -207,7 +193,9 @@ def _absent(
             else f"they narrow it down to {best_ratio:.0%} of what is common"
         )
         return EffectStatus(
-            name, "undetermined", f"cannot be determined from these recordings: {why}; {_record(name)}"
+            name,
+            "undetermined",
+            f"cannot be determined from these recordings: {why}; {vocabulary()[name].record()}",
         )
     bound, brightness = max(one[0] for one in told), max(one[1] for one in told)
     gain = max(one[2] for one in told)
@@ -237,24 +225,6 @@ def _bound(size: Array, values: Array, posterior: Array) -> float:
     return centre + 1.96 * float(np.sqrt(max(float(np.sum(size * posterior)), 0.0)))
 
 
-def _missing(name: str) -> str:
-    """Return what the recordings lack for an effect without any candidate."""
-    return {
-        "warm_up_drift": "the recordings state no uptime, or a constant one",
-        "ambient_temperature": "the recordings state no ambient temperature, or a constant one",
-        "integration_time_offset": "the recordings have one integration time",
-        "saturation_bleed": "no pixel of the recordings is saturated",
-        "multipath": "the scene has one surface",
-        "motion": "the scene states no camera motion",
-    }.get(name, "nothing in the recordings shows it")
-
-
-def _record(name: str) -> str:
-    if name in GEOMETRY:
-        return "record: targets at known coordinates, from several rotated stations"
-    return f"record: {registry()[name].observable}"
-
-
 def undeterminable(name: str) -> str:
     """Return, for an effect that was asked for and has no overlap with the data, what is missing."""
-    return f"{_missing(name)}; {_record(name)}"
+    return f"{vocabulary()[name].lacking}; {vocabulary()[name].record()}"

@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.candidate import Candidate
-from rim_camera_ros.calibrate.entry import own_covariates
 from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, Exploration
 from rim_camera_ros.calibrate.forms import form_blocks
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.calibrate.shuffled_times import follows_time
 from rim_camera_ros.calibrate.sizes import change_by
+from rim_camera_ros.effects.candidate import Candidate
 
 Array = NDArray[Any]
 
@@ -114,7 +113,7 @@ def follows_time_elsewhere(
     """
     # such a form leaves what changes with its own covariates, and these with time
     effects = [fitted.camera.effects[one] for one in found if one in fitted.camera.effects]
-    covariates = {covariate for one in effects for covariate in own_covariates(one)}
+    covariates = {covariate for one in effects for covariate in one.own_covariates()}
     own = [one.block for one in curves if one.variant in covariates]
     beside = [*own, *form_blocks(fitted, found, variants)]
     masks = quiet_pixels(fitted, [one.name for one in effects])

@@ -1,4 +1,4 @@
-"""The effect ``empirical`` as regressors: hat functions between knots of one or two covariates."""
+"""The table over covariates as regressors: hat functions between knots of one or two covariates."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.blocks import Block, Regressor
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.prediction import Column, Prediction
+from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.camera_file import added
+from rim_camera_ros.effects import CovariateTable
+from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.effects.candidate import Block, Column, Regressor
 from rim_camera_ros.effects.covariates import COVARIATES, covariate
-from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.errors import InputError, nearest_name
 from rim_camera_ros.parameters import NestedList
 
@@ -28,14 +29,14 @@ KNOTS = (12, 6)
 LEAST_VALUES = 200
 PRIOR = 0.05
 #: Begin of the labels of its values, which go on with their place in C order.
-LABEL = "effects.empirical.values."
+LABEL = f"effects.{CovariateTable.name}.values."
 #: Covariates over which knots are spaced in proportion.
 _BY_RATIO = frozenset({"amplitude", "row_amplitude", "column_amplitude"})
 _SAMPLES = 2000
 
 
 def empirical_covariates(word: str) -> tuple[str, ...]:
-    """Return the covariates of ``empirical:NAME`` or ``empirical:NAME:NAME``; of ``empirical`` amplitude.
+    """Return the covariates of a word ``TABLE:NAME`` or ``TABLE:NAME:NAME``; amplitude where it has none.
 
     Raises `InputError` for an unknown covariate.
     """
@@ -43,17 +44,19 @@ def empirical_covariates(word: str) -> tuple[str, ...]:
     for name in names:
         if name not in COVARIATES:
             remedy = nearest_name(name, COVARIATES)
-            raise InputError(f"unknown covariate '{name}' of empirical", place="--effects", remedy=remedy)
+            raise InputError(
+                f"unknown covariate '{name}' of {CovariateTable.name}", place="--effects", remedy=remedy
+            )
     if len(names) > 2:
         raise InputError(
-            f"empirical takes one or two covariates, '{word}' names {len(names)}",
+            f"{CovariateTable.name} takes one or two covariates, '{word}' names {len(names)}",
             place="--effects",
-            remedy=f"choose two: {':'.join(['empirical', *names[:2]])}",
+            remedy=f"choose two: {':'.join([CovariateTable.name, *names[:2]])}",
         )
     return names
 
 
-def empirical_start(forward: Forward, names: tuple[str, ...]) -> Empirical:
+def empirical_start(forward: Forward, names: tuple[str, ...]) -> CovariateTable:
     """Return the effect at zero, with knots where the recordings have values.
 
     Knots lie between the 0.5 and 99.5 % quantiles, evenly or, for amplitudes, in proportion; those between
@@ -67,7 +70,7 @@ def empirical_start(forward: Forward, names: tuple[str, ...]) -> Empirical:
             raise InputError(
                 f"the recordings state no {' or '.join(names)}",
                 place="--effects",
-                remedy="choose another covariate of empirical",
+                remedy=f"choose another covariate of {CovariateTable.name}",
             )
         pixels = np.flatnonzero(one.used.ravel())
         pixels = pixels[:: max(1, pixels.size // _SAMPLES)]
@@ -75,7 +78,7 @@ def empirical_start(forward: Forward, names: tuple[str, ...]) -> Empirical:
             part.append(value.ravel()[pixels])
     samples = [np.concatenate(part) for part in parts]
     knots = tuple(_knots(name, x, KNOTS[len(names) - 1]) for name, x in zip(names, samples, strict=True))
-    return Empirical(names, knots, NestedList(np.zeros([len(one) for one in knots])))
+    return CovariateTable(names, knots, NestedList(np.zeros([len(one) for one in knots])))
 
 
 def _knots(name: str, values: Array, count: int) -> tuple[float, ...]:
@@ -99,10 +102,10 @@ def _knots(name: str, values: Array, count: int) -> tuple[float, ...]:
     return tuple(float(f"{one:.6g}") for one in kept)
 
 
-def empirical_block(effect: Empirical) -> Block:
-    """Return the regressors of the values at the knots, ``effects.empirical.values.N`` in C order."""
+def empirical_block(effect: CovariateTable) -> Block:
+    """Return the regressors of the values at the knots, labelled by `LABEL` and their number in C order."""
     count = int(np.prod([len(one) for one in effect.knots]))
-    regressors = tuple(Regressor(f"{LABEL}{i}", "empirical", PRIOR) for i in range(count))
+    regressors = tuple(Regressor(f"{LABEL}{i}", effect.name, PRIOR) for i in range(count))
 
     def columns(prediction: Prediction) -> list[Column]:
         values = _values(effect.covariates, prediction)
@@ -118,17 +121,17 @@ def empirical_block(effect: Empirical) -> Block:
 
 
 def with_empirical_changes(camera: Camera, changes: Mapping[str, float]) -> Camera:
-    """Return the camera with changes [m] of the values of ``empirical`` by label; others are passed over."""
+    """Return the camera with changes [m] of the values of its table by label; others are passed over."""
     own = {
         int(path.removeprefix(LABEL)): change for path, change in changes.items() if path.startswith(LABEL)
     }
-    effect: Any = camera.effects.get("empirical")
+    effect = effect_of(camera, CovariateTable)
     if not own or effect is None:
         return camera
     flat = effect.values.values.ravel().copy()
     flat[list(own)] += list(own.values())
     moved = replace(effect, values=NestedList(flat.reshape(effect.values.values.shape)))
-    return with_effects(camera, {**camera.effects, "empirical": moved})
+    return added(camera, moved)
 
 
 def _values(names: Iterable[str], prediction: Prediction) -> list[Array] | None:

@@ -13,18 +13,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.effects.base import DistanceTerm, Effect
 
 #: Paired standard errors over poses that an effect must gain beside those found before it. The null
 #: replicates give the threshold of the first; what forms leave that are not quite true is not in them.
 PAIRED_ERRORS = 2.0
 #: An effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
 LEAST_SIZE = 0.0005
-
-#: What heats and cools.
-OF_TIME = frozenset({"warm_up_drift", "ambient_temperature"})
-#: What drifts depend on.
-_OF_DRIFTS = {"warm_up_drift": {"time"}, "ambient_temperature": {"ambient_temperature", "temperature"}}
 
 
 @dataclass
@@ -49,19 +43,12 @@ def paired_error(after: Sequence[float], before: Sequence[float]) -> float:
     return float(np.sqrt(len(gains)) * np.std(gains, ddof=1)) if len(gains) > 1 else 0.0
 
 
-def own_covariates(effect: Effect) -> frozenset[str]:
-    """Return the covariates that a distance term of the vocabulary is a function of."""
-    if not isinstance(effect, DistanceTerm):
-        return frozenset()
-    return frozenset({*effect.depends_on(), *_OF_DRIFTS.get(effect.name, ())})
-
-
 def curve_of_forms(step: Exploration, found: Sequence[Found]) -> tuple[float, int] | None:
     """Return gain and number of the best smooth curve of what the effects found depend on, if there is one.
 
     The gain is that beside the changes of forms which the exploration has already.
     """
     effects = [step.fit.camera.effects.get(one.effect) for one in found]
-    own = {name for one in effects if one is not None for name in own_covariates(one)}
+    own = {name for one in effects if one is not None for name in one.own_covariates()}
     smooth = [k for k in range(step.named, len(step.candidates)) if step.candidates[k].variant in own]
     return max(((step.joint(k), k) for k in smooth), default=None)

@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.blocks import Block
-from rim_camera_ros.calibrate.candidate import Candidate
-from rim_camera_ros.calibrate.coarser import MANY_PIXELS
 from rim_camera_ros.calibrate.gauss_newton import TOLERANCE
 from rim_camera_ros.calibrate.nulls import null_scores
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import in_order
+from rim_camera_ros.effects.candidate import MANY_PIXELS, Block, Candidate
 
 Array = NDArray[Any]
 
@@ -125,7 +124,7 @@ class Exploration:
         values = self.scores.values([i for k in numbers for i in self.spans[k]])
         camera = self.fit.camera
         for k in numbers:
-            camera = self.candidates[k].build(camera, values)
+            camera = in_order(self.candidates[k].build(camera, values))
         return camera
 
 

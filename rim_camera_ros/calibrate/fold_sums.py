@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from rim_camera_ros.calibrate.prediction import Column, Prediction
+from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.effects.candidate import Column
 
 Array = NDArray[Any]
 

@@ -13,16 +13,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
-from rim_camera_ros.calibrate.blocks import Block, Regressor, effect_block, present_priors
-from rim_camera_ros.calibrate.candidate import Candidate
-from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES
-from rim_camera_ros.calibrate.prediction import Column, Prediction
+from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.sizes import change_by
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import DistanceTerm
+from rim_camera_ros.effects.candidate import Block, Candidate, Column, Regressor, effect_block
+from rim_camera_ros.effects.discrepancy import Change
 
 Array = NDArray[Any]
 
@@ -32,32 +29,18 @@ SHARE = 0.3
 FORM = "form"
 #: Stations of which the sizes of columns are taken, at most.
 _MOST_STATIONS = 12
-#: Spreads along rows and along columns, as shares of the array's width.
-_SPREADS = (0.02, 0.07, 0.25)
-#: Effects whose changes of form the data do not determine where they act most.
-_NOT_DETERMINED = frozenset({"emitter_offset", "mixed_pixels"})
-#: Degree of polynomials of the direction.
-_DEGREE = 4
-#: Smooth factors that depend on the direction alone, the first of them.
-_DIRECTIONS = 5
-#: Effects that the image around a pixel makes.
-_OF_IMAGE = frozenset({"scattering", "mixed_pixels", "multipath", "saturation_bleed"})
 
 
 def form_blocks(fitted: Fit, names: Sequence[str], variants: Sequence[Candidate]) -> list[Block]:
     """Return one block of changes for each effect of a fitted camera that acts on the light of the image.
 
-    ``variants`` of the same effects, as they stand in the library, join where they have their name.
-    Effects of the geometry, of surfaces and of the response have no block: they have curves of their own. Nor
-    have functions of distance, amplitude or angle: a free one could do what another effect does. The phase
-    and size of a cyclic error may change over the array otherwise than in proportion to the pixel.
+    ``variants`` of the same effects join where they have their name. Effects without a discrepancy have none,
+    nor have names that are no effects: they have curves of their own.
     """
     effects = fitted.camera.effects
     blocks = []
     for name in names:
-        if name not in effects or name in {*GEOMETRY, *OF_SURFACES, "amplitude_nonlinearity"}:
-            continue
-        if isinstance(effects[name], DistanceTerm) and name not in {*_OF_IMAGE, "cyclic_error"}:
+        if name not in effects or not effects[name].has_discrepancy:
             continue
         own = [one.block for one in variants if one.effect == name]
         blocks.append(_sized(fitted, name, own))
@@ -71,15 +54,14 @@ def change_of_forms(
 
     ``values`` are the coefficients of the ``forms`` and, beside them, of the parameters of the effects
     ``names`` of the camera, by label. Nothing of effects whose changes the data do not determine where they
-    act most: mixed pixels, fitted where edges are not, and an emitter beside the lens, whose first order is
-    the same in all frames as the fixed pattern is.
+    act most.
     """
     by_name = {one.regressors[0].label.split(".")[1]: one for one in forms}
-    kept = [name for name in names if name in by_name and name not in _NOT_DETERMINED]
+    kept = [name for name in names if name in by_name and camera.effects[name].discrepancy_is_determined]
     effects = [camera.effects[name] for name in kept]
     blocks = [
         *(by_name[name] for name in kept),
-        *(effect_block(one, present_priors(one, camera)) for one in effects),
+        *(effect_block(one, one.priors()) for one in effects),
     ]
 
     def change(prediction: Prediction) -> Array:
@@ -145,84 +127,8 @@ def _squares(prediction: Prediction, change: Column) -> Array:
 def _changes(prediction: Prediction, name: str, factors: Array) -> Iterator[Column]:
     distance, amplitude = (None if one is None else np.nan_to_num(one) for one in change_by(prediction, name))
     assert distance is not None
-    if name == "cyclic_error":
-        by_phase = prediction.columns(prediction.context.camera.effects[name])
-        waves = [column for path, (column, _) in by_phase.items() if path.endswith(".phase")]
-        for wave in (distance, *waves):
-            for factor in factors[:_DIRECTIONS]:
-                yield wave * factor, None
-        return
-    nothing = np.zeros(distance.shape)
-    if amplitude is not None:
-        yield nothing, amplitude
-    for factor in factors:
-        yield distance * factor, None
-        if amplitude is not None:
-            yield nothing, amplitude * factor
-    if name == "emission_pattern":
-        for bright in _of_direction(distance.shape):
-            yield prediction.light_change(name, bright + 0j)
-    if name == "motion":
-        later, more = _later(prediction)
-        assert more is not None
-        for factor in (np.ones(1), *factors[:2]):
-            # from row to row at another time, as with a rolling shutter
-            yield later * factor, more * factor
-    if name == "saturation_bleed":
-        for fading in _beside_saturated(prediction):
-            yield fading, None
-    if name not in _OF_IMAGE:
-        return
-    for share in _SPREADS:
-        width = share * distance.shape[1]
-        for axis in (0, 1):
-            yield gaussian_filter1d(distance, width, axis=axis, mode="nearest") - distance, None
-            if amplitude is not None:
-                yield nothing, gaussian_filter1d(amplitude, width, axis=axis, mode="nearest") - amplitude
-
-
-def _beside_saturated(prediction: Prediction) -> list[Array]:
-    """Return what fades with the gap to the nearest saturated pixel of the row, and of the column, (H, W).
-
-    Of either side apart: a column that is read out downwards need not spread upwards.
-    """
-    saturated = prediction.context.saturated
-    if saturated is None or not saturated.any():
-        return [np.zeros(prediction.distance.shape)] * (4 * len(_SPREADS))
-    width = saturated.shape[1]
-    found = []
-    for axis in (0, 1):
-        after = _gap(saturated, axis)
-        before = np.flip(_gap(np.flip(saturated, axis), axis), axis)
-        for gap in (after, before):
-            found += [np.where(saturated, 0.0, np.exp(-gap / (share * width))) for share in _SPREADS]
-    return found
-
-
-def _gap(marked: NDArray[np.bool_], axis: int) -> Array:
-    """Return pixels since the last marked one along an axis, infinite before the first."""
-    place = np.arange(marked.shape[axis], dtype=float).reshape((-1, 1) if axis == 0 else (1, -1))
-    last = np.maximum.accumulate(np.where(marked, place, -np.inf), axis=axis)
-    return np.asarray(place - last)
-
-
-def _later(prediction: Prediction) -> Column:
-    """Return what it does that a frame is stamped at another time of its exposure, by a millisecond."""
-    context = prediction.context
-    assert context.geometry_at is not None
-    (before, light), (after, more) = context.geometry_at(-0.0005), context.geometry_at(0.0005)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        relative = np.where((light > 0) & (more > 0), np.log(more / light), 0.0)
-    turned = 2 * np.pi / context.ambiguity * np.nan_to_num(after.distance - before.distance)
-    return prediction.light_change(None, np.nan_to_num(relative) + 1j * turned)
-
-
-def _of_direction(shape: tuple[int, ...]) -> list[Array]:
-    """Return smooth functions (H, W) of the direction: a beam need not be round, nor point forwards."""
-    v = np.linspace(-1.0, 1.0, shape[0])[:, None]
-    u = np.linspace(-1.0, 1.0, shape[1])[None, :]
-    degrees = range(_DEGREE + 1)
-    return [u**i * v**j for i in degrees for j in degrees if 0 < i + j <= _DEGREE]
+    effect = prediction.context.camera.effects[name]
+    yield from effect.discrepancy(Change(prediction, distance, amplitude, factors))
 
 
 def _factors(prediction: Prediction) -> Array:

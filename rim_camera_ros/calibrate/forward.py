@@ -12,15 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from rim_camera_ros.calibrate.light_curves import LightCurves
-from rim_camera_ros.calibrate.prediction import KEPT, Prediction, Shift
+from rim_camera_ros.calibrate.prediction import Prediction, Shift
 from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.calibrate.views import NEAR, Margins, View, Views
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects import registry
-from rim_camera_ros.effects.base import ComplexEffect, Context, DistanceTerm, Effect, Signal, from_phasor
-from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
-from rim_camera_ros.effects.multipath import TOLERANCE
+from rim_camera_ros.effects import PixelMap, registry
+from rim_camera_ros.effects.base import (
+    ComplexEffect,
+    Context,
+    DistanceTerm,
+    Effect,
+    ResponseEffect,
+    Signal,
+    from_phasor,
+    response_of,
+)
+from rim_camera_ros.effects.light_curves import LightCurves
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.noise import sigma_amplitude
 from rim_camera_ros.phasor import to_phasor, wrap_residual
@@ -29,23 +36,13 @@ from rim_camera_ros.scene import Geometry, Scene, see
 Array = NDArray[Any]
 
 
-#: Effects without a mean that could be predicted, or that do not change the measurement.
-_SILENT = ("interference", "reference_path")
-
-
-#: Effects that pass on a change of the light relative to it, pixel by pixel.
-_LOCAL = ("emission_pattern", "emitter_offset")
-
-
-#: Relative change of the light up to which its bounces are not computed anew.
+#: Relative change of the light up to which what effects keep of a geometry is not computed anew: what bounces
+#: of light that changed by a hundredth is off by a ten thousandth of all light.
 _SAME_LIGHT = 0.01
 
 
 #: Relative 1-sigma to which amplitudes can be predicted at best: areas of pixels, flatness, dust.
 AMPLITUDE_MODEL = 0.01
-
-
-_SPREADING = ("mixed_pixels", "scattering")
 
 
 @dataclass
@@ -93,6 +90,7 @@ class Forward:
         # the last is that of a ray that meets nothing, which has the number -1
         self._undescribed = np.array([*(not one.is_described for one in scene.surfaces), False])
         self._order = {name: i for i, name in enumerate(registry())}
+        self._of_geometry = [name for name, one in registry().items() if one.remembers_geometry]
 
     def estimate_amplitudes(self, gains: Mapping[tuple[int, int], float] | None = None) -> AmplitudeModel:
         """Estimate the gain of every pose and the relative error of predicted amplitudes (robustly).
@@ -199,7 +197,7 @@ class Forward:
             self.masks, self.margins = masks, None
 
     def _expanded(self, published: Array) -> Array:
-        effect: Any = self.camera.effects.get("amplitude_nonlinearity")
+        effect = response_of(self.camera)
         if effect is None:
             return published
         if self.light_curves is not None and self.light_curves.responds:
@@ -236,8 +234,7 @@ class Forward:
             there = see(self.scene, moved, camera.rays)
             return there, self._light(there, power)
 
-        memory[TOLERANCE] = _SAME_LIGHT
-        for name in KEPT:
+        for name in self._of_geometry:
             memory.pop(name, None)
             if name in view.memory:
                 memory[name] = view.memory[name]
@@ -253,19 +250,20 @@ class Forward:
             incidence=geometry.incidence,
             saturated=station.saturated > 0,
             memory=memory,
+            light_tolerance=_SAME_LIGHT,
             notes=self.notes,
         )
         signal = Signal(geometry.distance, ideal)
         before: dict[str, Signal] = {}
         spread: list[Effect] = []
         terms: list[DistanceTerm] = []
-        published: Any = None
+        published: ResponseEffect | None = None
         for name, effect in camera.effects.items():
-            if name in _SILENT:
+            if not effect.predictable:
                 continue
             if isinstance(effect, DistanceTerm):
                 terms.append(effect)
-            elif name == "amplitude_nonlinearity":
+            elif isinstance(effect, ResponseEffect):
                 published = effect
             else:
                 before[name] = signal
@@ -274,9 +272,9 @@ class Forward:
                     signal = from_phasor(effect.apply(phasor, context), signal, context)
                 else:
                     signal = effect.simulate(signal, context)
-                    if name in KEPT and name in memory:
+                    if effect.remembers_geometry and name in memory:
                         view.memory[name] = memory[name]
-                if name in _SPREADING:
+                if effect.spreads:
                     spread.append(effect)
         if nameless.any():
             # nobody said how much these surfaces reflect: their light is what was measured
@@ -297,7 +295,7 @@ class Forward:
         before: dict[str, Signal],
         spread: list[Effect],
         terms: Sequence[DistanceTerm],
-        published: Any,
+        published: ResponseEffect | None,
         light: Signal,
         model: AmplitudeModel,
         slopes: bool,
@@ -317,7 +315,7 @@ class Forward:
         for term in terms:
             total = total + term.term(delivered.distance, latent, context)
             depends = term.depends_on()
-            if not slopes or isinstance(term, FixedPatternOffset):
+            if not slopes or isinstance(term, PixelMap):
                 continue
             if "distance" in depends:
                 up = term.term(delivered.distance + step, latent, context)
@@ -333,7 +331,7 @@ class Forward:
             residual = wrap_residual(residual, context.ambiguity)
         slope_published: Any = 1.0
         if published is not None:
-            slope_published = 1.0 / (1 + published.compression * latent) ** 2
+            slope_published = published.slope(latent)
         model_reading = safe if published is None else published.compressed(safe)
         if published is not None and self.light_curves is not None:
             model_reading = model_reading * self.light_curves.response(safe)

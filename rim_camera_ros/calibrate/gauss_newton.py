@@ -10,22 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.calibrate.blocks import GAIN, Block, Regressor
+from rim_camera_ros.calibrate.blocks import GAIN
 from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
 from rim_camera_ros.calibrate.imperfections import is_linear
-from rim_camera_ros.calibrate.light_curves import FALLOFF, LOBE, tile_labels
 from rim_camera_ros.calibrate.normal_equations import NormalEquations, Reduced, accumulate
 from rim_camera_ros.calibrate.problem import Fit, Problem, blocks_of, forward_of, light_groups
 from rim_camera_ros.calibrate.residuals import amplitude_error, huber
 from rim_camera_ros.calibrate.steps import (
     Solved,
     bounds_of,
+    greatest_of,
     in_units,
     longest_steps,
     moved_from,
     moved_scene,
     of_shape,
-    poles_of,
     power_factor,
     stepped,
     value_of,
@@ -34,6 +33,8 @@ from rim_camera_ros.calibrate.steps import (
 from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
+from rim_camera_ros.effects.candidate import Block, Regressor
+from rim_camera_ros.effects.light_curves import FALLOFF, LOBE, tile_labels
 from rim_camera_ros.errors import InputError, RimError
 
 Array = NDArray[Any]
@@ -113,7 +114,7 @@ class GaussNewton:
         self._numbers = camera_numbers(start)
         self._from_origin = moved_from(problem.origin, start)
         self._lows, self._highs = bounds_of(start)
-        self._highs |= poles_of(problem.dataset, problem.masks, start)
+        self._highs |= greatest_of(problem.dataset, problem.masks, start)
         # the point
         self._camera, self._scene = start, problem.scene
         self._pattern = np.zeros(start.shape)

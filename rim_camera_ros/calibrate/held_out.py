@@ -26,8 +26,6 @@ Key = tuple[int, int]
 
 #: Values kept for figures over covariates.
 MOST_SAMPLES = 400_000
-#: Effects whose correction depends on the frames before.
-_REMEMBER = frozenset({"ambient_temperature", "reference_path"})
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,9 @@ def evaluate(
     """
     corrections = {fold: Correction(camera) for fold, camera in cameras.items()}
     old = Correction(before)
-    everyone = any(_REMEMBER & set(camera.effects) for camera in (*cameras.values(), before))
+    everyone = any(
+        effect.follows_frames for camera in (*cameras.values(), before) for effect in camera.effects.values()
+    )
     sums = _Sums(before.shape, per_station=max(1, MOST_SAMPLES // max(len(dataset.stations), 1)))
     poses: set[Key] = set()
     recording = None

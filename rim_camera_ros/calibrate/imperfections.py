@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.blocks import Block, Regressor, light_block, optics_columns
-from rim_camera_ros.calibrate.light_curves import FALLOFF, LOBE, tile_labels
-from rim_camera_ros.calibrate.prediction import Column, Prediction
+from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.candidate import Block, Column, Regressor
+from rim_camera_ros.effects.light_curves import FALLOFF, LOBE, tile_labels
+from rim_camera_ros.effects.sections import light_block, optics_columns
 from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]

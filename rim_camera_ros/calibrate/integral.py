@@ -21,7 +21,7 @@ from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.solution import with_pattern
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
-from rim_camera_ros.effects.integral_table import IntegralTable
+from rim_camera_ros.effects import PositionTable
 from rim_camera_ros.effects.tables import interpolate
 from rim_camera_ros.parameters import ArrayFile
 
@@ -231,19 +231,19 @@ class IntegralFit:
                 pattern = np.where(weight > 0, total / weight, 0.0)
                 # a pixel's mean over poses holds what the table misses as well as noise
                 variance = np.where(weight > 0, 1.0 / weight, np.inf)
-            camera = with_effects(self._camera, {"integral_table": tables[fold]})
+            camera = with_effects(self._camera, {PositionTable.name: tables[fold]})
             result[fold] = with_pattern(camera, pattern, variance)
         return result
 
-    def _table(self, leave_out: int | None) -> IntegralTable:
+    def _table(self, leave_out: int | None) -> PositionTable:
         x = self._solve(leave_out, self.smoothness).reshape([axis.count for axis in self.axes])
         counts = (2 * _ACROSS[0] + 1, 2 * _ACROSS[1] + 1, self._knots())
         knots = [np.linspace(axis.low, axis.high, n) for axis, n in zip(self.axes, counts, strict=True)]
         splines = [axis.values(one) for axis, one in zip(self.axes, knots, strict=True)]
         values = np.einsum("ai,bj,ck,ijk->abc", *splines, x).astype(np.float32)
-        return IntegralTable(
+        return PositionTable(
             knots=tuple(tuple(float(f"{k:.6g}") for k in one) for one in knots),
-            values=ArrayFile("integral_table.npy", values),
+            values=ArrayFile(f"{PositionTable.name}.npy", values),
         )
 
     def _knots(self) -> int:

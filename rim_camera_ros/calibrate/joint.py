@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.blocks import UNFITTED, gain_block, light_block, optics_block, present_blocks
-from rim_camera_ros.calibrate.candidate import Facts
+from rim_camera_ros.calibrate.blocks import gain_block, present_blocks
 from rim_camera_ros.calibrate.clusters import widening
 from rim_camera_ros.calibrate.determined import (
     EffectStatus,
@@ -19,8 +17,7 @@ from rim_camera_ros.calibrate.determined import (
 from rim_camera_ros.calibrate.empirical_fit import empirical_block, empirical_covariates, empirical_start
 from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, explore
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES, candidates
-from rim_camera_ros.calibrate.light_curves import SURFACES
+from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT
 from rim_camera_ros.calibrate.search import search
@@ -28,8 +25,20 @@ from rim_camera_ros.calibrate.selection import Scores, folds_of
 from rim_camera_ros.calibrate.solution import Solution, count_outliers
 from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.camera_file import with_effects
-from rim_camera_ros.effects import registry
+from rim_camera_ros.camera_file import added, with_effects
+from rim_camera_ros.effects import (
+    OF_SURFACES,
+    OPTICS,
+    CovariateTable,
+    PixelMap,
+    PositionTable,
+    registry,
+    vocabulary,
+)
+from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.effects.candidate import Facts
+from rim_camera_ros.effects.light_curves import SURFACES
+from rim_camera_ros.effects.sections import light_block
 from rim_camera_ros.errors import InputError, nearest_name
 
 Say = Callable[[str], None]
@@ -62,7 +71,7 @@ def by_search(
 ) -> Outcome:
     """Fit what the camera file has and the recordings determine, and add what held-out poses ask for."""
     kept = _untold(problem, camera, say)
-    names = [name for name in [*registry(), *GEOMETRY] if name not in kept and name not in UNFITTED]
+    names = [name for name in [*registry(), *OPTICS] if name not in kept and _is_fitted(name)]
     free = replace(problem, effects=tuple(names))
     asked = [name for name in names if name not in camera.effects and name not in problem.geometry]
     # surfaces that do not reflect as Lambert says would lend their light to other effects
@@ -107,24 +116,24 @@ def exactly(
     Raises `InputError` for unknown names, and where the recordings determine none of them.
     """
     names, covariates = checked_names(words)
-    own: Any = camera.effects.get("empirical")
-    if own is not None and "empirical" in words:
+    own = effect_of(camera, CovariateTable)
+    if own is not None and own.name in words:
         covariates = own.covariates
     folds = folds_of(problem.dataset)
-    geometry = tuple(dict.fromkeys([*problem.geometry, *(n for n in names if n in GEOMETRY)]))
+    geometry = tuple(dict.fromkeys([*problem.geometry, *(n for n in names if n in OPTICS)]))
     origin = problem.origin or camera
     problem = replace(problem, effects=tuple(names), geometry=geometry, origin=origin)
     notes: list[str] = []
     if own is not None and covariates is not None and covariates != own.covariates:
         notes.append(
-            f"empirical: the file's table of {' and '.join(own.covariates)} gave way to one of "
+            f"{own.name}: the file's table of {' and '.join(own.covariates)} gave way to one of "
             f"{' and '.join(covariates)}"
         )
     camera_start = camera
     camera, unseen = _with_absent(
         problem, camera if begin is None else begin, facts, names, folds, views, say
     )
-    kept = {name: _KEPT_UNASKED for name in camera.effects if name not in names and name not in UNFITTED}
+    kept = {name: _KEPT_UNASKED for name in camera.effects if name not in names and _is_fitted(name)}
     pool = [one for one in candidates(camera, facts) if one.effect not in (*geometry, *unseen)]
     if covariates is not None:
         camera = _with_empirical(problem, camera, covariates, views)
@@ -134,7 +143,7 @@ def exactly(
     untold = undetermined_effects(scores, [n for n in names if n in fitted.camera.effects])
     for name in dict.fromkeys([*unseen, *untold]):
         notes.append(f"{name} cannot be determined from these recordings: {undeterminable(name)}")
-    asked = set(names) - {"fixed_pattern_offset"}
+    asked = set(names) - {PixelMap.name}
     if asked and asked <= {*unseen, *untold}:
         raise InputError(
             notes[-1], place="--effects", remedy="without --effects those are fitted that can be"
@@ -175,34 +184,39 @@ def exactly(
 
 
 def checked_names(words: Sequence[str]) -> tuple[list[str], tuple[str, ...] | None]:
-    """Return the names of --effects and the covariates of ``empirical``, None where it is not among them.
+    """Return the names of --effects and the covariates of the table over them, None without it.
 
     Raises `InputError` for a name that is not of the vocabulary, or that no joint fit can estimate.
     """
     names: list[str] = []
     covariates: tuple[str, ...] | None = None
-    known = [*registry(), *GEOMETRY]
+    known = [*registry(), *OPTICS]
     for word in words:
         name = word.partition(":")[0]
-        if name not in known or (":" in word and name != "empirical"):
+        if name not in known or (":" in word and name != CovariateTable.name):
             raise InputError(f"unknown effect '{word}'", place="--effects", remedy=nearest_name(name, known))
-        if name == "empirical":
+        if name == CovariateTable.name:
             covariates = empirical_covariates(word)
-        elif name in UNFITTED and name != "fixed_pattern_offset":
+        elif not _is_fitted(name) and name != PixelMap.name:
             raise InputError(
                 f"{name} is not estimated from means of frames",
                 place="--effects",
                 remedy="leave it out: what the camera file says of it stays"
-                if name != "integral_table"
-                else "give it alone: --effects integral_table",
+                if name != PositionTable.name
+                else f"give it alone: --effects {name}",
             )
         names.append(name)
     return list(dict.fromkeys(names)), covariates
 
 
+def _is_fitted(name: str) -> bool:
+    """Whether the joint fit of mean frames estimates it."""
+    return vocabulary()[name].estimated == "joint"
+
+
 def _untold(problem: Problem, camera: Camera, say: Say) -> dict[str, str]:
     """Return the effects of the camera file of which these recordings say nothing."""
-    names = [name for name in camera.effects if name not in UNFITTED]
+    names = [name for name in camera.effects if _is_fitted(name)]
     if not names:
         return {}
     say("what the recordings determine")
@@ -225,7 +239,7 @@ def _with_absent(
 
     One after the other, the one that explains most first, each by its best variant beside all so far.
     """
-    missing = [n for n in names if n not in camera.effects and n not in UNFITTED and n not in GEOMETRY]
+    missing = [n for n in names if n not in camera.effects and _is_fitted(n) and n not in OPTICS]
     unseen = [n for n in missing if not candidates(camera, facts, effects=[n])]
     missing = [n for n in missing if n not in unseen]
     while missing:
@@ -241,13 +255,13 @@ def _with_absent(
 
 def _with_empirical(problem: Problem, camera: Camera, covariates: tuple[str, ...], views: Views) -> Camera:
     """Return the camera with a smooth function of the covariates, its own or one that begins at zero."""
-    effect: Any = camera.effects.get("empirical")
+    effect = effect_of(camera, CovariateTable)
     if effect is not None and effect.covariates == covariates:
         return camera
     forward = Forward(problem.dataset, problem.scene, camera, views=views)
     forward.masks = problem.masks
     forward.estimate_amplitudes()
-    return with_effects(camera, {**camera.effects, "empirical": empirical_start(forward, covariates)})
+    return added(camera, empirical_start(forward, covariates))
 
 
 def _some_stations(problem: Problem, folds: Mapping[Key, int]) -> tuple[Problem, dict[Key, int]]:
@@ -277,12 +291,12 @@ def _solved(
     blocks = present_blocks(fitted.camera, effects=problem.effects)
     if problem.gain:
         blocks.append(gain_block())
-    blocks += [optics_block(fitted.camera, name) for name in problem.geometry]
+    blocks += [OPTICS[name].block(fitted.camera) for name in problem.geometry]
     if problem.reflectance:
         blocks.append(light_block(SURFACES))
-    empirical: Any = fitted.camera.effects.get("empirical")
-    if empirical is not None:
-        blocks.append(empirical_block(empirical))
+    table = effect_of(fitted.camera, CovariateTable)
+    if table is not None:
+        blocks.append(empirical_block(table))
     return Solution(
         fitted,
         scores,

@@ -23,11 +23,10 @@ from rim_camera_ros.calibrate.solution import Solution, with_pattern
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera, Validity
 from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.effects import PixelMap
 from rim_camera_ros.scene import Scene, beside_edges, see
 
 Array = NDArray[Any]
-
-_PATTERN = "fixed_pattern_offset"
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class LargeSensor:
         """What is looked at, in words."""
         return (
             f"parameters are fitted to one of {self.step} x {self.step} pixels, their offsets to all; with "
-            "fixed_pattern_offset among --effects everything is"
+            f"{PixelMap.name} among --effects everything is"
         )
 
     def beside_edges(self, prediction: Prediction, margin: int = BESIDE) -> Array:
@@ -80,10 +79,12 @@ class LargeSensor:
         """
         fitted = solution.fit
         small = fitted.camera
-        without = {name: one for name, one in small.effects.items() if name != _PATTERN}
+        without = {name: one for name, one in small.effects.items() if name != PixelMap.name}
         camera = finer_camera(with_effects(small, without), self.camera, self.step)
-        if _PATTERN in self.camera.effects:
-            camera = with_effects(camera, {**camera.effects, _PATTERN: self.camera.effects[_PATTERN]})
+        if PixelMap.name in self.camera.effects:
+            camera = with_effects(
+                camera, {**camera.effects, PixelMap.name: self.camera.effects[PixelMap.name]}
+            )
         forward = Forward(self.dataset, fitted.scene, camera)
         # Gains of pixels are those of the coarse grid.
         forward.amplitude_model = replace(fitted.forward.amplitude_model, pixels=None)

@@ -8,21 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.entry import LEAST_SIZE, Found, curve_of_forms
 from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.sizes import effect_size
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.scattering import Scattering
+from rim_camera_ros.effects.candidate import Candidate
 
 #: A smooth function of one covariate that gains this many times what any two effects do is another physics'
 #: mark: of an effect's own covariate it gains what the effect does.
 SMOOTHER = 1.5
-#: Sigma [px] up to which stray light is none: the footprint of a pixel and what crosses to its neighbours.
-#: Halos between lens and chip are wider.
-_LEAST_SPREAD = 2.0
-#: Share of the light that is spread below which one of its halos does not count.
-_LEAST_WEIGHT = 0.01
 #: Variants of an effect that are looked at again once another effect was found.
 _MOST_VARIANTS = 4
 #: Why an effect that would gain beside those found was not added.
@@ -153,21 +147,18 @@ def what_it_became(
 ) -> tuple[int, ...] | None:
     """Return what a trial became once it was fitted; None where each effect is what it was.
 
-    A pair becomes one effect where the other moves next to nothing; stray light that was fitted within its
-    own pixel becomes two surfaces in a pixel. ``start`` is the camera before anything was found.
+    A pair becomes one effect where the other moves next to nothing; an effect becomes another in a limit of
+    its parameters. ``start`` is the camera before anything was found.
     """
     if len(trial) == 2:
         for k, other in (trial, trial[::-1]):
             names = [step.candidates[k].effect]
             if effect_size(fitted.fit, names, start) < LEAST_SIZE:
                 return (other,)
-    scattering = fitted.fit.camera.effects.get("scattering")
-    mixed = step.best().get("mixed_pixels")
-    numbers = [k for k in trial if step.candidates[k].effect == "scattering"]
-    if not isinstance(scattering, Scattering) or mixed is None or mixed in trial or not numbers:
-        return None
-    least = _LEAST_WEIGHT * sum(one.weight for one in scattering.kernels)
-    widest = max((max(one.sigma) for one in scattering.kernels if one.weight >= least), default=np.inf)
-    if scattering.ghost is not None or widest > _LEAST_SPREAD:
-        return None
-    return tuple(mixed if k in numbers else k for k in trial)
+    best, effects = step.best(), fitted.fit.camera.effects
+    for k in trial:
+        effect = effects.get(step.candidates[k].effect)
+        limit = None if effect is None else effect.limit
+        if limit in best and best[limit] not in trial:
+            return tuple(best[limit] if one == k else one for one in trial)
+    return None

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.base import response_of
 from rim_camera_ros.noise import Noise
 
 Array = NDArray[Any]
@@ -108,7 +109,7 @@ def fit_noise(dataset: Dataset, camera: Camera) -> NoiseFit | None:
 def _variances(dataset: Dataset, camera: Camera) -> tuple[Array, Array, Array]:
     """Return amplitudes, variances and degrees of freedom of the pixels that were valid in every frame."""
     threshold = max(camera.sensor.amplitude_threshold, camera.minimum_amplitude or 0.0)
-    response: Any = camera.effects.get("amplitude_nonlinearity")
+    response = response_of(camera)
     parts: list[tuple[Array, Array, Array]] = []
     for one in dataset.stations:
         if one.frames < 2:

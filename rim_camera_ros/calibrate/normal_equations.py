@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.calibrate.blocks import Block, Regressor
 from rim_camera_ros.calibrate.fold_sums import Fold, FoldSums, Grouped, Share, share_of
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.prediction import Column, Prediction
+from rim_camera_ros.calibrate.prediction import Prediction
+from rim_camera_ros.effects.candidate import Block, Column, Regressor
 from rim_camera_ros.threads import in_order
 
 Array = NDArray[Any]

@@ -12,7 +12,8 @@ from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT, after_nuisances
-from rim_camera_ros.effects.reference_path import ReferencePath
+from rim_camera_ros.effects import InternalReference
+from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.scene import beside_edges
 
 Array = NDArray[Any]
@@ -52,8 +53,8 @@ def usable_pixels(forward: Forward) -> tuple[Masks, int]:
     masks: Masks = []
     gross = 0
     darkest = NOISIEST * forward.camera.sensor.ambiguity
-    path = forward.camera.effects.get("reference_path")
-    reference = path.region() if isinstance(path, ReferencePath) else None
+    path = effect_of(forward.camera, InternalReference)
+    reference = None if path is None else path.region()
     for one in forward.predictions(slopes=False):
         # by the predicted amplitude: picking by the measured one would pick the bright half of the noise
         used = one.used & (one.sigma * np.sqrt(np.maximum(one.station.count, 1)) < darkest)

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.blocks import Regressor, gain_block, present_blocks
-from rim_camera_ros.calibrate.candidate import Candidate, Facts
-from rim_camera_ros.calibrate.coarser import BY_POSITION, coarser_camera
+from rim_camera_ros.calibrate.blocks import gain_block, present_blocks
+from rim_camera_ros.calibrate.coarser import coarser_camera
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.normal_equations import accumulate
@@ -20,6 +19,8 @@ from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.devices.timeline import Timeline
+from rim_camera_ros.effects import vocabulary
+from rim_camera_ros.effects.candidate import Candidate, Facts, Regressor
 from rim_camera_ros.files import find_scene, shipped
 from rim_camera_ros.frame import NANOSECONDS
 from rim_camera_ros.scene import Scene, load_scene
@@ -34,8 +35,6 @@ NARROWED = 5.0
 _COLUMNS = 44
 _STATIONS = 40
 _MOST_EXPERIMENTS = 4
-#: Effects that no mean of a recording determines, or that belong to the camera geometry.
-_LEFT_OUT = frozenset({"radiometry", "multipath", "motion", "saturation_bleed"})
 
 
 @dataclass(frozen=True)
@@ -75,14 +74,15 @@ def plan(
     Errors of poses and powers and an offset per pixel are unknown in every experiment.
     """
     step = max(1, round(camera.sensor.width / _COLUMNS))
-    physics = {name: one for name, one in camera.effects.items() if name not in BY_POSITION}
+    physics = {name: one for name, one in camera.effects.items() if not one.stated_by_pixels}
     camera = with_effects(camera, physics)
     small = coarser_camera(camera, step) if step > 1 else camera
     built = {name: planned_dataset(scene, small, decimation=step) for name, scene in scenes.items()}
     regressors, experiments = _equations(small, scenes, built, progress)
+    known = vocabulary()
     owners = [one.owner for one in regressors]
     prior = np.array([one.prior for one in regressors])
-    effects = [name for name in dict.fromkeys(owners) if name not in ("radiometry", "pattern")]
+    effects = [name for name in dict.fromkeys(owners) if name in known and known[name].planned]
 
     def told(chosen: Iterable[Experiment]) -> dict[str, float]:
         gram = sum((one.gram for one in chosen), np.zeros((len(prior), len(prior))))
@@ -125,8 +125,9 @@ def _equations(
     stations = [one for dataset, _ in built.values() for one in dataset.stations]
     facts = Facts.of(Dataset(stations), moves=False, surfaces=1, camera=camera)
     variants: dict[str, list[Candidate]] = {}
+    known = vocabulary()
     for one in candidates(camera, facts):
-        if one.effect not in _LEFT_OUT:
+        if known[one.effect].planned:
             variants.setdefault(one.effect, []).append(one)
     # the middle of each family of variants stands for it
     blocks = [*present_blocks(camera), gain_block()]

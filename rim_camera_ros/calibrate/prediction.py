@@ -9,19 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.light_curves import RESPONSE, LightCurves
 from rim_camera_ros.calibrate.stations import Station
 from rim_camera_ros.calibrate.views import PoseColumn, View
-from rim_camera_ros.effects.base import ComplexEffect, Context, DistanceTerm, Effect, Signal
+from rim_camera_ros.effects.base import ComplexEffect, Context, DistanceTerm, Effect, ResponseEffect, Signal
+from rim_camera_ros.effects.light_curves import RESPONSE, LightCurves
 from rim_camera_ros.phasor import to_phasor
 
 Array = NDArray[Any]
 
 #: Derivatives (H, W) of measured distance and published amplitude (None: none) by one regressor.
 Column = tuple[Array, Array | None]
-
-#: Effects whose costly work holds for a geometry.
-KEPT = ("multipath",)
 
 
 @dataclass
@@ -111,9 +108,9 @@ class Prediction:
         name = effect.name
         signal = self.before_effect(name)
         columns = effect.columns(signal, self.context)
-        if name in KEPT and name in self.context.memory:
+        if effect.remembers_geometry and name in self.context.memory:
             self.view.memory[name] = self.context.memory[name]
-        if isinstance(effect, DistanceTerm) or name == "amplitude_nonlinearity":
+        if isinstance(effect, DistanceTerm | ResponseEffect):
             zero = np.zeros(self.distance.shape)
             return {path: (zero + d, zero + a) for path, (d, a) in columns.items()}
         after = effect.simulate(signal, self.context).amplitude

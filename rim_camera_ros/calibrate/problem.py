@@ -9,24 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.blocks import (
-    Block,
-    gain_block,
-    light_block,
-    optics_block,
-    pose_block,
-    present_blocks,
-)
+from rim_camera_ros.calibrate.blocks import gain_block, pose_block, present_blocks
 from rim_camera_ros.calibrate.empirical_fit import empirical_block
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.imperfections import imperfection_blocks, linear_blocks
-from rim_camera_ros.calibrate.light_curves import RESPONSE, RIPPLES, SURFACES
 from rim_camera_ros.calibrate.normal_equations import PATTERN_PRIOR, NormalEquations, Reduced
 from rim_camera_ros.calibrate.prediction import Shift
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.calibrate.steps import moved_light
 from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects import OPTICS, CovariateTable
+from rim_camera_ros.effects.base import effect_of, response_of
+from rim_camera_ros.effects.candidate import Block
+from rim_camera_ros.effects.light_curves import RESPONSE, RIPPLES, SURFACES
+from rim_camera_ros.effects.sections import light_block
 from rim_camera_ros.scene import Scene, ScenePose
 
 Array = NDArray[Any]
@@ -36,13 +33,13 @@ Array = NDArray[Any]
 class Problem:
     """What is fitted: the data, the scene, which effects are free, and what else.
 
-    ``effects`` None frees all that the camera has; ``geometry`` names of `blocks.optics_block` to estimate;
+    ``effects`` None frees all that the camera has; ``geometry`` names of `effects.OPTICS` to estimate;
     ``robust`` bounds the weight of outliers; ``pattern`` estimates an offset per pixel;
     ``masks`` restrict the pixels, ``shifts`` stand for another simulation (both as in `Forward`);
     ``stray_light`` [counts] as in `accumulate`; ``reflectance`` estimates how surfaces reflect beside
-    Lambert's law, ``response`` [counts] what an `amplitude_nonlinearity` leaves, relative to that level.
+    Lambert's law, ``response`` [counts] what the effect on the response leaves, relative to that level.
     ``pattern_prior`` [m] is the 1-sigma of an offset per pixel. ``variance_factors`` as in `Forward`. The
-    effect ``empirical`` is fitted only where ``effects`` names it. ``imperfections`` estimates what no scene
+    table over covariates is fitted only where ``effects`` names it. ``imperfections`` estimates what no scene
     and no camera file states exactly (`imperfections`), within its stated sizes.
     Priors of the parameters of effects and optics are those of the camera ``origin``, where it has them,
     and about its values, whatever a fit begins at: what earlier fits took up must not hold later ones. None:
@@ -141,7 +138,7 @@ def light_groups(problem: Problem, camera: Camera) -> list[tuple[str, ...]]:
     groups = [RIPPLES] if problem.gain else []
     if problem.reflectance:
         groups.append(SURFACES)
-    if problem.response is not None and "amplitude_nonlinearity" in camera.effects:
+    if problem.response is not None and response_of(camera) is not None:
         groups.append(RESPONSE)
     return groups
 
@@ -149,12 +146,12 @@ def light_groups(problem: Problem, camera: Camera) -> list[tuple[str, ...]]:
 def blocks_of(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
     """Return the regressors of all that is free in a problem."""
     blocks = present_blocks(camera, effects=problem.effects, origin=problem.origin)
-    empirical: Any = camera.effects.get("empirical")
-    if empirical is not None and problem.effects is not None and "empirical" in problem.effects:
-        blocks.append(empirical_block(empirical))
+    table = effect_of(camera, CovariateTable)
+    if table is not None and problem.effects is not None and table.name in problem.effects:
+        blocks.append(empirical_block(table))
     if problem.gain:
         blocks.append(gain_block())
-    blocks += [optics_block(camera, name) for name in problem.geometry]
+    blocks += [OPTICS[name].block(camera) for name in problem.geometry]
     blocks += [light_block(labels) for labels in light_groups(problem, camera)]
     if problem.imperfections:
         blocks += imperfection_blocks(

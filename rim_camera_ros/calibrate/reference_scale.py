@@ -18,20 +18,13 @@ from rim_camera_ros.calibrate.solution import Solution
 from rim_camera_ros.calibrate.stations import Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
-from rim_camera_ros.effects.reference_path import (
-    ReferencePath,
-    ReferenceScale,
-    estimate_reference_scale,
-    mean_reading,
-)
+from rim_camera_ros.effects import InternalReference, ReferenceScale, estimate_reference_scale, mean_reading
 from rim_camera_ros.errors import InputError
 
 Array = NDArray[Any]
 
-NAME = ReferencePath.name
+NAME = InternalReference.name
 PATHS = (f"effects.{NAME}.nominal", f"effects.{NAME}.scale")
-#: The terms that a reading of the reference replaces.
-DRIFTS = ("warm_up_drift", "ambient_temperature")
 #: Stations with a reading below which no scale is estimated.
 _FEWEST = 6
 #: Spread of the readings in units of their noise below which they do not move.
@@ -82,8 +75,8 @@ class FittedReference:
     """
 
     status: EffectStatus
-    effect: ReferencePath | None = None
-    folds: Mapping[int, ReferencePath] = field(default_factory=dict)
+    effect: InternalReference | None = None
+    folds: Mapping[int, InternalReference] = field(default_factory=dict)
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
@@ -104,7 +97,7 @@ def fit_reference(solution: Solution, *, asked: bool) -> FittedReference | None:
     reference's own cyclic error (eq. 4.5), as in the correction.
     """
     start = solution.fit.camera.effects.get(NAME)
-    assert start is None or isinstance(start, ReferencePath)
+    assert start is None or isinstance(start, InternalReference)
     region = None if start is None else start.region()
     readings = [_reading(one, region) for one in solution.fit.forward.dataset.stations]
     told = sum(one is not None for one in readings)
@@ -120,7 +113,7 @@ def fit_reference(solution: Solution, *, asked: bool) -> FittedReference | None:
     except InputError as error:
         return FittedReference(_untold(str(error), known=start is not None))
     words = "fitted" if start is not None else "fitted; not in the file before"
-    start = ReferencePath(nominal=found.nominal) if start is None else start
+    start = InternalReference(nominal=found.nominal) if start is None else start
     folds = {}
     for k in {int(one) for one in measured.fold}:
         with contextlib.suppress(InputError):  # too little is left: that fold takes the path of all
@@ -155,9 +148,8 @@ def _drifts(solution: Solution, readings: Sequence[float | None]) -> ReferenceDr
     without = Forward(
         forward.dataset,
         fitted.scene,
-        with_effects(
-            fitted.camera, {name: one for name, one in fitted.camera.effects.items() if name not in DRIFTS}
-        ),
+        # the terms that a reading of the reference replaces
+        with_effects(fitted.camera, {n: one for n, one in fitted.camera.effects.items() if not one.drifts}),
         views=forward.views,
     )
     without.amplitude_model, without.masks = forward.amplitude_model, forward.masks

@@ -30,7 +30,7 @@ def _unsettled(fitted: Fit) -> list[str]:
     own = {
         path: ratio
         for path, ratio in fitted.moving.items()
-        if path.startswith(("effects.", "optics.", "empirical.")) and ratio > _MOVES
+        if path.startswith(("effects.", "optics.")) and ratio > _MOVES
     }
     if not own:
         return []

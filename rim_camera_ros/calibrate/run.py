@@ -14,8 +14,7 @@ from scipy.linalg import block_diag
 
 from rim_camera_ros.bags import Topics
 from rim_camera_ros.calibrate import checks
-from rim_camera_ros.calibrate.beyond_hyperbola import beyond_hyperbola
-from rim_camera_ros.calibrate.candidate import Facts
+from rim_camera_ros.calibrate.beyond_form import beyond_form
 from rim_camera_ros.calibrate.coarser import coarseness, coarseness_of, coarser_camera
 from rim_camera_ros.calibrate.determined import EffectStatus
 from rim_camera_ros.calibrate.forward import Forward
@@ -23,7 +22,6 @@ from rim_camera_ros.calibrate.held_out import Accuracy, evaluate
 from rim_camera_ros.calibrate.integral import IntegralFit
 from rim_camera_ros.calibrate.joint import Outcome, by_search, exactly
 from rim_camera_ros.calibrate.large_sensor import LargeSensor
-from rim_camera_ros.calibrate.library import GEOMETRY
 from rim_camera_ros.calibrate.noise_fit import POOR, NoiseFit, fit_noise
 from rim_camera_ros.calibrate.pixels import beside_in_view, usable_pixels
 from rim_camera_ros.calibrate.problem import Problem
@@ -38,12 +36,14 @@ from rim_camera_ros.calibrate.stations import Dataset, merged
 from rim_camera_ros.calibrate.validity import supported
 from rim_camera_ros.calibrate.watch import Progress, Reducer, Watch
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects import OPTICS, PositionTable
+from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]
 
-_INTEGRAL = "integral_table"
+_INTEGRAL = PositionTable.name
 _REPLACED = "the table stands in the place of all effects"
 #: Common variation of frames beyond which something changes all pixels from frame to frame.
 _COMMON = 3.0
@@ -176,7 +176,7 @@ def calibrate(
     problem = Problem(
         dataset,
         scene,
-        geometry=tuple(GEOMETRY) if request.geometry else (),
+        geometry=tuple(OPTICS) if request.geometry else (),
         tick=watch.tick,
         threads=request.threads,
     )
@@ -212,7 +212,7 @@ def calibrate(
     notes += refinement.notes(problem)
     notes += [*outcome.notes, *outcome.solution.notes]
     watch.say("hyperbola or curve")
-    beyond = beyond_hyperbola(problem, outcome.solution) if words is not None else None
+    beyond = beyond_form(problem, outcome.solution) if words is not None else None
     notes += [] if beyond is None else [beyond]
     return _finished(
         request,

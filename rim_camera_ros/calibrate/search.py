@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from rim_camera_ros.calibrate.candidate import Candidate, Facts
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.leaders import leading_variants, refused, smooth_says_more
 from rim_camera_ros.calibrate.library import candidates
@@ -20,6 +19,8 @@ from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import level_of
 from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.base import response_of
+from rim_camera_ros.effects.candidate import Candidate, Facts
 
 MOST_EFFECTS = 4
 
@@ -44,7 +45,7 @@ def search(
     """
     say = progress if progress is not None else silent
     folds = folds_of(problem.dataset)
-    if "amplitude_nonlinearity" in camera.effects and problem.gain:
+    if response_of(camera) is not None and problem.gain:
         problem = replace(problem, response=level_of(problem.dataset))
     pool = candidates(camera, facts, effects=effects)
     problem = replace(problem, origin=problem.origin or camera)

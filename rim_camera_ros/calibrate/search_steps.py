@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from rim_camera_ros.calibrate.beside_edges import Look, promising, sharper, with_edges
-from rim_camera_ros.calibrate.candidate import Candidate, without_idle_halos
 from rim_camera_ros.calibrate.elsewhere import follows_time_elsewhere, shows_elsewhere
-from rim_camera_ros.calibrate.entry import LEAST_SIZE, OF_TIME, PAIRED_ERRORS, Found, paired_error
+from rim_camera_ros.calibrate.entry import LEAST_SIZE, PAIRED_ERRORS, Found, paired_error
 from rim_camera_ros.calibrate.exploration import Exploration, explore, explored, further_equations
 from rim_camera_ros.calibrate.few_poses import at_stations, few_stations, left_behind
 from rim_camera_ros.calibrate.forms import form_blocks
@@ -25,13 +25,14 @@ from rim_camera_ros.calibrate.leaders import (
     tied,
     what_it_became,
 )
-from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES
 from rim_camera_ros.calibrate.outcome import Trial, as_good
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.sizes import effect_size
 from rim_camera_ros.calibrate.stations import level_of
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.camera_file import lean_camera, with_effects
+from rim_camera_ros.effects import OF_SURFACES, OPTICS, Physics, vocabulary
+from rim_camera_ros.effects.candidate import Candidate
 
 #: Leaders that may prove wrong when they are fitted, until the search ends.
 _MOST_FAILURES = 2
@@ -99,7 +100,7 @@ class Search:
                 self.failed |= dict.fromkeys(local, NOT_ELSEWHERE)
             else:
                 self._try(numbers, leader)
-                if self.failed.get("mixed_pixels") == ONCE_FITTED:
+                if any(self.failed.get(name) == ONCE_FITTED for name in self.at_edges):
                     # perhaps of another form, which only the pixels beside edges tell
                     self.look_beside_edges()
 
@@ -134,18 +135,18 @@ class Search:
         self.found[0] = Found(first.effect, max(gain, first.gain), ties, step=0)
 
     def look_beside_edges(self) -> None:
-        """Look for mixed pixels in pixels beside edges, which are left out while other effects are sought.
+        """Look for what acts at edges in the pixels beside them, which are left out while others are sought.
 
         There a footprint no wider than a pixel shows, and everything else shows no better.
         """
-        own = [one for one in self.variants if one.effect == "mixed_pixels"]
+        own = [one for one in self.variants if one.effect in self.at_edges]
         if not self.may_look or self.beside_edges is not None or not own:
             return
         problem = with_edges(self.problem, self.step.fit)
         if problem is self.problem:
             return
         self.say("pixels beside edges")
-        if "mixed_pixels" in self.step.fit.camera.effects:
+        if any(one.at_edges for one in self.step.fit.camera.effects.values()):
             self._sharpen(problem)
             return
         # the rest that one form leaves looks like the other
@@ -155,12 +156,12 @@ class Search:
                 return
 
     def _joins(self, look: Look) -> bool:
-        """Try mixed pixels in pixels beside edges; say whether they joined."""
+        """Try what acts at edges in pixels beside them; say whether it joined."""
         names = [one.effect for one in self.found]
         step = self._explored(look.fitted.fit, names, self.step, look.problem, mixed=look.variants)
         kept, self.explorations = self.explorations, [*self.explorations, step]
         away, self.problem = self.problem, look.problem
-        number = step.best()["mixed_pixels"]
+        number = next(k for name, k in step.best().items() if name in self.at_edges)
         self._try((number,), number)
         if len(self.found) > len(names):
             kept[-1].forget()
@@ -183,8 +184,16 @@ class Search:
         self.explorations += [blur, sharp]
         self.problem = problem
 
+    @cached_property
+    def at_edges(self) -> frozenset[str]:
+        """The names of effects that act at edges."""
+        return frozenset(name for name, one in vocabulary().items() if one.at_edges)
+
     def _effect(self, number: int) -> str:
         return self.step.candidates[number].effect
+
+    def _physics(self, number: int) -> type[Physics]:
+        return vocabulary()[self._effect(number)]
 
     def _shows_elsewhere(self, number: int) -> bool:
         names = [one.effect for one in self.found]
@@ -237,7 +246,7 @@ class Search:
             ties += [other for other in close if self.found and other not in ties]
             self.found.append(Found(name, gain, ties, step=len(self.explorations) - 1))
         self.problem = trial.problem
-        camera, lean = fitted.fit.camera, without_idle_halos(fitted.fit.camera)
+        camera, lean = fitted.fit.camera, lean_camera(fitted.fit.camera)
         ended = lean is camera and fitted.fit.converged
         if not ended or keeps_amplitude_error(self.step.fit.camera, camera):
             # or the next effect, whose fit goes on or estimates it anew, would gain what this one did
@@ -251,7 +260,7 @@ class Search:
             return ONCE_FITTED
         if gain <= need:
             return NOT_IN_ALL_POSES
-        drifts = [name for name in trial.effects if name in OF_TIME] if self.found else []
+        drifts = [name for name in trial.effects if vocabulary()[name].in_time] if self.found else []
         return None if all(self._follows_time(trial, name) for name in drifts) else NOT_IN_TIME
 
     def _follows_time(self, trial: Trial, name: str) -> bool:
@@ -304,7 +313,7 @@ class Search:
         able = [
             choice
             for choice in choices
-            if not any(self._effect(k) in GEOMETRY or self._effect(k) in OF_TIME for k in choice)
+            if not any(self._physics(k).moves_rays or self._physics(k).in_time for k in choice)
         ]
         trials = {choice: self._trial(choice, few=few) for choice in able}
         lost: set[tuple[int, ...]] = set()
@@ -329,16 +338,16 @@ class Search:
         step = self.step
         names = [self._effect(k) for k in choice]
         self.say("fitting " + " and ".join(names) + (" to a few poses" if few is not None else ""))
-        geometry = tuple(dict.fromkeys([*self.problem.geometry, *(n for n in names if n in GEOMETRY)]))
+        geometry = tuple(dict.fromkeys([*self.problem.geometry, *(n for n in names if n in OPTICS)]))
         reflectance = self.problem.reflectance or not OF_SURFACES.isdisjoint(names)
         problem = replace(self.problem, geometry=geometry, reflectance=reflectance)
         if few is not None:
             problem = at_stations(problem, few)
         # first by itself: what loses need not be explored; rays from where they are, as a linear guess of
         # them may put a texture's edges on other pixels
-        guess = step.camera_with([k for k in choice if self._effect(k) not in GEOMETRY])
+        guess = step.camera_with([k for k in choice if self._effect(k) not in OPTICS])
         fitted = self._fitted(problem, guess if start is None else start, step, near=start is not None)
-        if "amplitude_nonlinearity" in names:
+        if any(vocabulary()[name].is_response for name in names):
             # its one parameter first: together with a free response it would not find the way
             problem = replace(problem, response=level_of(problem.dataset))
             views, camera = step.fit.forward.views, fitted.fit.camera
@@ -406,7 +415,7 @@ class Search:
         """
         left = [one for one in leading_variants(before) if one.effect not in present]
         if mixed:
-            left = [*(one for one in left if one.effect != "mixed_pixels"), *mixed]
+            left = [*(one for one in left if one.effect not in self.at_edges), *mixed]
         forms = form_blocks(fitted, present, self.variants)
         forms += [one.block for one in self.curves]
         further = [one for one in self.further if one not in self.curves]

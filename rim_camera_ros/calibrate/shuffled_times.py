@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.blocks import Block, Regressor
-from rim_camera_ros.calibrate.candidate import Candidate
 from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, further_equations
-from rim_camera_ros.calibrate.prediction import Column, Prediction
+from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.calibrate.sizes import change_by
+from rim_camera_ros.effects.candidate import Block, Candidate, Column, Regressor
 
 Array = NDArray[Any]
 

@@ -8,18 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.blocks import optics_block
-from rim_camera_ros.calibrate.library import GEOMETRY, OF_SURFACES
-from rim_camera_ros.calibrate.prediction import Column, Prediction
+from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import DistanceTerm
+from rim_camera_ros.effects import OF_SURFACES, OPTICS
+from rim_camera_ros.effects.base import DistanceTerm, ResponseEffect
+from rim_camera_ros.effects.candidate import Column
 from rim_camera_ros.parameters import flatten
 
 Array = NDArray[Any]
 
-#: Effects that show in the amplitudes beside edges also where they hardly move distances.
-_OF_EDGES = frozenset({"mixed_pixels"})
 #: Metres of distance that count as much as a relative change of the amplitude of 1.
 SAME_SIZE = 0.1
 
@@ -34,7 +32,8 @@ def effect_size(fitted: Fit, names: Sequence[str], start: Camera) -> float:
         total: Any = 0.0
         for name in names:
             total = total + contribution(one, name, start)
-            if name in _OF_EDGES and name in one.context.camera.effects:
+            effect = one.context.camera.effects.get(name)
+            if effect is not None and effect.at_edges:
                 # on one surface the edges of its texture show it in the amplitudes alone
                 total = np.maximum(np.abs(total), SAME_SIZE * np.abs(_relative_light(one, name)[0]))
         parts.append(np.abs(np.broadcast_to(total, one.used.shape)[one.used]))
@@ -54,16 +53,16 @@ def contribution(prediction: Prediction, name: str, start: Camera) -> Array:
     camera = prediction.context.camera
     if name in OF_SURFACES:
         return np.asarray(SAME_SIZE * _of_surfaces(prediction))
-    if name in GEOMETRY:
+    if name in OPTICS:
         return _geometry_contribution(prediction, name, start)
     effect = camera.effects[name]
     if isinstance(effect, DistanceTerm):
         return change_by(prediction, name)[0]
-    if name == "amplitude_nonlinearity":
+    if isinstance(effect, ResponseEffect):
         return np.asarray(SAME_SIZE * (1 - prediction.model_reading / prediction.model_amplitude))
     relative, by_distance = _relative_light(prediction, name)
     moved, _ = prediction.reading_change(by_distance, relative)
-    if name == "emission_pattern":
+    if effect.shows_in == "amplitude":
         return np.asarray(np.nan_to_num(np.maximum(np.abs(moved), SAME_SIZE * np.abs(relative))))
     return np.asarray(np.nan_to_num(moved))
 
@@ -92,9 +91,9 @@ def change_by(prediction: Prediction, name: str) -> Column:
     if isinstance(effect, DistanceTerm):
         value = effect.term(prediction.delivered.distance, prediction.amplitude, prediction.context)
         return np.broadcast_to(np.asarray(value, float), shape), None
-    if name == "amplitude_nonlinearity":
-        found = prediction.columns(effect)["compression"]
-        return np.zeros(shape), found[1] * effect.compression
+    if isinstance(effect, ResponseEffect):
+        numbers, columns = flatten(effect), prediction.columns(effect)
+        return np.zeros(shape), sum((columns[path][1] * numbers[path] for path in columns), np.zeros(shape))
     relative, by_distance = _relative_light(prediction, name)
     turned = 2 * np.pi / prediction.context.ambiguity * by_distance
     return prediction.light_change(name, relative + 1j * turned)
@@ -110,7 +109,7 @@ def _relative_light(prediction: Prediction, name: str) -> tuple[Array, Array]:
 
 
 def _geometry_contribution(prediction: Prediction, name: str, start: Camera) -> Array:
-    block = optics_block(prediction.context.camera, name)
+    block = OPTICS[name].block(prediction.context.camera)
     before, after = flatten(start.optics), flatten(prediction.context.camera.optics)
     total = np.zeros(prediction.used.shape)
     for one, (column, _) in zip(block.regressors, block.columns(prediction), strict=True):

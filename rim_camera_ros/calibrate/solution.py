@@ -13,13 +13,14 @@ from scipy.ndimage import gaussian_filter
 from rim_camera_ros.calibrate.blocks import GAIN
 from rim_camera_ros.calibrate.empirical_fit import with_empirical_changes
 from rim_camera_ros.calibrate.imperfections import is_linear, pattern_field
-from rim_camera_ros.calibrate.light_curves import of_light
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera, Covariance
-from rim_camera_ros.camera_file import camera_numbers, with_effects, with_numbers
-from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
+from rim_camera_ros.camera_file import added, camera_numbers, with_numbers
+from rim_camera_ros.effects import PixelMap
+from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.effects.light_curves import of_light
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.parameters import ArrayFile
 
@@ -175,13 +176,11 @@ def with_pattern(camera: Camera, pattern: Array, variance: Array) -> Camera:
     if not seen.any():
         return camera
     shrunk = shrink(pattern, variance)
-    effect = camera.effects.get("fixed_pattern_offset")
+    effect = effect_of(camera, PixelMap)
     before: Any = 0.0 if effect is None else effect.map.values
     values = np.asarray(before + shrunk, np.float32)
     name = "fixed_pattern.npy" if effect is None else effect.map.file
-    return with_effects(
-        camera, {**camera.effects, "fixed_pattern_offset": FixedPatternOffset(ArrayFile(name, values))}
-    )
+    return added(camera, PixelMap(ArrayFile(name, values)))
 
 
 def shrink(pattern: Array, variance: Array) -> Array:

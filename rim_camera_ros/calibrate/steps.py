@@ -14,22 +14,20 @@ from scipy import linalg
 from rim_camera_ros.calibrate.blocks import GAIN
 from rim_camera_ros.calibrate.empirical_fit import LABEL, with_empirical_changes
 from rim_camera_ros.calibrate.imperfections import is_linear
-from rim_camera_ros.calibrate.light_curves import TILES, LightCurves, of_light, tile_labels
 from rim_camera_ros.calibrate.normal_equations import Reduced
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.calibrate.views import OPTICAL_AXES
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
-from rim_camera_ros.effects.base import row_name
+from rim_camera_ros.effects import Effect, registry
+from rim_camera_ros.effects.light_curves import TILES, LightCurves, of_light, tile_labels
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.scene import Scene, ScenePose, quaternion, rotation_matrix
 
 Array = NDArray[Any]
 
-#: Relative change of a width or a lag in one step, and change of a phase from rim to rim of the array [rad].
+#: Relative change of a width or a lag in one step.
 _SHAPE_STEP = 0.25
-_TURN_STEP = 1.0
-_TURNS = {"effects.cyclic_error.gradient.0": 1, "effects.cyclic_error.gradient.1": 0}
 #: Share of a station's values below whose amplitude a pole of a term may lie.
 _DARKEST = 0.01
 
@@ -135,7 +133,7 @@ def stepped(
             moved[path] = moved.get(path, 0.0) + share * change
         for path in changes:
             phase = path.removesuffix("amplitude") + "phase"
-            if ".harmonics." in path and path != phase and phase in changes:
+            if path != phase and phase in changes:
                 begun = numbers[path] + offsets.get(path, 0.0)
                 phasor = begun + share * (changes[path] + 1j * begun * changes[phase])
                 phasor *= float(np.copysign(1.0, numbers[path]))
@@ -156,15 +154,18 @@ def longest_steps(
     numbers: Mapping[str, float],
     shape: tuple[int, int],
 ) -> Array:
-    """Return how far parameters may go in one step: shapes by a quarter, phases over the array by a radian.
+    """Return how far parameters may go in one step: shapes by a quarter, others as their effects say.
 
     ``shape`` (H, W) of the array.
     """
 
     def longest(path: str) -> float:
-        if of_shape(path):
+        owner, inner = _owner(path)
+        if owner is None:
+            return np.inf
+        if owner.is_shape(inner):
             return _SHAPE_STEP * max(abs(numbers[path] + offsets.get(path, 0.0)), 1e-9)
-        return _TURN_STEP / shape[_TURNS[path]] if path in _TURNS else np.inf
+        return owner.longest_step(inner, shape)
 
     return np.array([longest(path) for path in labels])
 
@@ -184,24 +185,24 @@ def bounds_of(camera: Camera) -> tuple[dict[str, float], dict[str, float]]:
     return lows, highs
 
 
-def poles_of(
+def greatest_of(
     dataset: Dataset, masks: Sequence[tuple[Array, Array]] | None, camera: Camera
 ) -> dict[str, float]:
-    """Return the greatest b of each row of a / (A - b): its pole must lie below the amplitudes in use."""
-    effect: Any = camera.effects.get("amplitude_offset")
-    if effect is None or masks is None:
+    """Return the greatest values of effects' parameters that the amplitudes in use allow, by path."""
+    if masks is None:
         return {}
-    lowest: dict[float, float] = {}
-    for station, (used, _) in zip(dataset.stations, masks, strict=True):
-        if used.any():
-            t = camera.integration_time(station.settings)
-            key = min(effect.hyperbola, key=lambda row: abs(row - t))
-            lowest[key] = min(lowest.get(key, np.inf), float(np.quantile(station.amplitude[used], _DARKEST)))
-    return {
-        f"effects.amplitude_offset.hyperbola.{row_name(key)}.b": max(
-            0.9 * level, effect.hyperbola[key].b, -effect.hyperbola[key].b
+    darkest = [
+        (
+            camera.integration_time(station.settings),
+            float(np.quantile(station.amplitude[used], _DARKEST)),
         )
-        for key, level in lowest.items()
+        for station, (used, _) in zip(dataset.stations, masks, strict=True)
+        if used.any()
+    ]
+    return {
+        f"effects.{name}.{path}": value
+        for name, effect in camera.effects.items()
+        for path, value in effect.greatest(darkest).items()
     }
 
 
@@ -213,7 +214,14 @@ def value_of(path: str, camera: Camera, offsets: Mapping[str, float]) -> float:
 
 def of_shape(path: str) -> bool:
     """Whether a parameter is a width or a lag, in which readings are far from linear."""
-    return path.endswith(("time_constant", "blur")) or ".sigma." in path
+    owner, inner = _owner(path)
+    return owner is not None and owner.is_shape(inner)
+
+
+def _owner(path: str) -> tuple[type[Effect] | None, str]:
+    """Return the effect that a dotted path of a camera file is of, and the path within it."""
+    name, _, inner = path.removeprefix("effects.").partition(".")
+    return (registry().get(name) if path.startswith("effects.") else None), inner
 
 
 def of_scene(path: str) -> bool:
@@ -252,12 +260,10 @@ def _moved(
             numbers[path] * float(np.exp(np.clip(offset, -3, 3))) if path == GAIN else numbers[path] + offset
         )
         low, high = lows.get(path, -np.inf), highs.get(path, np.inf)
-        if of_shape(path):
-            low = max(low, 0.2 * abs(numbers[path]))
-            high = min(high, 5.0 * abs(numbers[path]) + 1e-9)
-        if path.endswith(".b"):
-            limit = 10 * abs(numbers[path]) + 5.0
-            low, high = max(low, -limit), min(high, limit)
+        owner, inner = _owner(path)
+        if owner is not None:
+            least, most = owner.reach(inner, numbers[path])
+            low, high = max(low, least), min(high, most)
         inside = 1e-9 * max(abs(value), 1.0)
         values[path] = float(np.clip(value, low + inside if np.isfinite(low) and low > 0 else low, high))
     return with_empirical_changes(with_numbers(camera, values) if values else camera, offsets)

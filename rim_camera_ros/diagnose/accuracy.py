@@ -16,7 +16,8 @@ from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
-from rim_camera_ros.effects.empirical import Empirical
+from rim_camera_ros.effects import CovariateTable
+from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.parameters import NestedList
 
 Array = NDArray[Any]
@@ -128,9 +129,9 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Fit | None 
         after = fit(frozen, model, fold_of=result.folds, iterations=1, views=views)
     elif unknown is not None:
         own = replace(problem, robust=False, geometry=(), reflectance=False, response=None)
-        table = None if "empirical" in camera.effects else model.effects.get("empirical")
+        table = None if effect_of(camera, CovariateTable) else effect_of(model, CovariateTable)
         start, steps = model, 2
-        if isinstance(table, Empirical) and len(set(result.folds.values())) > 1:
+        if isinstance(table, CovariateTable) and len(set(result.folds.values())) > 1:
             of_all = table.values.values.size > _MOST_VALUES
             if not of_all:
                 # what other poses do not say of it is nothing, and not what the held-out ones said

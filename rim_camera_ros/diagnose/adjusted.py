@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from rim_camera_ros.calibrate.blocks import GAIN, UNFITTED
+from rim_camera_ros.calibrate.blocks import GAIN
 from rim_camera_ros.calibrate.entry import LEAST_SIZE, PAIRED_ERRORS, paired_error
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
@@ -21,6 +21,7 @@ from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import contribution
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers
+from rim_camera_ros.effects.sections import Radiometry
 
 #: A term has moved where chance would do so once in this many times.
 _CHANCE = 1e-4
@@ -46,7 +47,7 @@ def adjusted_terms(camera: Camera, fitted: Fit) -> list[Adjusted]:
     names = list(fitted.parameters)
     result = []
     for name in camera.effects:
-        if name in UNFITTED:
+        if camera.effects[name].estimated != "joint":
             continue
         prefix = f"effects.{name}."
         index = [i for i, path in enumerate(names) if path.startswith(prefix) and path in before]
@@ -73,7 +74,7 @@ def adjusted_terms(camera: Camera, fitted: Fit) -> list[Adjusted]:
         # a gain is known as well as reflectivities and powers are
         limit = max(LEAST_GAIN, _FAR * fitted.sigma[GAIN] / gain)
         if abs(ratio) > limit:
-            result.append(Adjusted("radiometry", {"gain": camera.radiometry.gain}, {"gain": gain}))
+            result.append(Adjusted(Radiometry.section, {"gain": camera.radiometry.gain}, {"gain": gain}))
     return result
 
 
@@ -121,7 +122,7 @@ def parameters_matter(camera: Camera, result: Result, adjusted: Sequence[Adjuste
     A wrong radiometric gain matters by itself: fits of poses take up a power that is wrong in all of them, so
     that no likelihood tells it.
     """
-    if any(one.effect == "radiometry" for one in adjusted):
+    if any(one.effect == Radiometry.section for one in adjusted):
         return True
     if not adjusted:
         return False

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.calibrate.entry import curve_of_forms
 from rim_camera_ros.calibrate.exploration import Exploration, explore
 from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import added, in_order
 from rim_camera_ros.diagnose.formula import closed_form
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN, pair_terms
@@ -27,6 +27,8 @@ from rim_camera_ros.diagnose.unknown import (
     with_table,
 )
 from rim_camera_ros.diagnose.where import Where, of_residuals, of_terms, of_values
+from rim_camera_ros.effects import CovariateTable
+from rim_camera_ros.effects.base import effect_of
 
 Array = NDArray[Any]
 
@@ -59,7 +61,7 @@ def best_rest(result: Result, samples: Mapping[str, Array], seed: int) -> Rest |
         gain, k = best
         threshold = float(final.thresholds[k])
         covariates: tuple[str, ...] = (final.candidates[k].variant,)
-        camera = final.candidates[k].build(final.fit.camera, final.scores.values(final.spans[k]))
+        camera = in_order(final.candidates[k].build(final.fit.camera, final.scores.values(final.spans[k])))
         pairs = pair_terms(dict(samples), smooth_pairs(final))
         if pairs and gain > 2 * least:
             step = explore(
@@ -77,7 +79,9 @@ def best_rest(result: Result, samples: Mapping[str, Array], seed: int) -> Rest |
             if two is not None and two[0] > 1.1 * gain + threshold:
                 gain, k = two
                 covariates = tuple(step.candidates[k].variant.split(","))
-                camera = step.candidates[k].build(step.fit.camera, step.scores.values(step.spans[k]))
+                camera = in_order(
+                    step.candidates[k].build(step.fit.camera, step.scores.values(step.spans[k]))
+                )
         over = gain
         for j in range(baseline.named, len(baseline.candidates)):
             if baseline.candidates[j].variant == covariates[0]:
@@ -131,14 +135,14 @@ class Described:
 def describe(unknown: Rest, baseline: Exploration, result: Result, seed: int) -> Described:
     """Fit the table in place of the named effects and describe it."""
     start = baseline.fit.camera
-    table = unknown.camera.effects.get("empirical")
+    table = effect_of(unknown.camera, CovariateTable)
     model = start
     where = of_residuals(baseline.fit)
     fitted = baseline.fit
-    modelled = table is not None and "empirical" not in start.effects
+    modelled = table is not None and effect_of(start, CovariateTable) is None
     if modelled:
         model, fitted = _refit_table(unknown, baseline, result, seed)
-        where = of_terms(fitted, ["empirical"], start)
+        where = of_terms(fitted, [CovariateTable.name], start)
     elif unknown.fine is not None:
         # slopes that differ from pixel to pixel are no table of two covariates, but have a place and a size
         fine = unknown.fine
@@ -195,7 +199,7 @@ def _refit_table(unknown: Rest, baseline: Exploration, result: Result, seed: int
     """Estimate the table jointly with the baseline, without the effects that had stood in for it."""
     from rim_camera_ros.diagnose.smooth import Axis, smooth_candidate
 
-    table: Any = unknown.camera.effects["empirical"]
+    table: Any = unknown.camera.effects[CovariateTable.name]
     start = baseline.fit.camera
     if len(table.covariates) == 2 and len(table.knots[0]) > 40:
         # fine structure: its own shrinkage is better than the adjustment's
@@ -216,7 +220,7 @@ def _refit_table(unknown: Rest, baseline: Exploration, result: Result, seed: int
         seed=seed,
         replicates=0,
     )
-    model = candidate.build(step.fit.camera, step.scores.values(step.spans[0]))
+    model = in_order(candidate.build(step.fit.camera, step.scores.values(step.spans[0])))
     final = explore(
         replace(result.problem, geometry=(), reflectance=False, response=None),
         model,

@@ -11,7 +11,8 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.adjusted import Adjusted
 from rim_camera_ros.diagnose.formula import closed_form, formula_curve
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
-from rim_camera_ros.effects.empirical import Empirical
+from rim_camera_ros.effects import CovariateTable
+from rim_camera_ros.effects.base import effect_of
 
 #: Points of a closed form that it is restated from.
 _POINTS = 32
@@ -46,8 +47,8 @@ def restated(one: Missing, small: Camera, full: Camera, step: int) -> Missing:
 
 def _formula(one: Missing, small: Camera, full: Camera) -> str | None:
     """Return a closed form restated for a covariate in pixels of the whole sensor, over its table's knots."""
-    table, finer = (camera.effects.get("empirical") for camera in (small, full))
-    if one.formula is None or not isinstance(table, Empirical) or not isinstance(finer, Empirical):
+    table, finer = (effect_of(camera, CovariateTable) for camera in (small, full))
+    if one.formula is None or not isinstance(table, CovariateTable) or not isinstance(finer, CovariateTable):
         return one.formula
     name = one.formula.rpartition("x = ")[2]
     if name not in table.covariates:

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.blocks import gain_block, present_blocks
-from rim_camera_ros.calibrate.coarser import BY_POSITION
 from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.normal_equations import accumulate
@@ -59,7 +58,7 @@ def told_apart(
     pairs = list(permutations(range(len(chosen)), 2))
     fitted = step.fit.camera
     camera = with_effects(
-        fitted, {name: one for name, one in fitted.effects.items() if name not in BY_POSITION}
+        fitted, {name: one for name, one in fitted.effects.items() if not one.stated_by_pixels}
     )
     blocks = [*present_blocks(camera), gain_block(), *(one.block for one in chosen)]
     proposals = []

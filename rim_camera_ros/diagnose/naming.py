@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.library import OF_SURFACES
-from rim_camera_ros.calibrate.light_curves import PREFIX, SURFACES, LightCurves
 from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.camera import Camera
@@ -20,10 +18,9 @@ from rim_camera_ros.diagnose.codes import MissingCodes
 from rim_camera_ros.diagnose.menu import Proposal
 from rim_camera_ros.diagnose.result import Missing, Ranked
 from rim_camera_ros.diagnose.smooth import UNKNOWN
-from rim_camera_ros.diagnose.where import OF_AMPLITUDE
-from rim_camera_ros.effects import registry
-from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
-from rim_camera_ros.effects.base import Effect
+from rim_camera_ros.effects import OF_SURFACES, SECTIONS, registry, vocabulary
+from rim_camera_ros.effects.base import Effect, ResponseEffect
+from rim_camera_ros.effects.light_curves import PREFIX, SURFACES, LightCurves
 from rim_camera_ros.info.text import several
 
 Array = NDArray[Any]
@@ -32,13 +29,6 @@ Array = NDArray[Any]
 _DARK_TO_BRIGHT = (0.05, 0.5, 0.95)
 #: Relative ripple of the amplitude that is said.
 _VISIBLE_RIPPLE = 0.005
-_GEOMETRY_SENTENCE = {
-    "radiometry": "radiometry: surfaces do not reflect as Lambert says; amplitudes depend otherwise on "
-    "the angle "
-    "of incidence than the scene's simulation",
-    "camera_constant": "camera constant: focal length or principal point differ from the camera file's",
-    "lens_distortion": "lens distortion: the rays bend other than the camera file's distortion says",
-}
 
 
 def missing_effect(
@@ -62,11 +52,11 @@ def missing_effect(
                 probability,
                 {path.removeprefix(PREFIX): value for path, (value, _, _) in own.items()},
                 {path.removeprefix(PREFIX): (low, high) for path, (_, low, high) in own.items()},
-                f"{_GEOMETRY_SENTENCE[name]}: {curves.sentence()}",
+                f"{SECTIONS[name].missing}: {curves.sentence()}",
             )
         prefix = "optics."
         own = {path.removeprefix(prefix): v for path, v in intervals.items() if path.startswith(prefix)}
-        sentence = _GEOMETRY_SENTENCE[name]
+        sentence = SECTIONS[name].missing
         values = {
             path.removeprefix(prefix): v
             for path, v in camera_numbers(camera).items()
@@ -81,7 +71,7 @@ def missing_effect(
             for path, v in camera_numbers(camera).items()
             if path.startswith(prefix)
         }
-    size = None if name in OF_AMPLITUDE else _size(fitted, name, origin)
+    size = None if vocabulary()[name].shows_in == "amplitude" else _size(fitted, name, origin)
     if size is not None:
         sentence += f"; it moves distances by up to {size * 1e3:.3g} mm in this recording (99 % of them less)"
     return Missing(
@@ -97,7 +87,7 @@ def missing_effect(
 def _response_sentence(effect: Effect, fitted: Fit) -> str | None:
     """Return what is published of dark, middling and bright light, in counts, if the response is a curve."""
     curves = fitted.forward.light_curves
-    if not isinstance(effect, AmplitudeNonlinearity) or curves is None or not curves.responds:
+    if not isinstance(effect, ResponseEffect) or curves is None or not curves.responds:
         return None
     values = [one.amplitude[one.count > 0] for one in fitted.forward.dataset.stations]
     published = np.quantile(np.concatenate(values), _DARK_TO_BRIGHT)
@@ -179,7 +169,7 @@ def unseen_effects(step: Exploration) -> list[str]:
         seen[name] = max(seen.get(name, 0.0), step.scores.information(step.spans[k]))
     absent = set(registry()) - set(step.fit.camera.effects) - set(seen)
     hidden = {name for name, info in seen.items() if info < 1.0}
-    silent = {"integral_table", "empirical", "reference_path", "fixed_pattern_offset"}
+    silent = {name for name, one in registry().items() if one.stated_by_pixels or one.estimated == "pixels"}
     return sorted((absent | hidden) - silent)
 
 

@@ -5,20 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence, Set
 from dataclasses import replace
 
-from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.camera_file import added, with_effects
 from rim_camera_ros.diagnose.adjusted import Adjusted
 from rim_camera_ros.diagnose.described import Rest
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.diagnose.variance import Variance
-from rim_camera_ros.effects.background_light import BackgroundLight
+from rim_camera_ros.effects import CovariateTable, UnmodulatedLight, vocabulary
+from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.effects.sections import NoiseSection
 
+_NOISE = NoiseSection.name
 #: What may be named by repeated frames alone, though no distance moves.
-OF_NOISE = frozenset({"noise", "background_light"})
+OF_NOISE = frozenset(name for name, one in vocabulary().items() if one.shows_in == "noise")
 #: Relative deviation of the variance below which it may be due to light that no named physics predicts.
 _OF_UNKNOWN_LIGHT = 0.2
 #: Covariates that the light of a surface goes with.
@@ -47,7 +49,7 @@ def with_variance(
     """
     if verdict == "inconsistent_setup":
         return verdict, missing, model
-    possible = variance.background > 0 and "background_light" not in model.effects
+    possible = variance.background > 0 and effect_of(model, UnmodulatedLight) is None
     # what it adds to the distance goes with the light that a surface reflects of it
     of_light = {one.effect for one in missing} <= {UNKNOWN} and all(
         set(one.covariates) <= _OF_LIGHT for one in missing
@@ -56,7 +58,7 @@ def with_variance(
     if variance.noise_is_wrong and not (unknown_light and not (possible and of_light)):
         after = variance.noise
         if possible:
-            ties.append(["background_light", "noise"])
+            ties.append([UnmodulatedLight.name, _NOISE])
         if possible and shifted:
             level = variance.background
             sentence = (
@@ -64,11 +66,11 @@ def with_variance(
                 f"variance of "
                 f"repeated frames is {variance.ratio:.2f} times the model's, most where it is dark"
             )
-            named = Missing("background_light", 1.0, {"level": level}, {}, sentence)
-            model = added(model, BackgroundLight(level=level))
+            named = Missing(UnmodulatedLight.name, 1.0, {"level": level}, {}, sentence)
+            model = added(model, UnmodulatedLight(level=level))
             if of_light:
                 missing, verdict = [], "missing_physics"
-                table = {"empirical"} - known
+                table = {CovariateTable.name} - known
                 model = with_effects(model, {n: e for n, e in model.effects.items() if n not in table})
         else:
             shot = f", {after.shot:.3g} m*sqrt(counts)" if after.shot else ""
@@ -78,7 +80,7 @@ def with_variance(
                 "amplitude"
             )
             numbers = {"floor": after.floor, "shot": after.shot, "amplitude": after.amplitude}
-            named = Missing("noise", 1.0, numbers, {}, sentence)
+            named = Missing(_NOISE, 1.0, numbers, {}, sentence)
             model = replace(model, noise=after)
         missing = [*missing, named]
         if verdict != "unknown_physics":
@@ -96,7 +98,7 @@ def beside_unknown(
     noise = camera.noise
     before = {"floor": noise.floor, "shot": noise.shot, "amplitude": noise.amplitude}
     others = [one for one in missing if one.effect != UNKNOWN]
-    adjusted = [Adjusted("noise", before, one.parameters) for one in others if one.effect == "noise"]
+    adjusted = [Adjusted(_NOISE, before, one.parameters) for one in others if one.effect == _NOISE]
     notes = [f"beside it, and in camera.yaml: {one.sentence}" for one in others]
     return [one for one in missing if one.effect == UNKNOWN], adjusted, notes
 
@@ -108,11 +110,13 @@ def only_background(result: Result, rest: Rest | None, variance: Variance, camer
     distance is nearly such a function itself: dark is what is far.
     """
     found = bool(result.found) and variance.noise_is_wrong and variance.background > 0
-    if not found or "background_light" in camera.effects:
+    if not found or effect_of(camera, UnmodulatedLight) is not None:
         return False
     named = result.gained
     gain = named + (0.0 if rest is None else rest.on_top)
-    scale = [one.effect for one in result.found] == ["distance_scale"]
+    # alone, and of the distance alone
+    alone = [result.camera.effects.get(one.effect) for one in result.found]
+    scale = len(alone) == 1 and alone[0] is not None and alone[0].scales_distance
     most = _by_light(result.explorations[0]) * (_AS_SCALE if scale else 1.0)
     return gain < _SHIFT_OF_BACKGROUND * _cost(result, variance) or most > named
 
@@ -122,7 +126,7 @@ def only_rectified_noise(result: Result, variance: Variance) -> bool:
 
     The mean length of a noisy phasor is above the phasor's (Rice 1944), most where it is dark.
     """
-    alone = {one.effect for one in result.found} == {"amplitude_nonlinearity"}
+    alone = bool(result.found) and all(vocabulary()[one.effect].is_response for one in result.found)
     too_noisy = variance.noise_is_wrong and variance.ratio > 1
     return alone and too_noisy and result.gained < _SHIFT_OF_BACKGROUND * _cost(result, variance)
 

@@ -14,6 +14,7 @@ from rim_camera_ros.camera_file import save_camera
 from rim_camera_ros.diagnose.files import MODEL, REPORT, WHERE
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
+from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.parameters import encode
 from rim_camera_ros.yaml_files import write_whole
 
@@ -94,7 +95,7 @@ def _parameters(one: Missing, result: Diagnosis) -> Any:
     """Return the parameters as in the camera file."""
     if one.effect == UNKNOWN and not one.modelled:
         return {}
-    effect = result.camera.effects.get("empirical" if one.effect == UNKNOWN else one.effect)
+    effect = result.camera.effects.get(CovariateTable.name if one.effect == UNKNOWN else one.effect)
     return encode(effect) if effect is not None else _nested(one.parameters)
 
 

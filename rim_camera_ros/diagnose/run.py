@@ -7,12 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from rim_camera_ros.calibrate.candidate import Facts
-from rim_camera_ros.calibrate.checks import WITHOUT_POSES
 from rim_camera_ros.calibrate.coarser import coarseness, coarser_camera, coarser_dataset
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.library import OF_SURFACES
 from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.search import MOST_EFFECTS, search
@@ -39,6 +36,9 @@ from rim_camera_ros.diagnose.smooth import axes_of, single_terms
 from rim_camera_ros.diagnose.variance import Variance, examine_variance, moving
 from rim_camera_ros.diagnose.verdict import Findings, verdict_of
 from rim_camera_ros.diagnose.where import of_residuals
+from rim_camera_ros.effects import OF_SURFACES, CovariateTable, without_poses
+from rim_camera_ros.effects.base import response_of
+from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.scene import Scene
 
@@ -59,8 +59,8 @@ _OF_FEW_POSES = (
     "more at different distances"
 )
 _SATURATED_ELSEWHERE = (
-    "pixels are saturated: what that does to their rows and columns (saturation_bleed) is looked for on "
-    "sensors of up to 60,000 pixels only"
+    "pixels are saturated: what that does to their rows and columns is looked for on sensors of up to "
+    "60,000 pixels only"
 )
 _BESIDE_A_SECOND_CAMERA = "a second camera shines in: nothing else can be told; record with it switched off"
 
@@ -135,7 +135,7 @@ def _diagnose(
     alone = variance.pixels_vary_together
     one_pose = dataset.poses < 2
     most = 0 if alone or (one_pose and len(dataset.stations) < 2) else MOST_EFFECTS
-    effects = sorted(WITHOUT_POSES) if one_pose else None
+    effects = without_poses() if one_pose else None
     if one_pose:
         dataset = replace(dataset, notes=[*dataset.notes, _ONE_POSE])
         smooth = []
@@ -166,7 +166,7 @@ def _diagnose(
         dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
     say("looking for what no named effect explains")
     unknown = None if alone or one_pose else best_rest(result, samples, seed)
-    responds = "amplitude_nonlinearity" in final.fit.camera.effects.keys() - camera.effects.keys()
+    responds = response_of(final.fit.camera) is not None and response_of(camera) is None
     variance = examine_variance(final.fit.forward)
     if responds and variance.noise_is_wrong:
         scaled = examine_variance(final.fit.forward, free_scale=True)
@@ -193,7 +193,7 @@ def _diagnose(
     setup = check_setup(
         final.fit if described is None else described.fit,
         explained=explained,
-        physics=[one.effect for one in result.found] if described is None else ["empirical"],
+        physics=[one.effect for one in result.found] if described is None else [CovariateTable.name],
         before=baseline.fit,
     )
     reason = setup.reason

@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import stdtrit
 
-from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.stations import KEPT_FRAMES, Station
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import added
 from rim_camera_ros.diagnose.adjusted import Adjusted
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.variance import Variance
-from rim_camera_ros.effects.interference import Interference
+from rim_camera_ros.effects import ForeignLight
 from rim_camera_ros.phasor import selectivity_envelope
 
 Array = NDArray[Any]
 
-NAME = "interference"
+NAME = ForeignLight.name
 _FREQUENCIES = 24
 #: Nats by which a frequency must describe the integration times better than none.
 _LEAST_GAIN = 3.0
@@ -47,7 +47,7 @@ class SecondCamera:
     them is None).
     """
 
-    effect: Interference
+    effect: ForeignLight
     missing: Missing | None
     adjusted: Adjusted | None
     notes: tuple[str, ...]
@@ -66,9 +66,9 @@ def second_camera(fitted: Fit, camera: Camera, variance: Variance) -> SecondCame
         return None
     light = Light.of(stations, camera)
     own = stations[0].settings.modulation_frequency or camera.sensor.modulation_frequency
-    before = known if isinstance(known, Interference) else None
+    before = known if isinstance(known, ForeignLight) else None
     difference = light.difference() if before is None else before.frequency - own
-    effect = Interference(
+    effect = ForeignLight(
         before.frequency if before is not None else own + difference, light.amplitude(difference)
     )
     interval = light.interval(effect.amplitude, difference)
@@ -98,12 +98,12 @@ def with_second_camera(
 
 
 def _missing(
-    effect: Interference, interval: tuple[float, float] | None, variance: Variance, fitted: Fit
+    effect: ForeignLight, interval: tuple[float, float] | None, variance: Variance, fitted: Fit
 ) -> Missing:
     scatter = _scatter(effect, fitted)
     known = "" if interval is None else f" ({interval[0]:.3g} to {interval[1]:.3g})"
     sentence = (
-        "interference: all pixels vary together from frame to frame, "
+        f"{NAME}: all pixels vary together from frame to frame, "
         f"{variance.common or 0:,.0f} times as much as independent noise would: a second camera adds "
         f"{effect.amplitude:.3g} counts{known} of a phase that changes from frame to frame; distances of "
         f"single frames scatter by up to {scatter * 1e3:.3g} mm by it (99 % of them less)"
@@ -185,7 +185,7 @@ def _window(one: Station, camera: Camera) -> float:
     return 0.0 if own is None else camera.sensor.exposure_seconds(own)
 
 
-def _scatter(effect: Interference, fitted: Fit) -> float:
+def _scatter(effect: ForeignLight, fitted: Fit) -> float:
     """Return the standard deviation of single distances [m] that 99 % of the values stay below."""
     spread = [
         effect.scatter(one.amplitude[one.used], one.context)

@@ -13,6 +13,7 @@ from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.calibrate.sizes import change_by
+from rim_camera_ros.effects import registry
 
 Array = NDArray[Any]
 
@@ -120,7 +121,9 @@ def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:
         moved = _moved(one, physics)[one.used]
         acting = np.abs(moved) > _ACTS
         # a few saturated pixels may act on every row, though not in other poses
-        bleeding = "saturation_bleed" in physics and bool((station.saturated > 0).any())
+        bleeding = any(registry()[name].from_saturated for name in physics if name in registry()) and bool(
+            (station.saturated > 0).any()
+        )
         few = bleeding or acting.mean() < _FEW_PIXELS
         sums = found.setdefault(
             (station.recording, station.pose),

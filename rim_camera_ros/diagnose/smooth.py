@@ -1,6 +1,6 @@
 """Smooth functions of covariates: what an unknown effect looks like, and a table that serves in its place.
 
-A smooth term is the `empirical` effect with unknown values at its knots, so that its fitted coefficients are
+A smooth term is a table over covariates with unknown values at its knots, so that its fitted coefficients are
 that effect's table.
 """
 
@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.blocks import TERM_SIZE, Block, Regressor
-from rim_camera_ros.calibrate.candidate import Candidate, Coefficients, added
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import added
+from rim_camera_ros.effects import CovariateTable
+from rim_camera_ros.effects.candidate import TERM_SIZE, Block, Candidate, Coefficients, Regressor
 from rim_camera_ros.effects.covariates import SCALAR, covariate
-from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.parameters import NestedList
 
 Array = NDArray[Any]
@@ -139,7 +139,9 @@ def smooth_candidate(axes: Sequence[Axis]) -> Candidate:
         table = table - table.mean()
         return added(
             camera,
-            Empirical(covariates=names, knots=tuple(one.knots for one in axes), values=NestedList(table)),
+            CovariateTable(
+                covariates=names, knots=tuple(one.knots for one in axes), values=NestedList(table)
+            ),
         )
 
     return Candidate(UNKNOWN, label, Block(regressors, columns), build)

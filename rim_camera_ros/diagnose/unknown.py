@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import added
 from rim_camera_ros.diagnose.smooth import values_of
+from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.effects.covariates import SCALAR
-from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.parameters import NestedList
 
 Array = NDArray[Any]
@@ -158,7 +158,7 @@ def fine_image(structure: FineStructure, one: Any) -> Array:
     return np.asarray((structure.slopes[index] * feature).reshape(shape))
 
 
-def fine_table(structure: FineStructure) -> Empirical | None:
+def fine_table(structure: FineStructure) -> CovariateTable | None:
     """Return the structure as a table over its two covariates; None for slopes per pixel."""
     if structure.group == "pixel":
         return None
@@ -166,7 +166,7 @@ def fine_table(structure: FineStructure) -> Empirical | None:
     feature = np.linspace(low, high, 9)
     knots = np.exp(feature) if structure.feature == "amplitude" else feature
     values = structure.slopes[:, None] * ((feature - structure.centre) / structure.spread)[None, :]
-    return Empirical(
+    return CovariateTable(
         covariates=(structure.group, structure.feature),
         knots=(tuple(float(i) for i in range(len(structure.slopes))), tuple(knots.tolist())),
         values=NestedList(values),
@@ -187,6 +187,6 @@ def smooth_pairs(step: Exploration, most: int = 5) -> list[tuple[str, str]]:
     return pairs
 
 
-def with_table(camera: Camera, table: Empirical) -> Camera:
-    """Return the camera with an `empirical` effect; one that it has already is kept and this one left out."""
+def with_table(camera: Camera, table: CovariateTable) -> Camera:
+    """Return the camera with a table over covariates; one that it has already is kept instead."""
     return camera if table.name in camera.effects else added(camera, table)

@@ -14,7 +14,8 @@ from rim_camera_ros.calibrate.common_variation import Movement, together
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.stations import KEPT_FRAMES
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.interference import Interference
+from rim_camera_ros.effects import ForeignLight
+from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.noise import Noise
 
 Array = NDArray[Any]
@@ -114,8 +115,7 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
     amplitude, measured, model, freedom = [], [], [], []
     common, shares, floors = [], [], []
     moves: list[Movement] = []
-    second = camera.effects.get("interference")
-    assert second is None or isinstance(second, Interference)
+    second = effect_of(camera, ForeignLight)
     for one in forward.predictions(slopes=False):
         station = one.station
         pixels = one.amplitude_used & (station.count == station.frames)

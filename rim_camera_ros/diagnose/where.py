@@ -20,16 +20,12 @@ from rim_camera_ros.calibrate.sizes import SAME_SIZE, contribution, moved_by_lig
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.between_surfaces import measured_between
 from rim_camera_ros.diagnose.smooth import values_of
+from rim_camera_ros.effects import CovariateTable, ForeignLight, vocabulary
 from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.effects.covariates import COVARIATES
-from rim_camera_ros.effects.interference import Interference
 
 Array = NDArray[Any]
 
-#: Effects that change the amplitude and the distance only by way of it.
-OF_AMPLITUDE = frozenset({"emission_pattern", "amplitude_nonlinearity", "radiometry"})
-#: Of these, what acts before the distance is measured.
-_ON_LIGHT = OF_AMPLITUDE - {"amplitude_nonlinearity"}
 _LEAST_SHARE = 0.03
 _MOST_COVARIATES = 4
 _MOST_STRETCHES = 8
@@ -62,7 +58,7 @@ def of_terms(
     """Locate the contribution of effects of the fitted camera; ``origin`` has the geometry before.
 
     Effects on the amplitude count by the distances that move with it, where the camera's do, else by the
-    amplitude itself; mixed pixels by what pixels measure between surfaces. ``rest`` is what the effects do
+    amplitude itself; those at edges by what pixels measure between surfaces. ``rest`` is what the effects do
     beyond their forms: changes (H, W) of the distance in m.
     """
     moves = any(
@@ -75,13 +71,15 @@ def of_terms(
         shape = one.used.shape
         distance, light = np.zeros(shape), np.zeros(shape)
         for name in names:
-            if moves and name in _ON_LIGHT:
+            physics = vocabulary()[name]
+            of_amplitude = physics.shows_in == "amplitude"
+            if moves and of_amplitude and not physics.is_response:
                 distance = distance + moved_by_light(one, name)
                 continue
             moved = contribution(one, name, origin)
-            if name == "mixed_pixels":
+            if physics.at_edges:
                 moved = measured_between(one, moved, fitted.pattern, fitted.nuisances)
-            if name in OF_AMPLITUDE:
+            if of_amplitude:
                 # noise is circular in the complex plane: so much of the amplitude is worth that many metres
                 light = light + moved / SAME_SIZE * one.context.ambiguity / (2 * np.pi)
             else:
@@ -92,7 +90,7 @@ def of_terms(
             return np.asarray(distance)
         return np.copysign(np.hypot(distance, light), distance if distance.any() else light)
 
-    return _locate(fitted, value, centred=list(names) == ["empirical"])
+    return _locate(fitted, value, centred=list(names) == [CovariateTable.name])
 
 
 def of_values(fitted: Fit, value: Callable[[Prediction], Array]) -> Where:
@@ -110,7 +108,7 @@ def of_noise(fitted: Fit, before: Camera, after: Camera) -> Where:
     return _locate(fitted, value)
 
 
-def of_scatter(fitted: Fit, effect: Interference) -> Where:
+def of_scatter(fitted: Fit, effect: ForeignLight) -> Where:
     """Locate a second camera: by its effect, in the pixels times what repeated frames show of that.
 
     Its light need not be the same in all pixels: the variance beyond the noise model's, over what the effect

@@ -13,14 +13,8 @@ from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset
 from rim_camera_ros.effects.background_light import BackgroundLight
-from rim_camera_ros.effects.base import (
-    ComplexEffect,
-    Context,
-    DistanceTerm,
-    Effect,
-    Signal,
-)
-from rim_camera_ros.effects.cyclic_error import CyclicError
+from rim_camera_ros.effects.base import ComplexEffect, Context, DistanceTerm, Effect, Signal
+from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.effects.emitter_offset import EmitterOffset
@@ -33,9 +27,16 @@ from rim_camera_ros.effects.interference import Interference
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.motion import Motion
 from rim_camera_ros.effects.multipath import Multipath
-from rim_camera_ros.effects.reference_path import ReferencePath
+from rim_camera_ros.effects.physics import Physics
+from rim_camera_ros.effects.reference_path import (
+    ReferencePath,
+    ReferenceScale,
+    estimate_reference_scale,
+    mean_reading,
+)
 from rim_camera_ros.effects.saturation_bleed import SaturationBleed
 from rim_camera_ros.effects.scattering import Scattering
+from rim_camera_ros.effects.sections import OF_SURFACES, OPTICS, SECTIONS
 from rim_camera_ros.effects.warm_up_drift import WarmUpDrift
 
 #: Emission, scene, optics (on the complex image); demodulation, electronics, drift (terms that add up);
@@ -64,14 +65,6 @@ ORDER: tuple[type[Effect], ...] = (
     AmplitudeNonlinearity,
 )
 
-#: Names of the vocabulary that have no parameters under ``effects``: section of the camera file by name.
-SECTIONS = {
-    "lens_distortion": "optics",
-    "camera_constant": "optics",
-    "noise": "noise",
-    "radiometry": "radiometry",
-}
-
 
 @cache
 def registry() -> dict[str, type[Effect]]:
@@ -89,13 +82,55 @@ def registry() -> dict[str, type[Effect]]:
     return found
 
 
+def vocabulary() -> dict[str, type[Physics]]:
+    """Return all names that a diagnosis speaks of: the effects, then sections that are none."""
+    return {**registry(), **SECTIONS}
+
+
+def without_poses() -> list[str]:
+    """Return the effects that change with time or setting, and so can be told from one pose, by name."""
+    return sorted(name for name, one in registry().items() if one.from_one_pose)
+
+
+#: Roles that a fit, a correction or a report needs an effect for, whatever it is called: an offset per pixel,
+#: which is a nuisance of every fit; a smooth function of covariates, which stands for unknown physics; errors
+#: by position instead of physics; unmodulated light; light of a second camera; a reading of an internal path;
+#: sinusoids of the phase; light that is spread, and another way out, which a correction undoes fast.
+PixelMap = FixedPatternOffset
+CovariateTable = Empirical
+PositionTable = IntegralTable
+UnmodulatedLight = BackgroundLight
+ForeignLight = Interference
+InternalReference = ReferencePath
+HarmonicError = CyclicError
+StrayLight = Scattering
+EmitterPath = EmitterOffset
+
 __all__ = [
+    "OF_SURFACES",
+    "OPTICS",
     "ORDER",
     "SECTIONS",
     "ComplexEffect",
     "Context",
+    "CovariateTable",
     "DistanceTerm",
     "Effect",
+    "EmitterPath",
+    "ForeignLight",
+    "Harmonic",
+    "HarmonicError",
+    "InternalReference",
+    "Physics",
+    "PixelMap",
+    "PositionTable",
+    "ReferenceScale",
     "Signal",
+    "StrayLight",
+    "UnmodulatedLight",
+    "estimate_reference_scale",
+    "mean_reading",
     "registry",
+    "vocabulary",
+    "without_poses",
 ]

@@ -8,6 +8,8 @@ import numpy as np
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import Column, Context, DistanceTerm, Image, Signal
+from rim_camera_ros.effects.candidate import Candidate, Facts, linear
+from rim_camera_ros.effects.graph import POINTS, Graph, Line
 from rim_camera_ros.frame import NANOSECONDS
 from rim_camera_ros.parameters import quantity
 
@@ -37,6 +39,14 @@ class AmbientTemperature(DistanceTerm):
     )
     refuted_by = "a drift without correlation to the temperature at any lag"
     remembers = True
+    follows_frames = True
+    lacking = "the recordings state no ambient temperature, or a constant one"
+    in_time = True
+    from_one_pose = True
+    everywhere = True
+    drifts = True
+    drawn_over = ("time",)
+    shapes = frozenset({"time_constant"})
 
     coefficient: float = quantity("m/degC", "longer when warmer", typical=0.005)
     reference: float = quantity("degC", "temperature without effect", default=20.0, typical=5.0)
@@ -90,6 +100,33 @@ class AmbientTemperature(DistanceTerm):
             f"ambient temperature: {self.coefficient * 1e3:+.2g} mm per degree "
             f"from {self.reference:g} degC{lag}"
         )
+
+    def own_covariates(self) -> frozenset[str]:
+        return frozenset({"settings", "ambient_temperature", "temperature"})
+
+    def priors(self) -> dict[str, float]:
+        return {"coefficient": 0.005, "time_constant": max(0.5 * self.time_constant, 30.0)}
+
+    @classmethod
+    def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
+        if facts.ambient is None or facts.ambient[1] - facts.ambient[0] < 0.5:
+            return []
+        middle = round(sum(facts.ambient) / 2, 1)
+        return [
+            linear(cls(0.0, middle, lag), {"coefficient": 0.005}, f"{lag:g} s")
+            for lag in (0.0, 60.0, 150.0, 300.0, 600.0, 1200.0, 2400.0)
+        ]
+
+    def graph(self, camera: Camera) -> Graph:
+        x = np.linspace(0.0, max(5 * self.time_constant, 60.0), POINTS)
+
+        def value(one: AmbientTemperature) -> Image:
+            if one.time_constant <= 0:
+                return np.full_like(x, 1e3 * one.coefficient)
+            return np.asarray(1e3 * one.coefficient * (1 - np.exp(-x / one.time_constant)))
+
+        line = Line(x / 60, value)
+        return Graph("ambient temperature, after a step of 1 °C", "time [min]", "error [mm]", (line,))
 
     @classmethod
     def example(cls, camera: Camera) -> AmbientTemperature:

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Column, Context, Effect, Image, Signal
+from rim_camera_ros.effects.base import Column, Context, Image, ResponseEffect, Signal
+from rim_camera_ros.effects.candidate import Candidate, Facts, linear
 from rim_camera_ros.parameters import quantity
 
 
 @dataclass(frozen=True)
-class AmplitudeNonlinearity(Effect):
+class AmplitudeNonlinearity(ResponseEffect):
     """The published amplitude is A / (1 + compression * A). Distances are not touched."""
 
     name = "amplitude_nonlinearity"
     title = "compressed amplitude response"
     observable = "one target at several integration times or distances, bright to dark"
     refuted_by = "amplitudes in proportion to integration time over distance^2 up to saturation"
+
+    drawn_over = ("amplitude",)
 
     compression: float = quantity("1/counts", "0: linear", minimum=0.0, typical=1e-5)
 
@@ -33,11 +36,10 @@ class AmplitudeNonlinearity(Effect):
         with np.errstate(divide="ignore"):
             return np.where(rest > 0, published / np.where(rest > 0, rest, 1.0), np.inf)
 
-    def simulate(self, signal: Signal, context: Context) -> Signal:
-        return replace(signal, published=self.compressed(signal.amplitude))
-
-    def correct(self, signal: Signal, context: Context) -> Signal:
-        return replace(signal, amplitude=self.expanded(signal.published_amplitude), published=None)
+    def slope(self, amplitude: Image) -> Image:
+        """Return the derivative of the published amplitude by the amplitude."""
+        result: Image = 1.0 / (1 + self.compression * amplitude) ** 2
+        return result
 
     def columns(self, signal: Signal, context: Context) -> dict[str, Column]:
         compressed = self.compressed(signal.amplitude)
@@ -47,6 +49,10 @@ class AmplitudeNonlinearity(Effect):
         light = 10000.0
         published = light / (1 + self.compression * light)
         return f"amplitude response: {light:.0f} counts of light are published as {published:.0f}"
+
+    @classmethod
+    def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
+        return [linear(cls(0.0), {"compression": 0.1 / max(facts.amplitude, 1.0)})]
 
     @classmethod
     def example(cls, camera: Camera) -> AmplitudeNonlinearity:

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import (
-    Column,
-    Context,
-    Dependency,
-    DistanceTerm,
-    Image,
-    Signal,
-    combine_rows,
-    need_rows,
-    row_name,
-    row_weights,
+from rim_camera_ros.effects.base import Column, Context, Dependency, DistanceTerm, Image, Signal
+from rim_camera_ros.effects.candidate import (
+    TERM_SIZE,
+    Candidate,
+    Coefficients,
+    Facts,
+    effect_block,
+    with_effect,
 )
+from rim_camera_ros.effects.graph import Graph, Line, amplitudes_of, millimetres
+from rim_camera_ros.effects.rows import combine_rows, need_rows, row_name, row_weights
 from rim_camera_ros.parameters import quantity
 
 
@@ -40,6 +39,9 @@ class AmplitudeOffset(DistanceTerm):
     title = "amplitude-dependent distance"
     observable = "patches of different reflectivity side by side on one plane (a grey wedge)"
     refuted_by = "dark and bright patches of one plane at the same distance"
+
+    drawn_over = ("amplitude",)
+    everywhere = True
 
     hyperbola: Mapping[float, Hyperbola] = quantity("-", "by integration time")
 
@@ -88,7 +90,74 @@ class AmplitudeOffset(DistanceTerm):
         where = "near" if near else "far"
         return f"amplitude-dependent distance: dark surfaces are measured too {where}, by " + ", ".join(parts)
 
+    def rows(self) -> frozenset[float]:
+        return frozenset(self.hyperbola)
+
+    def priors(self) -> dict[str, float]:
+        result = {}
+        for key, one in self.hyperbola.items():
+            result[f"hyperbola.{row_name(key)}.a"] = max(abs(one.a), 1e-3)
+            result[f"hyperbola.{row_name(key)}.b"] = max(abs(one.b), 0.02 * abs(one.a))
+        return result
+
+    @classmethod
+    def reach(cls, path: str, start: float) -> tuple[float, float]:
+        limit = 10 * abs(start) + 5.0
+        return (-limit, limit) if path.endswith(".b") else (-np.inf, np.inf)
+
+    def greatest(self, darkest: Sequence[tuple[float, float]]) -> dict[str, float]:
+        """The pole of each row must lie below the amplitudes in use."""
+        lowest: dict[float, float] = {}
+        for t, level in darkest:
+            key = min(self.hyperbola, key=lambda row: abs(row - t))
+            lowest[key] = min(lowest.get(key, np.inf), level)
+        return {
+            f"hyperbola.{row_name(key)}.b": max(0.9 * level, self.hyperbola[key].b, -self.hyperbola[key].b)
+            for key, level in lowest.items()
+        }
+
+    @classmethod
+    def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
+        """A / (A - b) ~ a / A + a b / A^2, per integration time."""
+        return [_variant(facts, curved=curved) for curved in (False, True)]
+
+    def graph(self, camera: Camera) -> Graph:
+        x = amplitudes_of(camera)
+        lines = []
+        for key, one in self.hyperbola.items():
+            lit = x[x > one.b + 1]
+            value = millimetres(camera, np.ones_like(lit), lit, integration_time=key)
+            lines.append(Line(lit, value, f"setting {row_name(key)}"))
+        return Graph("amplitude", "amplitude [counts]", "error [mm]", tuple(lines), log=True)
+
     @classmethod
     def example(cls, camera: Camera) -> AmplitudeOffset:
         rows = {16.0: Hyperbola(85.71, 0.995), 60.0: Hyperbola(237.0, 15.71), 100.0: Hyperbola(383.3, 4.036)}
         return cls(hyperbola=MappingProxyType(rows))
+
+
+def _variant(facts: Facts, *, curved: bool) -> Candidate:
+    base = AmplitudeOffset(
+        hyperbola=MappingProxyType({t: Hyperbola(1.0, 0.0) for t in facts.integration_times})
+    )
+    size = TERM_SIZE * max(facts.amplitude, 1.0)
+    priors: dict[str, float] = {}
+    for t in facts.integration_times:
+        priors[f"hyperbola.{row_name(t)}.a"] = size
+        if curved:
+            priors[f"hyperbola.{row_name(t)}.b"] = size * 0.2 * facts.amplitude
+    variant = "a,b" if curved else "a"
+    block = effect_block(base, priors, label=f"@{variant}")
+    labels = dict(zip(priors, (one.label for one in block.regressors), strict=True))
+
+    def build(camera: Camera, values: Coefficients) -> Camera:
+        rows = {}
+        lowest = max(camera.sensor.amplitude_threshold, 0.02 * facts.amplitude)
+        for t in facts.integration_times:
+            a = values[labels[f"hyperbola.{row_name(t)}.a"]]
+            square = values[labels[f"hyperbola.{row_name(t)}.b"]] if curved else 0.0
+            b = float(np.clip(square / a, -0.5 * lowest, 0.5 * lowest)) if abs(a) > 1e-9 else 0.0
+            rows[t] = Hyperbola(float(a), b)
+        return with_effect(camera, AmplitudeOffset(hyperbola=MappingProxyType(rows)))
+
+    return Candidate(AmplitudeOffset.name, variant, block, build)

@@ -25,6 +25,12 @@ class BackgroundLight(DistanceTerm):
     observable = "the same scene with the lamps on and off"
     refuted_by = "noise that stays when the room is darkened"
 
+    shows_in = "noise"
+    estimated = "elsewhere"
+    estimated_elsewhere = "shows in the noise only"
+    constant_in_setting = True
+    drawn_over = ("amplitude",)
+
     level: float = quantity("counts", "unmodulated light", minimum=0.0, typical=1000.0)
     offset: float = quantity("m", "distance offset", default=0.0, typical=0.005)
 
@@ -40,6 +46,10 @@ class BackgroundLight(DistanceTerm):
             f"background light: {self.level:.3g} counts of unmodulated light add photon noise and shift "
             f"distances by {self.offset * 1e3:.2g} mm"
         )
+
+    @property
+    def unmodulated_light(self) -> float:
+        return self.level
 
     @classmethod
     def example(cls, camera: Camera) -> BackgroundLight:

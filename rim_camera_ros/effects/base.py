@@ -7,22 +7,28 @@ at *that* distance and amplitude, and the terms add up to the measured distance.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.physics import Physics
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.footprint import Cells, FootprintLight
 from rim_camera_ros.frame import Settings
-from rim_camera_ros.parameters import flatten
+from rim_camera_ros.parameters import flatten, with_values
 from rim_camera_ros.phasor import nearest_period, phase_distance, to_phasor, wrap
 from rim_camera_ros.scene import Geometry
+
+if TYPE_CHECKING:
+    from rim_camera_ros.effects.candidate import Candidate
+    from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn
+    from rim_camera_ros.effects.graph import Graph
 
 Image = NDArray[Any]
 #: What a term may depend on; terms of one kind are folded into tables by the correction.
@@ -66,7 +72,8 @@ class Context:
     ``footprint(cells)`` (the light around the centres of the pixels) only in simulation; ``moving`` says
     whether the camera moves meanwhile; ``incidence`` [rad] (H, W) is true in simulation, estimated in
     correction; ``saturated`` (H, W) marks saturated pixels; ``time`` [s] counts from the first frame;
-    ``memory`` is kept from frame to frame; ``notes`` collects what the user should be told.
+    ``memory`` is kept from frame to frame; what is kept there holds for light that changed by the share
+    ``light_tolerance``; ``notes`` collects what the user should be told.
     """
 
     camera: Camera
@@ -81,6 +88,7 @@ class Context:
     moving: bool = False
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
     memory: dict[str, Any] = field(default_factory=dict)
+    light_tolerance: float = 1e-9
     notes: set[str] = field(default_factory=set)
 
     @property
@@ -108,20 +116,42 @@ Column = tuple[Image | float, Image | float]
 
 
 @dataclass(frozen=True)
-class Effect(ABC):
-    """Base of all effects; a subclass is the effect's parameters and its behaviour."""
+class Effect(Physics):
+    """Base of all effects; a subclass is the effect's parameters, its behaviour, and what is known of it."""
 
-    name: ClassVar[str]
-    #: one line: what it is, for people
-    title: ClassVar[str]
-    #: what a recording must contain for the parameters to be observable
-    observable: ClassVar[str]
-    #: the signature that would refute it
-    refuted_by: ClassVar[str]
     #: how well one frame suffices to undo it
     undo: ClassVar[Undo] = "exact"
     #: whether it keeps something in the context's memory, for which frames must come in their order
     remembers: ClassVar[bool] = False
+    #: whether its correction depends on the frames before
+    follows_frames: ClassVar[bool] = False
+    #: whether what it keeps there holds for a geometry, whichever frame it is of
+    remembers_geometry: ClassVar[bool] = False
+    #: whether it has a mean in the pixels of the scene that can be predicted
+    predictable: ClassVar[bool] = True
+    #: whether the light that it delivers stays as it is while the scene does
+    steady: ClassVar[bool] = False
+    #: whether it brings light from one pixel to others
+    spreads: ClassVar[bool] = False
+    #: whether it settles after power-on
+    settles: ClassVar[bool] = False
+    #: whether it is one number as long as the setting is the same
+    constant_in_setting: ClassVar[bool] = False
+    #: whether saturated pixels make it
+    from_saturated: ClassVar[bool] = False
+    #: whether it is in proportion to the distance
+    scales_distance: ClassVar[bool] = False
+    #: whether its form may do otherwise than it says; a free function could do what another effect does
+    has_discrepancy: ClassVar[bool] = True
+    #: whether the columns of its discrepancy are determined also where the data are that it acts on most
+    discrepancy_is_determined: ClassVar[bool] = True
+    #: whether it is a drift that an internal reference measures as well
+    drifts: ClassVar[bool] = False
+    #: names of parameters in pixels, and per pixel
+    in_pixels: ClassVar[frozenset[str]] = frozenset()
+    per_pixel: ClassVar[frozenset[str]] = frozenset()
+    #: names of parameters that are widths or lags
+    shapes: ClassVar[frozenset[str]] = frozenset()
 
     @abstractmethod
     def simulate(self, signal: Signal, context: Context) -> Signal:
@@ -142,7 +172,7 @@ class Effect(ABC):
     def sentence(self) -> str:
         """Return in words, with numbers, what the effect does."""
 
-    def check(self, camera: Camera) -> None:  # noqa: B027 -- most have nothing to check
+    def check(self, camera: Camera) -> None:
         """Raise ValueError where the parameters do not fit the camera (shapes, regions)."""
 
     @classmethod
@@ -155,8 +185,109 @@ class Effect(ABC):
         return {path: (low, high) for path, (low, high, _) in self._metadata().items()}
 
     def priors(self) -> dict[str, float]:
-        """Return the size that is common for each parameter (1-sigma of a weak prior)."""
+        """Return the free parameters by dotted path with the 1-sigma of a weak prior about their values.
+
+        As wide as the value itself, or as such effects commonly are.
+        """
         return {path: size for path, (_, _, size) in self._metadata().items() if size is not None}
+
+    @classmethod
+    def reach(cls, path: str, start: float) -> tuple[float, float]:
+        """Return how far a fit may move a parameter at a dotted path that starts at a value.
+
+        Widths and lags within a factor of five: readings are far from linear in them.
+        """
+        if cls.is_shape(path):
+            return 0.2 * abs(start), 5.0 * abs(start) + 1e-9
+        return -np.inf, np.inf
+
+    @classmethod
+    def is_shape(cls, path: str) -> bool:
+        """Return whether the parameter at a dotted path is a width or a lag."""
+        return not cls.shapes.isdisjoint(path.split("."))
+
+    def greatest(self, darkest: Sequence[tuple[float, float]]) -> dict[str, float]:
+        """Return the greatest values by dotted path that amplitudes in use allow, where they allow not all.
+
+        ``darkest`` are the integration time and the least amplitude [counts] of each station.
+        """
+        return {}
+
+    @classmethod
+    def longest_step(cls, path: str, shape: tuple[int, int]) -> float:
+        """Return how far a parameter, by dotted path, may go in one step of a fit; ``shape`` (H, W)."""
+        return np.inf
+
+    def own_covariates(self) -> frozenset[str]:
+        """Return the covariates that it is a function of; none where it acts on the light."""
+        return frozenset()
+
+    def rows(self) -> frozenset[float]:
+        """Return the integration times that it has rows of parameters for."""
+        return frozenset()
+
+    @property
+    def unmodulated_light(self) -> float:
+        """Counts of unmodulated light that it adds, which add noise only."""
+        return 0.0
+
+    def rate(self, uptime: float) -> float:
+        """Return the drift in metres per second at an uptime in seconds."""
+        return 0.0
+
+    @property
+    def limit(self) -> str | None:
+        """The name of another effect, which this one is in the limit that its parameters have reached."""
+        return None
+
+    def lean(self) -> Effect:
+        """Return the effect without parts that do nothing, itself where it has none."""
+        return self
+
+    @classmethod
+    def resampled_number(cls, path: str, value: float, factor: float) -> float:
+        """Return a parameter, by dotted path, for ``factor`` times as many pixels along each axis."""
+        names = set(path.split("."))
+        if names & cls.per_pixel:
+            return value / factor
+        return value * factor if names & cls.in_pixels else value
+
+    def resampled(self, factor: float, step: int | None) -> Self:
+        """Return the effect for ``factor`` times as many pixels along each axis, within its bounds.
+
+        With a ``step``, every such pixel is picked, from pixel ``step // 2`` on.
+        """
+        bounds = self.bounds()
+        numbers = {
+            path: float(np.clip(self.resampled_number(path, value, factor), *bounds[path]))
+            for path, value in flatten(self).items()
+            if not (self.in_pixels | self.per_pixel).isdisjoint(path.split("."))
+        }
+        return with_values(self, numbers) if numbers else self
+
+    @classmethod
+    def edge_candidates(cls, *, at_first_sight: bool = False) -> list[Candidate]:
+        """Return the variants that show in the very pixels that an edge crosses alone.
+
+        ``at_first_sight`` there may be fewer, and sampled more coarsely.
+        """
+        return []
+
+    def discrepancy(self, change: Change) -> Iterator[DiscrepancyColumn]:
+        """Yield what its form may do otherwise: derivatives of distance [m] and amplitude [counts] (H, W).
+
+        Smooth factors on what it does (Kennedy and O'Hagan 2001).
+        """
+        for factor in (None, *change.factors):
+            if factor is not None:
+                yield change.distance * factor, None
+            if change.amplitude is not None:
+                nothing = np.zeros(change.distance.shape)
+                yield nothing, change.amplitude if factor is None else change.amplitude * factor
+
+    def graph(self, camera: Camera) -> Graph | None:
+        """Return it as a curve over what it depends on, for reports; None where it is no curve."""
+        return None
 
     def _metadata(self) -> dict[str, tuple[float, float, float | None]]:
         return _metadata_of(self, "", (-np.inf, np.inf, None))
@@ -191,6 +322,8 @@ def _metadata_of(
 class DistanceTerm(Effect):
     """An effect that adds metres to the measured distance."""
 
+    has_discrepancy = False
+
     @abstractmethod
     def term(self, distance: Image, amplitude: Image, context: Context) -> Image | float:
         """Return the term in metres at the distance and amplitude that the optics deliver.
@@ -201,6 +334,31 @@ class DistanceTerm(Effect):
     def depends_on(self) -> frozenset[Dependency]:
         """Return what the term depends on; never less than what it does."""
         return frozenset({"settings"})
+
+    #: whether its dependence on the pixel is a phase alone: it has `phase_shift` and `shifted`
+    has_phase: ClassVar[bool] = False
+
+    def distance_knots(self) -> tuple[float, ...]:
+        """Return the knots of distance [m] between which it is linear, empty where it is not."""
+        return ()
+
+    def line_terms(self, saturated: NDArray[np.bool_]) -> tuple[Image, Image] | None:
+        """Return what is added to all pixels of rows (H,) and of columns (W,) [m], if it acts by such lines.
+
+        Saturated pixels themselves have no distance.
+        """
+        return None
+
+    def own_covariates(self) -> frozenset[str]:
+        return frozenset(self.depends_on())
+
+    def graph(self, camera: Camera) -> Graph | None:
+        """Return the term over distance or over amplitude where it depends on one of them alone."""
+        from rim_camera_ros.effects.graph import over_amplitude, over_distance
+
+        if self.depends_on() == {"distance"}:
+            return over_distance(self, camera)
+        return over_amplitude(self, camera) if self.depends_on() == {"amplitude"} else None
 
     def simulate(self, signal: Signal, context: Context) -> Signal:
         term = self.term(signal.distance, signal.amplitude, context)
@@ -270,6 +428,43 @@ class ComplexEffect(Effect):
         }
 
 
+@dataclass(frozen=True)
+class ResponseEffect(Effect):
+    """How the electronics publish the amplitude; distances are not touched. A camera has one at most."""
+
+    shows_in = "amplitude"
+    is_response = True
+    has_discrepancy = False
+
+    @abstractmethod
+    def compressed(self, amplitude: Image) -> Image:
+        """Return the published amplitude in counts."""
+
+    @abstractmethod
+    def expanded(self, published: Image) -> Image:
+        """Return the amplitude in counts of a published one; infinite where none is so bright."""
+
+    @abstractmethod
+    def slope(self, amplitude: Image) -> Image:
+        """Return the derivative of the published amplitude by the amplitude."""
+
+    def simulate(self, signal: Signal, context: Context) -> Signal:
+        return replace(signal, published=self.compressed(signal.amplitude))
+
+    def correct(self, signal: Signal, context: Context) -> Signal:
+        return replace(signal, amplitude=self.expanded(signal.published_amplitude), published=None)
+
+
+def effect_of[E: Effect](camera: Camera, kind: type[E]) -> E | None:
+    """Return the camera's effect of a kind, None where it has none."""
+    return next((one for one in camera.effects.values() if isinstance(one, kind)), None)
+
+
+def response_of(camera: Camera) -> ResponseEffect | None:
+    """Return the camera's effect that is its amplitude response, None where it publishes light as it is."""
+    return next((one for one in camera.effects.values() if isinstance(one, ResponseEffect)), None)
+
+
 def from_phasor(phasor: Image, signal: Signal, context: Context) -> Signal:
     """Return the signal of a complex image; the distance in the period nearest the one before."""
     distance = phase_distance(phasor, context.ambiguity)
@@ -283,61 +478,6 @@ def phasor_derivative(phasor: Image, change: Image, ambiguity: float) -> Column:
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.where(phasor == 0, 0, change / phasor)
     return relative.imag * (ambiguity / (2 * np.pi)), relative.real * np.abs(phasor)
-
-
-# --- rows per integration time ------------------------------------------------------------------
-
-
-def row_weights(
-    rows: Mapping[float, Any], integration_time: Callable[[], float]
-) -> list[tuple[float, float]]:
-    """Return (key, weight) of the rows that hold at an integration time.
-
-    An exact key is used; between two keys the terms in metres are interpolated linearly; outside them
-    the nearest row is used; a single row serves every setting (and needs no integration time).
-    """
-    keys = sorted(rows)
-    if len(keys) == 1:
-        return [(keys[0], 1.0)]
-    t = integration_time()
-    if t <= keys[0]:
-        return [(keys[0], 1.0)]
-    if t >= keys[-1]:
-        return [(keys[-1], 1.0)]
-    upper = next(i for i, key in enumerate(keys) if key >= t)
-    if keys[upper] == t:
-        return [(t, 1.0)]
-    share = (t - keys[upper - 1]) / (keys[upper] - keys[upper - 1])
-    return [(keys[upper - 1], 1.0 - share), (keys[upper], share)]
-
-
-def outside_rows(rows: Mapping[float, Any], integration_time: float | None) -> bool:
-    """Return whether an integration time lies outside the rows (flag 8), never for a single row."""
-    if len(rows) == 1 or integration_time is None:
-        return False
-    return not min(rows) <= integration_time <= max(rows)
-
-
-def combine_rows(
-    rows: Mapping[float, Any], context: Context, term: Callable[[Any], Image | float]
-) -> Image | float:
-    """Return the interpolated term in metres of the rows that hold at the frame's integration time."""
-    weights = row_weights(rows, lambda: context.integration_time)
-    total: Image | float = 0.0
-    for key, weight in weights:
-        total = total + weight * term(rows[key])
-    return total
-
-
-def row_name(key: float) -> str:
-    """Return a row's key as it stands in a dotted path."""
-    return str(int(key)) if key == int(key) else str(key)
-
-
-def need_rows(rows: Mapping[float, Any], name: str) -> None:
-    """Raise ValueError for an empty group of rows."""
-    if not rows:
-        raise ValueError(f"{name} is empty: give one row, by integration time")
 
 
 def require_geometry(context: Context, name: str) -> Geometry:

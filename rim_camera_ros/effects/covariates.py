@@ -43,6 +43,26 @@ COVARIATES = {
 SCALAR = frozenset({"time", "uptime", "temperature", "ambient_temperature", "integration_time"})
 
 
+#: Covariates that a pixel has whatever its neighbours and its place on the grid.
+POINTWISE = frozenset(COVARIATES) - {
+    "row", "column", "row_amplitude", "column_amplitude", "contrast", "edge", "saturation"
+}  # fmt: skip
+
+#: Angle from the optical axis [rad]: no covariate of a term; reports draw over it what depends on it alone.
+AXIS = "axis_angle"
+
+
+def resampled_knots(factor: float, name: str, knots: tuple[float, ...]) -> tuple[float, ...]:
+    """Return knots over a covariate for ``factor`` times as many pixels along each axis."""
+    if name in ("row", "column"):
+        # the coarser grid has every step-th pixel, from pixel step // 2 on
+        first = round(max(factor, 1 / factor)) // 2
+        return tuple(one * factor + first if factor > 1 else (one - first) * factor for one in knots)
+    if name in ("edge", "saturation"):
+        return tuple(one * factor for one in knots)
+    return knots
+
+
 def covariate(name: str, distance: Image, amplitude: Image, context: Context) -> Image | float | None:
     """Return a covariate of one frame, shape (H, W) or scalar; None where it is not known.
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import Column, Context, Dependency, DistanceTerm, Image, Signal
+from rim_camera_ros.effects.candidate import Candidate, Coefficients, Facts, effect_block, with_effect
+from rim_camera_ros.effects.discrepancy import DIRECTIONS, Change, DiscrepancyColumn
+from rim_camera_ros.effects.graph import Graph, over_distance
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.phasor import cosine_and_sine
 
@@ -35,6 +39,11 @@ class CyclicError(DistanceTerm):
     observable = "distances over at least half the ambiguity range, at steps well below L / 16"
     refuted_by = "residuals over distance without a period of L / 4 or L / 8"
 
+    drawn_over = ("distance",)
+    has_discrepancy = True
+    has_phase = True
+    per_pixel = frozenset({"gradient"})
+
     harmonics: tuple[Harmonic, ...] = quantity("-", "sinusoids", most=16)
     gradient: tuple[float, float] = quantity(
         "rad/px", "phase per column, per row", default=(0.0, 0.0), typical=0.003
@@ -56,6 +65,10 @@ class CyclicError(DistanceTerm):
             return 0.0
         optics = context.camera.optics
         return self.gradient[0] * (context.column - optics.cx) + self.gradient[1] * (context.row - optics.cy)
+
+    def shifted(self, phase: float) -> CyclicError:
+        """Return the same with a phase [rad] added to every harmonic and none that changes over the array."""
+        return CyclicError(harmonics=tuple(replace(h, phase=h.phase + phase) for h in self.harmonics))
 
     def _angles(self, distance: Image, context: Context) -> list[Image]:
         shift = self.phase_shift(context)
@@ -91,6 +104,54 @@ class CyclicError(DistanceTerm):
             + " over the ambiguity range"
         )
 
+    def priors(self) -> dict[str, float]:
+        result: dict[str, float] = {}
+        for i, harmonic in enumerate(self.harmonics):
+            result[f"harmonics.{i}.amplitude"] = max(abs(harmonic.amplitude), 0.005)
+            result[f"harmonics.{i}.phase"] = 1.0
+        return result | {"gradient.0": 0.005, "gradient.1": 0.005}
+
+    @classmethod
+    def longest_step(cls, path: str, shape: tuple[int, int]) -> float:
+        """The phase changes by a radian from rim to rim at most."""
+        return {"gradient.0": 1.0 / shape[1], "gradient.1": 1.0 / shape[0]}.get(path, np.inf)
+
+    @classmethod
+    def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
+        return [_variant(orders) for orders in ((4,), (4, 8), (4, 8, 12), (8,), (2,), (1,))]
+
+    def discrepancy(self, change: Change) -> Iterator[DiscrepancyColumn]:
+        """Phase and size may change over the array otherwise than in proportion to the pixel."""
+        columns = change.reading.columns(self)
+        waves = [column for path, (column, _) in columns.items() if path.endswith(".phase")]
+        for wave in (change.distance, *waves):
+            for factor in change.factors[:DIRECTIONS]:
+                yield wave * factor, None
+
+    def graph(self, camera: Camera) -> Graph:
+        return replace(over_distance(self, camera), title="cyclic error")
+
     @classmethod
     def example(cls, camera: Camera) -> CyclicError:
         return cls(harmonics=(Harmonic(4, 0.017, -1.3), Harmonic(8, 0.0025, 0.6)), gradient=(0.0021, -0.0013))
+
+
+def _variant(orders: tuple[int, ...]) -> Candidate:
+    """Sine and cosine of each order, in which a sinusoid is linear."""
+    base = CyclicError(harmonics=tuple(Harmonic(order, 1.0, 0.0) for order in orders))
+    priors: dict[str, float] = {}
+    for i in range(len(orders)):
+        priors |= {f"harmonics.{i}.amplitude": 0.02, f"harmonics.{i}.phase": 0.02}
+    variant = "+".join(str(order) for order in orders)
+    block = effect_block(base, priors, label=f"@{variant}")
+    names = [one.label for one in block.regressors]
+
+    def build(camera: Camera, values: Coefficients) -> Camera:
+        harmonics = []
+        for i, order in enumerate(orders):
+            sine, cosine = values[names[2 * i]], values[names[2 * i + 1]]
+            size, phase = float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine))
+            harmonics.append(Harmonic(order, max(size, 1e-5), phase))
+        return with_effect(camera, CyclicError(harmonics=tuple(harmonics)))
+
+    return Candidate(CyclicError.name, variant, block, build)

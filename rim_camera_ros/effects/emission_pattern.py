@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import ComplexEffect, Context, Image
+from rim_camera_ros.effects.candidate import Candidate, Facts, linear
+from rim_camera_ros.effects.covariates import AXIS
+from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn, functions_of_direction
+from rim_camera_ros.effects.graph import POINTS, Graph, Line
 from rim_camera_ros.parameters import quantity
 
 
@@ -24,6 +29,10 @@ class EmissionPattern(ComplexEffect):
     title = "LED lobe and vignetting"
     observable = "a surface of known reflectivity that fills the image, or one seen at many places of it"
     refuted_by = "amplitude over distance^2 of one patch that stays the same wherever in the image it is"
+
+    steady = True
+    shows_in = "amplitude"
+    drawn_over = (AXIS,)
 
     falloff: tuple[float, float] = quantity("rad^-2, rad^-4", "f1, f2", typical=2.0)
 
@@ -53,6 +62,24 @@ class EmissionPattern(ComplexEffect):
             f"emission pattern: {share:.0%} of the light on the axis is emitted 22.5 degrees (25 gon) "
             f"beside it; amplitudes there are {abs(1 - share):.0%} {'lower' if share <= 1 else 'higher'}"
         )
+
+    @classmethod
+    def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
+        return [linear(cls(falloff=(0.0, 0.0)), {"falloff.0": 2.0, "falloff.1": 4.0})]
+
+    def discrepancy(self, change: Change) -> Iterator[DiscrepancyColumn]:
+        yield from super().discrepancy(change)
+        for bright in functions_of_direction(change.distance.shape):
+            yield change.reading.light_change(self.name, bright + 0j)
+
+    def graph(self, camera: Camera) -> Graph:
+        x = np.linspace(0.0, float(np.arccos(np.nanmin(camera.rays[..., 2]))), POINTS)
+
+        def value(one: EmissionPattern) -> Image:
+            return 100.0 * np.asarray(1 + one.falloff[0] * x**2 + one.falloff[1] * x**4)
+
+        line = Line(np.degrees(x), value)
+        return Graph("emission pattern", "angle from the axis [deg]", "power [%]", (line,))
 
     @classmethod
     def example(cls, camera: Camera) -> EmissionPattern:

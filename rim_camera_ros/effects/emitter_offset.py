@@ -8,6 +8,7 @@ import numpy as np
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import Column, Context, Effect, Image, Signal
+from rim_camera_ros.effects.candidate import Candidate, Facts, linear
 from rim_camera_ros.parameters import quantity
 
 
@@ -22,6 +23,9 @@ class EmitterOffset(Effect):
     title = "emitter beside the lens"
     observable = "near surfaces (below 1 m) at several distances and directions"
     refuted_by = "a distance error that does not decrease with distance as 1 / d beyond its constant part"
+
+    steady = True
+    discrepancy_is_determined = False
 
     position: tuple[float, float, float] = quantity("m", "e in the optical frame", typical=0.03)
 
@@ -64,6 +68,11 @@ class EmitterOffset(Effect):
                 by_amplitude = -2 * signal.amplitude * length**2 / out**3 * by_out
             result[f"position.{i}"] = (by_out / 2, np.where(np.isfinite(by_amplitude), by_amplitude, 0.0))
         return result
+
+    @classmethod
+    def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
+        base = cls(position=(0.0, 0.0, 0.0))
+        return [linear(base, {"position.0": 0.05, "position.1": 0.05, "position.2": 0.05})]
 
     def sentence(self) -> str:
         beside = float(np.linalg.norm(self.position)) * 1e3

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Self
 
 import numpy as np
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import Context, Dependency, DistanceTerm, Image
-from rim_camera_ros.effects.covariates import COVARIATES, SCALAR, covariate
+from rim_camera_ros.effects.covariates import COVARIATES, SCALAR, covariate, resampled_knots
+from rim_camera_ros.effects.graph import Graph, Line
 from rim_camera_ros.effects.tables import check_knots, interpolate
 from rim_camera_ros.errors import nearest_name
 from rim_camera_ros.parameters import NestedList, quantity
@@ -33,6 +36,9 @@ class Empirical(DistanceTerm):
     title = "smooth function of covariates"
     observable = "recordings in which its covariates vary while the rest is known"
     refuted_by = "residuals that do not depend on its covariates"
+
+    estimated = "covariates"
+    stated_by_pixels = True
 
     covariates: tuple[str, ...] = quantity("-", "one or two names")
     knots: tuple[tuple[float, ...], ...] = quantity("unit of the covariate", "one increasing list each")
@@ -74,9 +80,27 @@ class Empirical(DistanceTerm):
             coordinates.append(value)
         return interpolate(self.knots, self.values.values, coordinates)
 
+    def distance_knots(self) -> tuple[float, ...]:
+        return self.knots[self.covariates.index("distance")] if "distance" in self.covariates else ()
+
     def sentence(self) -> str:
         spread = float(np.ptp(self.values.values)) * 1e3
         return f"empirical: a smooth function of {' and '.join(self.covariates)} that spans {spread:.1f} mm"
+
+    def resampled(self, factor: float, step: int | None) -> Self:
+        return replace(self, knots=tuple(map(partial(resampled_knots, factor), self.covariates, self.knots)))
+
+    def graph(self, camera: Camera) -> Graph | None:
+        if len(self.covariates) != 1:
+            return None
+        name = self.covariates[0]
+
+        def value(one: Empirical) -> Image:
+            return np.asarray(one.values.values) * 1e3
+
+        line = Line(np.asarray(self.knots[0]), value)
+        title = f"smooth function of {name}"
+        return Graph(title, name, "error [mm]", (line,), log=name == "amplitude", banded=False)
 
     @classmethod
     def example(cls, camera: Camera) -> Empirical:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -19,6 +20,9 @@ class FixedPatternOffset(DistanceTerm):
     title = "offset per pixel"
     observable = "a wall or board at known poses that covers every pixel several times"
     refuted_by = "a residual map that changes from pose to pose"
+
+    estimated = "pixels"
+    needs_all_pixels = True
 
     map: ArrayFile = quantity("m", "float32 (height, width) .npy beside the camera file")
 
@@ -38,6 +42,12 @@ class FixedPatternOffset(DistanceTerm):
     def sentence(self) -> str:
         rms, mean = float(np.std(self.map.values)) * 1e3, float(np.mean(self.map.values)) * 1e3
         return f"fixed pattern: every pixel has an offset of its own, {rms:.1f} mm RMS around {mean:+.1f} mm"
+
+    def resampled(self, factor: float, step: int | None) -> Self:
+        if step is None:
+            return self
+        picked = self.map.values[step // 2 :: step, step // 2 :: step]
+        return replace(self, map=ArrayFile(self.map.file, np.ascontiguousarray(picked)))
 
     @classmethod
     def example(cls, camera: Camera) -> FixedPatternOffset:

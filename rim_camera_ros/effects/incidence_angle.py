@@ -4,39 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import (
-    Column,
-    Context,
-    Dependency,
-    DistanceTerm,
-    Image,
-    Signal,
-    Undo,
-    combine_rows,
-    need_rows,
-    row_name,
-    row_weights,
-)
+from rim_camera_ros.effects.base import Column, Context, Dependency, Image, Signal, Undo
+from rim_camera_ros.effects.candidate import TERM_SIZE, Candidate, Facts, linear
+from rim_camera_ros.effects.graph import POINTS, Graph, Line
+from rim_camera_ros.effects.incidence import IncidenceTerm, incidence_gon
+from rim_camera_ros.effects.rows import combine_rows, need_rows, row_name, row_weights
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.parameters import quantity
+
+#: Angle [gon] at which the polynomial's prior has the size of a term.
+_STEEP = 60.0
 
 Quartic = tuple[float, float, float, float]
 
 
-def incidence_gon(angle: Image) -> Image:
-    """Return min(|angle|, 90 gon) in gon for an angle in rad (400 gon = 360 degrees)."""
-    result: Image = np.minimum(np.abs(angle) * (200.0 / np.pi), 90.0)
-    return result
-
-
 @dataclass(frozen=True)
-class IncidenceAngle(DistanceTerm):
+class IncidenceAngle(IncidenceTerm):
     """The measured distance is *shorter* by a1 x^4 + a2 x^3 + a3 x^2 + a4 x, x in gon.
 
     x is the absolute angle between ray and normal (the thesis prints x without saying so; the
@@ -48,6 +38,8 @@ class IncidenceAngle(DistanceTerm):
     observable = "planes of different tilt and of different reflectivity (else the amplitude term cancels it)"
     refuted_by = "a tilted uniform plane that is as flat as one seen perpendicularly after the amplitude term"
     undo: ClassVar[Undo] = "planes"
+
+    drawn_over = ("incidence",)
 
     polynomial: Mapping[float, Quartic] = quantity(
         "m/gon^4, m/gon^3, m/gon^2, m/gon", "a1 a2 a3 a4 by integration time"
@@ -89,6 +81,37 @@ class IncidenceAngle(DistanceTerm):
             )
         where = "far" if far else "near"
         return f"angle of incidence: oblique surfaces are measured too {where}, by " + ", ".join(parts)
+
+    def rows(self) -> frozenset[float]:
+        return frozenset(self.polynomial)
+
+    def priors(self) -> dict[str, float]:
+        return {
+            f"polynomial.{row_name(key)}.{i}": TERM_SIZE / _STEEP ** (4 - i)
+            for key in self.polynomial
+            for i in range(4)
+        }
+
+    @classmethod
+    def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
+        none = (0.0, 0.0, 0.0, 0.0)
+        base = cls(polynomial=MappingProxyType(dict.fromkeys(facts.integration_times, none)))
+        return [linear(base, base.priors())]
+
+    def graph(self, camera: Camera) -> Graph:
+        """The term over the angle in degrees."""
+        degrees = np.linspace(0.0, 72.0, POINTS)
+
+        def value(one: IncidenceAngle, key: float) -> Image:
+            # the polynomial is of gon
+            return -1e3 * np.asarray(
+                sum(c * (degrees / 0.9) ** (4 - i) for i, c in enumerate(one.polynomial[key]))
+            )
+
+        lines = tuple(
+            Line(degrees, partial(value, key=key), f"setting {row_name(key)}") for key in self.polynomial
+        )
+        return Graph("angle of incidence", "angle [deg]", "error [mm]", lines)
 
     @classmethod
     def example(cls, camera: Camera) -> IncidenceAngle:

@@ -24,6 +24,10 @@ class IntegralTable(DistanceTerm):
     observable = "a board at known poses throughout the volume"
     refuted_by = "residuals at one place that differ between surfaces"
 
+    estimated = "positions"
+    needs_all_pixels = True
+    stated_by_pixels = True
+
     knots: tuple[tuple[float, ...], ...] = quantity("px, px, m", "columns u, rows v, distances d")
     values: ArrayFile = quantity("m", ".npy of shape (knots of u, v, d)")
 
@@ -36,6 +40,9 @@ class IntegralTable(DistanceTerm):
     def term(self, distance: Image, amplitude: Image, context: Context) -> Image | float:
         values = self.values.values.astype(np.float64)
         return interpolate(self.knots, values, (context.column, context.row, distance))
+
+    def distance_knots(self) -> tuple[float, ...]:
+        return self.knots[2]
 
     def sentence(self) -> str:
         size = np.sqrt(np.mean(self.values.values**2))

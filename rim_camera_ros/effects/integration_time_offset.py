@@ -9,17 +9,10 @@ from types import MappingProxyType
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import (
-    Column,
-    Context,
-    DistanceTerm,
-    Image,
-    Signal,
-    combine_rows,
-    need_rows,
-    row_name,
-    row_weights,
-)
+from rim_camera_ros.effects.base import Column, Context, DistanceTerm, Image, Signal
+from rim_camera_ros.effects.candidate import Candidate, Facts, linear
+from rim_camera_ros.effects.graph import Graph, Line
+from rim_camera_ros.effects.rows import combine_rows, need_rows, row_name, row_weights
 from rim_camera_ros.parameters import quantity
 
 
@@ -31,6 +24,12 @@ class IntegrationTimeOffset(DistanceTerm):
     title = "offset per integration time"
     observable = "the same scene at each integration time"
     refuted_by = "means of a fixed scene that do not depend on the setting, after the amplitude term"
+
+    from_one_pose = True
+    everywhere = True
+    lacking = "the recordings have one integration time"
+    constant_in_setting = True
+    drawn_over = ("integration_time",)
 
     offset: Mapping[float, float] = quantity("m", "by integration time", typical=0.05)
 
@@ -48,6 +47,25 @@ class IntegrationTimeOffset(DistanceTerm):
     def sentence(self) -> str:
         parts = [f"{value * 1e3:+.1f} mm at {row_name(key)}" for key, value in sorted(self.offset.items())]
         return "integration time: distances are offset by " + ", ".join(parts)
+
+    def rows(self) -> frozenset[float]:
+        return frozenset(self.offset)
+
+    @classmethod
+    def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
+        if len(facts.integration_times) < 2:
+            return []
+        base = cls(offset=MappingProxyType(dict.fromkeys(facts.integration_times, 0.0)))
+        return [linear(base, base.priors())]
+
+    def graph(self, camera: Camera) -> Graph:
+        x = np.array(sorted(self.offset))
+
+        def value(one: IntegrationTimeOffset) -> Image:
+            return np.array([one.offset[float(key)] for key in x]) * 1e3
+
+        line = Line(x, value, points=True)
+        return Graph("integration time", "integration time", "error [mm]", (line,))
 
     @classmethod
     def example(cls, camera: Camera) -> IntegrationTimeOffset:

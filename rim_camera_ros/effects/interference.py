@@ -23,6 +23,14 @@ class Interference(ComplexEffect):
     refuted_by = "noise that is independent between pixels"
     undo: ClassVar[Undo] = "none"
 
+    shows_in = "frames"
+    estimated = "elsewhere"
+    estimated_elsewhere = (
+        "changes from frame to frame, so that means do not show it: switch the second camera off"
+    )
+    predictable = False
+    shows_on_a_wall = False
+
     frequency: float = quantity("Hz", "modulation frequency of the other camera", above=0.0)
     amplitude: float = quantity(
         "counts", "its amplitude in each pixel, unsuppressed", minimum=0.0, typical=100.0

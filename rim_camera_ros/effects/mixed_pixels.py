@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -9,12 +10,27 @@ import numpy as np
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import ComplexEffect, Context, Image, Undo
+from rim_camera_ros.effects.candidate import (
+    Block,
+    Candidate,
+    Coefficients,
+    Column,
+    Facts,
+    Reading,
+    Regressor,
+    has_many_pixels,
+    with_effect,
+)
+from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn, spread_out
 from rim_camera_ros.errors import InputError
-from rim_camera_ros.footprint import FINE, FootprintLight
+from rim_camera_ros.footprint import COARSE, FINE, Cells, FootprintLight
 from rim_camera_ros.parameters import quantity
+from rim_camera_ros.phasor import to_phasor
 
 #: Below this sigma in pixels a sampled Gaussian is one pixel, to the last digit.
 _POINT = 0.02
+#: Share of its light that a pixel gathers from its footprint at least, where a fit begins.
+_LEAST_SHARE = 0.001
 
 
 @dataclass(frozen=True)
@@ -32,6 +48,14 @@ class MixedPixels(ComplexEffect):
     observable = "a distance step in view, at several places relative to the pixels"
     refuted_by = "edges at which no pixel lies between the two surfaces"
     undo: ClassVar[Undo] = "none"
+
+    steady = True
+    spreads = True
+    at_edges = True
+    needs_all_pixels = True
+    discrepancy_is_determined = False
+    shapes = frozenset({"blur"})
+    in_pixels = frozenset({"blur", "footprint"})
 
     blur: float = quantity("px", "sigma of the Gaussian", minimum=0.0, maximum=20.0, typical=0.5)
     footprint: float | None = quantity(
@@ -122,6 +146,26 @@ class MixedPixels(ComplexEffect):
             "pixels at edges measure a distance between the two surfaces"
         )
 
+    def priors(self) -> dict[str, float]:
+        if self.footprint is not None and self.blur == 0.0:
+            return {"footprint": 0.3} if self.share is None else {"footprint": 0.3, "share": 0.3}
+        return super().priors()
+
+    @classmethod
+    def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
+        few, all_ = (0.5, 1.0), (0.25, 0.35, 0.5, 0.65, 0.8, 1.0, 1.3, 1.7)
+        return [_blurred(blur) for blur in (few if has_many_pixels(camera) else all_)]
+
+    @classmethod
+    def edge_candidates(cls, *, at_first_sight: bool = False) -> list[Candidate]:
+        """Variants where sharp optics let edges cross some pixels and miss others."""
+        sides = (0.3, 0.6) if at_first_sight else (0.3, 0.6, 1.0)
+        return [_gathered(side, COARSE if at_first_sight else FINE) for side in sides]
+
+    def discrepancy(self, change: Change) -> Iterator[DiscrepancyColumn]:
+        yield from super().discrepancy(change)
+        yield from spread_out(change)
+
     @classmethod
     def example(cls, camera: Camera) -> MixedPixels:
         return cls(blur=0.4)
@@ -131,3 +175,60 @@ def _light_around(context: Context) -> FootprintLight:
     if context.footprint is None:
         raise InputError("mixed_pixels.footprint needs the scene's geometry", remedy="simulate a scene file")
     return context.footprint(FINE)
+
+
+def _blurred(blur: float) -> Candidate:
+    """The change that a blur makes, scaled by a coefficient of prior 1 (its square root scales the blur)."""
+    effect = MixedPixels(blur=blur)
+    label = f"effects.{effect.name}.blur@{blur:g} px"
+
+    def columns(reading: Reading) -> list[Column]:
+        signal = reading.before_effect(effect.name)
+        phasor = to_phasor(signal.distance, signal.amplitude, reading.context.ambiguity)
+        blurred = effect.apply(phasor, reading.context)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return [_mixing(reading, np.where(phasor == 0, 0, blurred / phasor))]
+
+    def build(camera: Camera, values: Coefficients) -> Camera:
+        share = float(np.clip(values[label], 1e-6, 4.0))
+        return with_effect(camera, MixedPixels(blur=_blur_of_variance(share * _variance_of_blur(blur))))
+
+    block = Block((Regressor(label, effect.name, 1.0),), columns)
+    return Candidate(effect.name, f"{blur:g} px", block, build, positive=(label,))
+
+
+def _gathered(side: float, cells: Cells) -> Candidate:
+    """The change that a footprint makes, scaled by a coefficient of prior 1."""
+    name = MixedPixels.name
+    label = f"effects.{name}.footprint@{side:g} px"
+
+    def columns(reading: Reading) -> list[Column]:
+        assert reading.context.footprint is not None
+        return [_mixing(reading, reading.context.footprint(cells).ratio(side))]
+
+    def build(camera: Camera, values: Coefficients) -> Camera:
+        share = float(np.clip(values[label], _LEAST_SHARE, 1.0))
+        return with_effect(camera, MixedPixels(blur=0.0, footprint=side, share=share))
+
+    block = Block((Regressor(label, name, 1.0),), columns)
+    return Candidate(name, f"footprint {side:g} px", block, build, positive=(label,), footprint=side)
+
+
+def _mixing(reading: Reading, relative: Image) -> Column:
+    """Return the column of a change of the light to some ratio (H, W) complex of what it was."""
+    # large changes turn the phase by angles, not by ratios
+    change = np.where(relative == 0, 0, np.log(np.where(relative == 0, 1, relative)))
+    return reading.light_change(MixedPixels.name, change)
+
+
+def _variance_of_blur(blur: float) -> float:
+    """Return the variance [px^2] of the sampled Gaussian, which for narrow ones is below blur^2."""
+    k = np.arange(-40, 41)
+    kernel = np.exp(-0.5 * (k / blur) ** 2)
+    return float(np.sum(kernel * k**2) / np.sum(kernel))
+
+
+def _blur_of_variance(variance: float) -> float:
+    from scipy.optimize import brentq
+
+    return float(brentq(lambda blur: _variance_of_blur(blur) - variance, 0.12, 10.0, xtol=1e-4))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -18,9 +19,22 @@ from rim_camera_ros.effects.base import (
     from_phasor,
     phasor_derivative,
 )
+from rim_camera_ros.effects.candidate import (
+    Candidate,
+    Coefficients,
+    Facts,
+    effect_block,
+    linear,
+    together,
+    with_effect,
+)
+from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.phasor import to_phasor
+
+#: Least time between samples [s] at which the fit of a moving camera begins.
+_SHORTEST = 1e-4
 
 
 @dataclass(frozen=True)
@@ -37,6 +51,10 @@ class Motion(Effect):
     observable = "a moving camera (camera_motion) before edges or oblique surfaces"
     refuted_by = "errors that stay when the camera rests"
     undo: ClassVar[Undo] = "none"
+
+    lacking = "the scene states no camera motion"
+    planned = False
+    shows_on_a_wall = False
 
     sample_interval: float = quantity("s", "time between two samples", minimum=0.0, typical=0.005)
     unmodulated: float | None = quantity(
@@ -98,6 +116,37 @@ class Motion(Effect):
             f"motion: the four samples are taken {self.sample_interval * 1e3:.2g} ms apart{rest}; while the "
             "camera moves, edges and oblique surfaces are measured wrong"
         )
+
+    @classmethod
+    def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
+        """Linear in the interval, and in its product with the share of unmodulated light."""
+        if not facts.moves:
+            return []
+        prior = {"sample_interval": 0.003}
+        alone = effect_block(cls(sample_interval=0.0), prior, label="@modulated")
+        both = effect_block(cls(sample_interval=0.0, unmodulated=1.0), prior, label="@unmodulated")
+
+        def build(one: Camera, values: Coefficients) -> Camera:
+            product = max(values[both.regressors[0].label], 0.0)
+            interval = max(values[alone.regressors[0].label] + product, _SHORTEST)
+            return with_effect(one, Motion(sample_interval=interval, unmodulated=product / interval))
+
+        positive = (both.regressors[0].label,)
+        unmodulated = Candidate(cls.name, "unmodulated", together(alone, both), build, positive)
+        return [linear(cls(sample_interval=0.0), prior), unmodulated]
+
+    def discrepancy(self, change: Change) -> Iterator[DiscrepancyColumn]:
+        """Smooth factors, and another time from row to row, as with a rolling shutter."""
+        yield from super().discrepancy(change)
+        context = change.reading.context
+        assert context.geometry_at is not None
+        (before, light), (after, more) = context.geometry_at(-0.0005), context.geometry_at(0.0005)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            relative = np.where((light > 0) & (more > 0), np.log(more / light), 0.0)
+        turned = 2 * np.pi / context.ambiguity * np.nan_to_num(after.distance - before.distance)
+        distance, amplitude = change.reading.light_change(None, np.nan_to_num(relative) + 1j * turned)
+        for factor in (np.ones(1), *change.factors[:2]):
+            yield distance * factor, amplitude * factor
 
     @classmethod
     def example(cls, camera: Camera) -> Motion:

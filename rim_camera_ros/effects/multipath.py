@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import ClassVar
 
@@ -19,19 +20,18 @@ from rim_camera_ros.effects.base import (
     phasor_derivative,
     require_geometry,
 )
+from rim_camera_ros.effects.candidate import Candidate, Facts, linear
+from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn, spread_out
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.phasor import to_phasor
 from rim_camera_ros.scene import Geometry
 
 #: Side in pixels of the blocks of pixels that act as senders of the bounced light.
 BLOCK = 4
-#: Key of the memory of a context: relative change of the light (and tenths of a metre of its way) up to which
-#: bounced light computed before will do. That of light that changed by a hundredth is off by a ten
-#: thousandth of all light.
-TOLERANCE = "multipath.tolerance"
-_EXACT = 1e-9
 #: Receivers at a time, which bounds the memory.
 _CHUNK = 2048
+#: Relative error [-] and difference of ways [m] that is none.
+_EXACT = 1e-9
 #: Differences of normals up to which a surface is a plane, and heights [m] above it that count as none.
 _FLAT = 1e-9
 _SAME_PLANE = 1e-9
@@ -56,6 +56,13 @@ class Multipath(Effect):
     undo: ClassVar[Undo] = "none"
     remembers = True
 
+    remembers_geometry = True
+    steady = True
+    lacking = "the scene has one surface"
+    needs_all_pixels = True
+    planned = False
+    shows_on_a_wall = False
+
     strength: float = quantity("-", "1 = Lambertian surfaces", minimum=0.0, typical=1.0)
 
     def bounced(self, signal: Signal, context: Context) -> Image:
@@ -63,7 +70,7 @@ class Multipath(Effect):
         geometry = require_geometry(context, self.name)
         cached = context.memory.get(self.name)
         if cached is not None and cached.geometry is geometry:
-            scale = cached.scale_to(signal, float(context.memory.get(TOLERANCE, _EXACT)))
+            scale = cached.scale_to(signal, context.light_tolerance)
             if scale is not None:
                 rescaled: Image = scale * cached.bounced
                 return rescaled
@@ -85,6 +92,14 @@ class Multipath(Effect):
             f"multipath: {self.strength:.2g} times the light that ideal diffuse surfaces would send to each "
             "other reaches the camera by a detour and lengthens distances in corners"
         )
+
+    @classmethod
+    def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
+        return [linear(cls(strength=0.0), {"strength": 1.0})] if facts.surfaces > 1 else []
+
+    def discrepancy(self, change: Change) -> Iterator[DiscrepancyColumn]:
+        yield from super().discrepancy(change)
+        yield from spread_out(change)
 
     @classmethod
     def example(cls, camera: Camera) -> Multipath:

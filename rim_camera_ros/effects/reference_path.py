@@ -32,6 +32,15 @@ class ReferencePath(Effect):
     refuted_by = "a reference that does not follow the drift of the scene"
     undo: ClassVar[Undo] = "partial"
 
+    estimated = "elsewhere"
+    estimated_elsewhere = "no reading of an internal reference was recorded, or it was not asked for"
+    predictable = False
+    shows_on_a_wall = False
+    from_one_pose = True
+    follows_frames = True
+    needs_all_pixels = True
+    stated_by_pixels = True
+
     nominal: float = quantity("m", "length of the path", minimum=0.0)
     scale: float = quantity("-", "external drift over the reference's", default=1.0, above=0.0, typical=0.2)
     pixels: tuple[int, int, int, int] | None = quantity("px", "u0 v0 u1 v1, inclusive", default=None)

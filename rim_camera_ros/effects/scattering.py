@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -18,7 +19,17 @@ from rim_camera_ros.convolution import (
     shift,
 )
 from rim_camera_ros.effects.base import ComplexEffect, Context, Image
+from rim_camera_ros.effects.candidate import Candidate, Facts, has_many_pixels, linear
+from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn, spread_out
+from rim_camera_ros.effects.graph import POINTS, Graph, Line
+from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.parameters import quantity
+
+#: Sigma [px] up to which stray light is none: the footprint of a pixel and what crosses to its neighbours.
+#: Halos between lens and chip are wider.
+_LEAST_SPREAD = 2.0
+#: Share of the light that is spread below which one of its halos does not count.
+_LEAST_WEIGHT = 0.01
 
 
 @dataclass(frozen=True)
@@ -51,6 +62,12 @@ class Scattering(ComplexEffect):
     observable = "dark targets beside bright near ones, or an object that enters the view of a fixed scene"
     refuted_by = "a dark target whose distance stays when the surface around it changes from black to white"
 
+    steady = True
+    spreads = True
+    needs_all_pixels = True
+    shapes = frozenset({"sigma"})
+    in_pixels = frozenset({"sigma", "shift"})
+
     kernels: tuple[Kernel, ...] = quantity("-", "sums of Gaussians", most=16)
     ghost: Ghost | None = quantity("-", "shifted image", default=None)
 
@@ -70,12 +87,12 @@ class Scattering(ComplexEffect):
         """Share of the light that does not arrive where it belongs."""
         return sum(k.weight for k in self.kernels) + (self.ghost.weight if self.ghost else 0.0)
 
-    def without_idle_halos(self) -> Scattering:
+    def lean(self) -> Scattering:
         """Return the same without halos that spread no light, but for the last one."""
         kernels = tuple(one for one in self.kernels if one.weight > 0)
         if not kernels and self.ghost is None:
             kernels = self.kernels[:1]
-        return replace(self, kernels=kernels)
+        return self if kernels == self.kernels else replace(self, kernels=kernels)
 
     def operator(self, shape: tuple[int, int], dtype: Any = np.float64) -> Spreading:
         """Return the (cached) operator for one sensor size and precision."""
@@ -133,6 +150,58 @@ class Scattering(ComplexEffect):
                 f"{self.ghost.shift[1]:.3g} pixels"
             )
         return "stray light: " + "; ".join(parts) + "; dark targets are pulled towards bright surfaces"
+
+    def priors(self) -> dict[str, float]:
+        result = {}
+        for i, kernel in enumerate(self.kernels):
+            result[f"kernels.{i}.weight"] = max(kernel.weight, 0.01)
+            result[f"kernels.{i}.sigma.0"] = max(0.5 * kernel.sigma[0], 0.3)
+            result[f"kernels.{i}.sigma.1"] = max(0.5 * kernel.sigma[1], 0.3)
+        if self.ghost is not None:
+            result["ghost.weight"] = max(self.ghost.weight, 0.003)
+        return result
+
+    @classmethod
+    def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
+        width = camera.sensor.width
+        sizes = [max(width * share, 1.0) for share in (0.02, 0.045, 0.1, 0.2, 0.4, 0.9)]
+        single = {"kernels.0.weight": 0.05}
+        many = has_many_pixels(camera)
+        found = [
+            linear(cls(kernels=(Kernel(0.0, (s, s)),)), single, f"{s:.3g} px")
+            for s in (sizes[::2] if many else sizes)
+        ]
+        pairs = ((sizes[1], sizes[4]), (sizes[2], sizes[5]), (sizes[0], sizes[3]))
+        for narrow, wide in () if many else pairs:
+            base = cls(kernels=(Kernel(0.0, (narrow, narrow)), Kernel(0.0, (wide, wide))))
+            found.append(linear(base, single | {"kernels.1.weight": 0.05}, f"{narrow:.3g}+{wide:.3g} px"))
+        return found
+
+    def discrepancy(self, change: Change) -> Iterator[DiscrepancyColumn]:
+        yield from super().discrepancy(change)
+        yield from spread_out(change)
+
+    @property
+    def limit(self) -> str | None:
+        """Light that crosses to the neighbours alone is two surfaces in a pixel."""
+        least = _LEAST_WEIGHT * sum(one.weight for one in self.kernels)
+        sigmas = [max(one.sigma) for one in self.kernels if one.weight >= least]
+        narrow = self.ghost is None and max(sigmas, default=np.inf) <= _LEAST_SPREAD
+        return MixedPixels.name if narrow else None
+
+    def graph(self, camera: Camera) -> Graph:
+        """The share of the light that falls within a radius."""
+        reach = 2.5 * max(max(one.sigma) for one in self.kernels)
+        x = np.geomspace(0.5, max(reach, 2.0), POINTS)
+
+        def value(one: Scattering) -> Image:
+            parts = [
+                k.weight * (1 - np.exp(-0.5 * x**2 / max(k.sigma[0] * k.sigma[1], 1e-9))) for k in one.kernels
+            ]
+            return 100.0 * np.asarray(sum(parts))
+
+        line = Line(x, value)
+        return Graph("stray light within a radius", "radius [px]", "of the light [%]", (line,), log=True)
 
     @classmethod
     def example(cls, camera: Camera) -> Scattering:

@@ -8,6 +8,8 @@ import numpy as np
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import Column, Context, DistanceTerm, Image, Signal
+from rim_camera_ros.effects.candidate import TERM_SIZE, Candidate, Facts, linear
+from rim_camera_ros.effects.graph import POINTS, Graph, Line
 from rim_camera_ros.parameters import quantity
 
 
@@ -27,6 +29,15 @@ class WarmUpDrift(DistanceTerm):
     title = "drift after power-on"
     observable = "a fixed scene from power-on until it is stable (SR-3000 6 min, SR-2 12 min), with uptime"
     refuted_by = "a drift that does not start at power-on"
+
+    lacking = "the recordings state no uptime, or a constant one"
+    in_time = True
+    from_one_pose = True
+    everywhere = True
+    drifts = True
+    settles = True
+    drawn_over = ("uptime", "time")
+    shapes = frozenset({"time_constant"})
 
     terms: tuple[Exponential, ...] = quantity("-", "sum of exponentials", most=16)
 
@@ -65,6 +76,38 @@ class WarmUpDrift(DistanceTerm):
             f"{one.amplitude * 1e3:+.0f} mm decaying over {one.time_constant:.0f} s" for one in self.terms
         ]
         return "warm-up: after power-on distances drift by " + " and ".join(parts)
+
+    def own_covariates(self) -> frozenset[str]:
+        return frozenset({"settings", "time"})
+
+    def priors(self) -> dict[str, float]:
+        result = {}
+        for i, one in enumerate(self.terms):
+            result[f"terms.{i}.amplitude"] = max(abs(one.amplitude), 0.02)
+            result[f"terms.{i}.time_constant"] = 0.5 * one.time_constant
+        return result
+
+    @classmethod
+    def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
+        if facts.uptime is None or facts.uptime[1] - facts.uptime[0] < 1.0:
+            return []
+        grid = [t for t in (15.0, 40.0, 100.0, 250.0, 600.0, 1500.0) if t > facts.uptime[0] / 6]
+        size = {"terms.0.amplitude": TERM_SIZE}
+        found = [linear(cls(terms=(Exponential(0.0, t),)), size, f"{t:g} s") for t in grid]
+        size["terms.1.amplitude"] = TERM_SIZE
+        for slow, fast in ((600.0, 60.0), (250.0, 25.0)):
+            base = cls(terms=(Exponential(0.0, fast), Exponential(0.0, slow)))
+            found.append(linear(base, size, f"{fast:g}+{slow:g} s"))
+        return found
+
+    def graph(self, camera: Camera) -> Graph:
+        x = np.linspace(0.0, 5 * max(one.time_constant for one in self.terms), POINTS)
+
+        def value(one: WarmUpDrift) -> Image:
+            return 1e3 * np.asarray(sum(t.amplitude * np.exp(-x / t.time_constant) for t in one.terms))
+
+        line = Line(x / 60, value)
+        return Graph("warm-up", "time since power-on [min]", "error [mm]", (line,), compared=True)
 
     @classmethod
     def example(cls, camera: Camera) -> WarmUpDrift:

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects import Effect
-from rim_camera_ros.effects.empirical import Empirical
+from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.info.text import number, section, span, table, words
 from rim_camera_ros.pipeline.correct import Correction
@@ -155,18 +154,10 @@ def _integration_times(camera: Camera) -> list[float | None]:
     """Return the integration times for which the file has rows, or the one of the sensor, or None."""
     times: set[float] = set()
     for effect in camera.effects.values():
-        times |= _row_keys(effect)
-        if isinstance(effect, Empirical):
+        times |= effect.rows()
+        if isinstance(effect, CovariateTable):
             pairs = zip(effect.covariates, effect.knots, strict=True)
             times |= {one for name, knots in pairs if name == "integration_time" for one in knots}
     if times:
         return [*sorted(times)]
     return [camera.sensor.integration_time]
-
-
-def _row_keys(effect: Effect) -> set[float]:
-    for name in ("hyperbola", "polynomial", "offset"):
-        rows = getattr(effect, name, None)
-        if rows is not None and hasattr(rows, "keys"):
-            return set(rows.keys())
-    return set()

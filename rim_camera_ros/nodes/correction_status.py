@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.warm_up_drift import WarmUpDrift
 from rim_camera_ros.frame import CorrectedFrame, Flag, RawFrame
 from rim_camera_ros.nodes.consistency import GREATEST, LEAST, NoiseWatch
 from rim_camera_ros.nodes.lifecycle import ACTIVE
@@ -230,19 +229,15 @@ class CorrectionStatus:
             ("ambient_temperature_degC", settings.ambient_temperature),
         ):
             finding.values[name] = "unknown" if value is None else f"{value:.2f}"
-        effect = self._camera.effects.get("warm_up_drift")
-        if not isinstance(effect, WarmUpDrift) or settings.uptime is None:
-            why = (
-                "the uptime is unknown"
-                if isinstance(effect, WarmUpDrift)
-                else "the camera file has no warm_up_drift"
-            )
+        effect = next((one for one in self._camera.effects.values() if one.settles), None)
+        if effect is None or settings.uptime is None:
+            why = "the camera file has none" if effect is None else "the uptime is unknown"
             finding.note(f"drift after power-on not known: {why}")
             return finding
         drift = effect.rate(settings.uptime)
         finding.values["drift_mm_per_min"] = f"{6e4 * drift:.2f}"
         if self._states["drifts"].holds(abs(drift)):
-            undone = "not corrected" if "warm_up_drift" in self._off else "corrected by its mean law"
+            undone = "not corrected" if effect.name in self._off else "corrected by its mean law"
             finding.worse(Level.WARN, f"still drifting {6e4 * abs(drift):.0f} mm/min, {undone}")
         finding.note("warm")
         return finding

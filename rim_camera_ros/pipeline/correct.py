@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Context
-from rim_camera_ros.effects.emitter_offset import EmitterOffset
-from rim_camera_ros.effects.reference_path import ReferencePath
-from rim_camera_ros.effects.scattering import Scattering
+from rim_camera_ros.effects import InternalReference
+from rim_camera_ros.effects.base import Context, effect_of
 from rim_camera_ros.errors import InputError, nearest_name
 from rim_camera_ros.frame import (
     INVALID,
@@ -85,18 +83,11 @@ class Correction:
         self._folded: dict[float | None, Folded] = {}
         self._dtype = np.float64 if exact else np.float32
         self._active = {name: one for name, one in camera.effects.items() if name not in self.without}
-        scattering, emitter = self._active.get("scattering"), self._active.get("emitter_offset")
-        self._optics = OpticsUndo(
-            camera,
-            scattering if isinstance(scattering, Scattering) else None,
-            emitter if isinstance(emitter, EmitterOffset) else None,
-            self._dtype,
-        )
-        reference = self._active.get("reference_path")
+        undone = replace(camera, effects=self._active)
+        self._optics = OpticsUndo(undone, self._dtype)
+        reference = effect_of(undone, InternalReference)
         self._reference = (
-            ReferenceReader(camera, reference, linearity=reference_linearity)
-            if isinstance(reference, ReferencePath)
-            else None
+            None if reference is None else ReferenceReader(camera, reference, linearity=reference_linearity)
         )
         self._rays = np.ascontiguousarray(camera.rays.transpose(2, 0, 1), np.float32)
         self._bands = _bands(camera.shape)

@@ -10,16 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
-from rim_camera_ros.effects.background_light import BackgroundLight
-from rim_camera_ros.effects.base import Context, DistanceTerm, outside_rows
-from rim_camera_ros.effects.incidence_angle import IncidenceAngle, incidence_gon
-from rim_camera_ros.effects.integration_time_offset import IntegrationTimeOffset
-from rim_camera_ros.effects.reference_path import ReferencePath, mean_reading
-from rim_camera_ros.effects.saturation_bleed import SaturationBleed
-from rim_camera_ros.effects.warm_up_drift import WarmUpDrift
+from rim_camera_ros.effects import InternalReference, mean_reading
+from rim_camera_ros.effects.base import Context, DistanceTerm, ResponseEffect
+from rim_camera_ros.effects.incidence import IncidenceTerm, incidence_gon
+from rim_camera_ros.effects.rows import outside_rows
 from rim_camera_ros.pipeline import kernels
-from rim_camera_ros.pipeline.tables import AmplitudeModel, DistanceSolver, PlaneTable, distance_knots
+from rim_camera_ros.pipeline.tables import AmplitudeModel, DistanceSolver, PlaneTable
 
 Image = NDArray[Any]
 
@@ -49,7 +45,11 @@ class Folded:
         self._dtype = np.float64 if exact else np.float32
         self._sort([one for one in active.values() if isinstance(one, DistanceTerm)])
         self.amplitude = AmplitudeModel(
-            camera, self._by_amplitude, active.get("amplitude_nonlinearity"), context, minimum
+            camera,
+            self._by_amplitude,
+            next((one for one in active.values() if isinstance(one, ResponseEffect)), None),
+            context,
+            minimum,
         )
         self.distance = DistanceSolver(camera, self._by_distance, context, exact=exact)
         self.map = _sum_maps(self._by_pixel, camera, context, self._dtype)
@@ -57,19 +57,13 @@ class Folded:
         self._placed_directly = [one for one in self._placed if one not in planes]
         self._planes = PlaneTable(camera, planes, context) if planes else None
         self._fold_incidence()
-        reference = active.get("reference_path")
-        self._reference = reference if isinstance(reference, ReferencePath) else None
+        self._reference = next((one for one in active.values() if isinstance(one, InternalReference)), None)
         #: pixels that see no scene
         self.reference_region = self._reference.region() if self._reference is not None else None
         self._constant = sum(self._number(one) for one in self._constants)
-        rows = [
-            getattr(one, name, None)
-            for one in active.values()
-            for name in ("hyperbola", "polynomial", "offset")
-        ]
         t = context.camera.stated_integration_time(context.settings)
         #: whether the setting lies outside the calibrated rows
-        self.outside = any(outside_rows(one, t) for one in rows if isinstance(one, Mapping))
+        self.outside = any(outside_rows(one.rows(), t) for one in active.values())
 
     def _sort(self, terms: list[DistanceTerm]) -> None:
         self._by_amplitude: list[DistanceTerm] = []
@@ -85,9 +79,9 @@ class Folded:
             needs = one.depends_on() - {"settings"}
             if "incidence" in needs:
                 self._by_incidence.append(one)
-            elif isinstance(one, WarmUpDrift | AmbientTemperature):
+            elif one.drifts:
                 self._drifts.append(one)
-            elif isinstance(one, IntegrationTimeOffset | BackgroundLight):
+            elif one.constant_in_setting:
                 self._constants.append(one)
             elif not needs:
                 self._scalars.append(one)
@@ -95,7 +89,7 @@ class Folded:
                 self._by_amplitude.append(one)
             elif needs == {"pixel"}:
                 self._by_pixel.append(one)
-            elif needs == {"distance"} or one.name == "cyclic_error":
+            elif needs == {"distance"} or one.has_phase:
                 self._by_distance.append(one)
             elif "frame" in needs or "distance" not in needs:
                 self._by_frame.append(one)
@@ -125,11 +119,10 @@ class Folded:
         """Subtract terms of whole frames, or of amplitude and place, from y in metres."""
         saturated = self.context.saturated
         for one in self._by_frame:
-            if isinstance(one, SaturationBleed):
-                if saturated is not None:
-                    # saturated pixels themselves have no distance
-                    y -= (one.row * saturated.any(axis=1)).astype(y.dtype)[:, None]
-                    y -= (one.column * saturated.any(axis=0)).astype(y.dtype)
+            lines = None if saturated is None else one.line_terms(saturated)
+            if lines is not None:
+                y -= lines[0].astype(y.dtype)[:, None]
+                y -= lines[1].astype(y.dtype)
             else:
                 y -= np.asarray(one.term(y, amplitude, self.context), y.dtype)
 
@@ -188,7 +181,7 @@ class Folded:
         if not self._by_incidence:
             return
         self.incidence_rounds = _EXACT_ROUNDS if self._exact else 1
-        angles = [one for one in self._by_incidence if isinstance(one, IncidenceAngle)]
+        angles = [one for one in self._by_incidence if isinstance(one, IncidenceTerm)]
         gon = incidence_gon(np.linspace(0, np.pi / 2, 91))
         spread = sum(np.asarray(one.at(gon, self.context)) for one in angles)
         self.incidence_spread = float(np.sqrt(np.mean(np.square(spread))))
@@ -196,7 +189,7 @@ class Folded:
             self._by_cosine = self._tabulate_incidence(angles)
             self._pair = [np.empty(self.context.camera.shape, np.float32) for _ in range(2)]
 
-    def _tabulate_incidence(self, terms: list[IncidenceAngle]) -> NDArray[np.complex64]:
+    def _tabulate_incidence(self, terms: list[IncidenceTerm]) -> NDArray[np.complex64]:
         """Return t and b over the cosine of the angle that is seen in distances which still hold the term.
 
         A plane r = d / cos(angle) is seen as r + t(angle), whose angle has the tangent
@@ -245,7 +238,7 @@ class Folded:
 
 
 def _folds_into_planes(term: DistanceTerm) -> bool:
-    return bool(distance_knots(term)) and "amplitude" not in term.depends_on()
+    return bool(term.distance_knots()) and "amplitude" not in term.depends_on()
 
 
 def _sum_maps(terms: list[DistanceTerm], camera: Camera, context: Context, dtype: Any) -> Image | None:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.emitter_offset import EmitterOffset
-from rim_camera_ros.effects.scattering import Scattering
+from rim_camera_ros.effects import EmitterPath, StrayLight
+from rim_camera_ros.effects.base import effect_of
 
 Image = NDArray[Any]
 
@@ -33,9 +33,8 @@ class Light:
 class OpticsUndo:
     """Undoes stray light, folds the distance into [0, L) and undoes the emitter's offset for one camera."""
 
-    def __init__(
-        self, camera: Camera, scattering: Scattering | None, emitter: EmitterOffset | None, dtype: Any
-    ) -> None:
+    def __init__(self, camera: Camera, dtype: Any) -> None:
+        scattering, emitter = effect_of(camera, StrayLight), effect_of(camera, EmitterPath)
         self._dtype = np.dtype(dtype)
         number = self._dtype.type
         self._ambiguity = number(camera.sensor.ambiguity)

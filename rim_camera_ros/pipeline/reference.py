@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
-from rim_camera_ros.effects.reference_path import ReferencePath, mean_reading
+from rim_camera_ros.effects import Harmonic, HarmonicError, InternalReference, mean_reading
+from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.frame import NANOSECONDS, Settings
 
 # --- linearity ----------------------------------------------------------------------------------
@@ -39,11 +39,11 @@ class Linearity:
 
         For a reference on the topic, whose pixels are not known, the phase is that of the principal point.
         """
-        cyclic, reference = camera.effects.get("cyclic_error"), camera.effects.get("reference_path")
-        if not isinstance(cyclic, CyclicError):
+        cyclic, reference = effect_of(camera, HarmonicError), effect_of(camera, InternalReference)
+        if cyclic is None:
             return cls()
         shift = 0.0
-        if isinstance(reference, ReferencePath) and reference.pixels is not None:
+        if reference is not None and reference.pixels is not None:
             u0, v0, u1, v1 = reference.pixels
             shift = cyclic.gradient[0] * ((u0 + u1) / 2 - camera.optics.cx)
             shift += cyclic.gradient[1] * ((v0 + v1) / 2 - camera.optics.cy)
@@ -98,7 +98,7 @@ class SimulatedReference:
             raise ValueError("lag and noise of the reference path must not be negative")
 
     def reading(
-        self, effect: ReferencePath, drift: float, *, stamp: int, memory: MutableMapping[str, Any]
+        self, effect: InternalReference, drift: float, *, stamp: int, memory: MutableMapping[str, Any]
     ) -> float:
         """Return the reading in metres, without noise, for the drift in metres at a stamp in ns.
 
@@ -112,7 +112,7 @@ class SimulatedReference:
         """First-order lag, starting at the first drift; between frames the drift is linear in time."""
         if self.lag == 0:
             return drift
-        state: tuple[int, float, float] | None = memory.get("reference_path:lag")
+        state: tuple[int, float, float] | None = memory.get(f"{InternalReference.name}:lag")
         lagged = drift
         if state is not None and stamp > state[0]:
             seconds = (stamp - state[0]) / NANOSECONDS
@@ -120,7 +120,7 @@ class SimulatedReference:
             lagged = drift - behind + (state[2] - state[1] + behind) * math.exp(-seconds / self.lag)
         elif state is not None and stamp == state[0]:
             lagged = state[2]
-        memory["reference_path:lag"] = (stamp, drift, lagged)
+        memory[f"{InternalReference.name}:lag"] = (stamp, drift, lagged)
         return lagged
 
 
@@ -252,7 +252,9 @@ class ReferenceReader:
     a reading is stated by the floor of the camera's noise model, over the root of the number of pixels.
     """
 
-    def __init__(self, camera: Camera, effect: ReferencePath, *, linearity: Linearity | None = None) -> None:
+    def __init__(
+        self, camera: Camera, effect: InternalReference, *, linearity: Linearity | None = None
+    ) -> None:
         self._effect = effect
         self._linearity = linearity if linearity is not None and linearity.harmonics else None
         self._region = effect.region()
@@ -260,7 +262,7 @@ class ReferenceReader:
         self._noise = max(camera.noise.floor, camera.sensor.lsb / math.sqrt(12))
         if self._linearity is not None:
             self._start = self._linearity.distance(effect.nominal)
-        self._key = f"reference_path:{effect.pixels}"
+        self._key = f"{effect.name}:{effect.pixels}"
 
     def take(
         self, metres: NDArray[Any], settings: Settings, *, stamp: int, memory: MutableMapping[str, Any]

@@ -11,16 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import FULL_SCALE, Camera
-from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
-from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
-from rim_camera_ros.effects.base import ComplexEffect, Context, DistanceTerm, Effect, Signal, from_phasor
-from rim_camera_ros.effects.emission_pattern import EmissionPattern
-from rim_camera_ros.effects.emitter_offset import EmitterOffset
-from rim_camera_ros.effects.mixed_pixels import MixedPixels
-from rim_camera_ros.effects.multipath import Multipath
-from rim_camera_ros.effects.reference_path import ReferencePath, mean_reading
-from rim_camera_ros.effects.scattering import Scattering
-from rim_camera_ros.effects.warm_up_drift import WarmUpDrift
+from rim_camera_ros.effects import InternalReference, mean_reading
+from rim_camera_ros.effects.base import (
+    ComplexEffect,
+    Context,
+    DistanceTerm,
+    Effect,
+    Signal,
+    effect_of,
+    from_phasor,
+    response_of,
+)
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.footprint import Cells, FootprintLight, footprint_light
 from rim_camera_ros.frame import NANOSECONDS, Pose, RawFrame, Settings
@@ -178,7 +179,7 @@ class Simulation:
     def signal(self, context: Context) -> Signal:
         """Return the noise-free signal after all effects."""
         effects = list(self.camera.effects.values())
-        steady = list(takewhile(_is_steady, effects))
+        steady = list(takewhile(lambda one: one.steady, effects))
         signal = self._delivered(steady, context)
         terms_reached = False
         for kind, group in groupby(effects[len(steady) :], key=lambda one: isinstance(one, ComplexEffect)):
@@ -218,8 +219,8 @@ class Simulation:
 
     def _saturated(self, signal: Signal) -> NDArray[np.bool_]:
         amplitude = signal.amplitude
-        response = self.camera.effects.get("amplitude_nonlinearity")
-        if isinstance(response, AmplitudeNonlinearity):
+        response = response_of(self.camera)
+        if response is not None:
             amplitude = response.compressed(amplitude)
         return self._full(amplitude)
 
@@ -278,16 +279,16 @@ class Simulation:
             sigma_a = sigma_amplitude(sigma, delivered, ambiguity=context.ambiguity)
             distance = distance + sigma * self._rng.standard_normal(shape, dtype=np.float32)
             noisy = np.maximum(delivered + sigma_a * self._rng.standard_normal(shape, dtype=np.float32), 0.0)
-            response = self.camera.effects.get("amplitude_nonlinearity")
-            amplitude = response.compressed(noisy) if isinstance(response, AmplitudeNonlinearity) else noisy
+            response = response_of(self.camera)
+            amplitude = noisy if response is None else response.compressed(noisy)
         distance[~(signal.amplitude > 0)] = np.nan
         return distance, amplitude
 
     def _reference(self, distance: Any, context: Context) -> tuple[Settings, Any]:
         """Lay the reference path's reading into its pixels, or into the settings where it has none."""
-        effect = self.camera.effects.get("reference_path")
+        effect = effect_of(self.camera, InternalReference)
         settings = context.settings
-        if not isinstance(effect, ReferencePath):
+        if effect is None:
             return settings, distance
         drift = drift_of(self.camera, context)
         reading = self.reference.reading(effect, drift, stamp=context.stamp, memory=self._memory)
@@ -324,10 +325,6 @@ class Simulation:
         return self.geometry(exposure.poses).distance
 
 
-def _is_steady(effect: Effect) -> bool:
-    return isinstance(effect, EmissionPattern | EmitterOffset | Multipath | MixedPixels | Scattering)
-
-
 def _through(effects: list[Any], signal: Signal, context: Context) -> Signal:
     """Return the signal after consecutive effects on the complex image."""
     phasor = to_phasor(signal.distance, signal.amplitude, context.ambiguity)
@@ -337,14 +334,10 @@ def _through(effects: list[Any], signal: Signal, context: Context) -> Signal:
 
 
 def drift_of(camera: Camera, context: Context) -> float:
-    """Return the sum of warm-up and ambient drift in metres for this frame."""
+    """Return the sum of the drifts that an internal reference shows as well, in metres for this frame."""
     empty = np.empty((0,))
-    total = 0.0
-    for kind in (WarmUpDrift, AmbientTemperature):
-        effect = camera.effects.get(kind.name)
-        if isinstance(effect, kind):
-            total += float(effect.term(empty, empty, context))
-    return total
+    terms = [one for one in camera.effects.values() if isinstance(one, DistanceTerm) and one.drifts]
+    return float(sum(float(np.asarray(one.term(empty, empty, context))) for one in terms))
 
 
 def measured_residual(measured: Any, expected: Any, camera: Camera) -> Any:

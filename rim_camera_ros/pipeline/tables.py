@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -13,11 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import FULL_SCALE, Camera
-from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
-from rim_camera_ros.effects.base import Context, DistanceTerm, Image, solve_terms
-from rim_camera_ros.effects.cyclic_error import CyclicError
-from rim_camera_ros.effects.empirical import Empirical
-from rim_camera_ros.effects.integral_table import IntegralTable
+from rim_camera_ros.effects import HarmonicError
+from rim_camera_ros.effects.base import Context, DistanceTerm, Image, ResponseEffect, solve_terms
 from rim_camera_ros.frame import Flag
 from rim_camera_ros.noise import sigma_amplitude
 from rim_camera_ros.pipeline import kernels
@@ -63,14 +60,14 @@ class AmplitudeModel:
         self,
         camera: Camera,
         terms: Sequence[DistanceTerm],
-        response: Any,
+        response: ResponseEffect | None,
         context: Context,
         minimum: float | None,
     ) -> None:
         self._camera = camera
         self._terms = terms
         self._context = context
-        self._response = response if isinstance(response, AmplitudeNonlinearity) else None
+        self._response = response
         self.minimum = self._default_minimum() if minimum is None else minimum
 
     def _term(self, amplitude: Image) -> Image:
@@ -213,7 +210,7 @@ class DistanceSolver:
         self._ambiguity = camera.sensor.ambiguity
         self._wraps = camera.sensor.wraps
         self._exact = exact
-        self._cyclic = next((one for one in self.terms if isinstance(one, CyclicError)), None)
+        self._cyclic = next((one for one in self.terms if isinstance(one, HarmonicError)), None)
         if not exact and self.terms:
             self._tabulate(camera)
 
@@ -275,12 +272,7 @@ class DistanceSolver:
     def _solved(self, y: Image, phase: float) -> NDArray[np.float64]:
         """Return y - d over a grid of y for one phase."""
         cyclic = self._cyclic
-        terms = [
-            CyclicError(harmonics=tuple(replace(h, phase=h.phase + phase) for h in cyclic.harmonics))
-            if one is cyclic and cyclic is not None
-            else one
-            for one in self.terms
-        ]
+        terms = [cyclic.shifted(phase) if one is cyclic and cyclic is not None else one for one in self.terms]
         context = self._context
         d = solve_terms(y, lambda x: sum(one.term(x, x, context) for one in terms), context, tolerance=1e-8)
         correction: NDArray[np.float64] = y - d
@@ -369,7 +361,7 @@ class PlaneTable:
     """
 
     def __init__(self, camera: Camera, terms: Sequence[DistanceTerm], context: Context) -> None:
-        knots = sorted({float(k) for one in terms for k in distance_knots(one)})
+        knots = sorted({float(k) for one in terms for k in one.distance_knots()})
         amplitude = np.ones(camera.shape)
         values = []
         for knot in knots:
@@ -413,12 +405,3 @@ class PlaneTable:
             beside *= bend
             total += beside
         return total
-
-
-def distance_knots(term: DistanceTerm) -> tuple[float, ...]:
-    """Return the knots of distance of a term that is linear between them, empty where it is not."""
-    if isinstance(term, IntegralTable):
-        return term.knots[2]
-    if isinstance(term, Empirical) and "distance" in term.covariates:
-        return term.knots[term.covariates.index("distance")]
-    return ()

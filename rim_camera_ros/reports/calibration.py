@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.determined import EffectStatus
 from rim_camera_ros.calibrate.run import Calibration
-from rim_camera_ros.effects import registry
+from rim_camera_ros.effects import PixelMap, vocabulary
+from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.info.text import several
 from rim_camera_ros.reports import calibration_details as details
 from rim_camera_ros.reports.calibration_details import in_mm, poses_of, stated
@@ -40,9 +41,8 @@ _MOODS: dict[str, tuple[str, Mood]] = {
     "undetermined": ("not determined", "warn"),
     "left out": ("left out", ""),
 }
-#: Effects that are named in the first sentence, at most, and those that every camera has.
+#: Effects that are named in the first sentence, at most.
 _MOST_OPEN = 2
-_EVERYWHERE = ("ambient_temperature", "warm_up_drift", "integration_time_offset", "amplitude_offset")
 
 
 def calibration_page(result: Calibration, *, title: str) -> str:
@@ -103,11 +103,11 @@ def first_sentence(result: Calibration) -> str:
 
 
 def _urgency(result: Calibration, one: EffectStatus) -> tuple[bool, bool]:
-    return one.effect not in result.camera.effects, one.effect not in _EVERYWHERE
+    return one.effect not in result.camera.effects, not vocabulary()[one.effect].everywhere
 
 
 def _title(effect: str) -> str:
-    known = registry().get(effect)
+    known = vocabulary().get(effect)
     return effect.replace("_", " ") if known is None else known.title
 
 
@@ -144,13 +144,13 @@ def _errors(result: Calibration) -> list[Part]:
     rows = [[f"{_title(name)} ({name})", *_millimetres(one)] for name, one in largest]
     own = _pattern_error(result)
     if own is not None:
-        rows.append(["offset of each pixel (fixed_pattern_offset)", *_millimetres(own)])
+        rows.append([f"offset of each pixel ({PixelMap.name})", *_millimetres(own)])
     headings = ["effect", "it moves distances by", "error before", "error after", "unit"]
     return [Table(headings, rows, numbers=(1, 2, 3))] if rows else []
 
 
 def _pattern_error(result: Calibration) -> EffectError | None:
-    pattern: Any = result.camera.effects.get("fixed_pattern_offset")
+    pattern = effect_of(result.camera, PixelMap)
     variance = _pattern_variance(result)
     known = variance[np.isfinite(variance)]
     if pattern is None or not known.size:
@@ -161,8 +161,7 @@ def _pattern_error(result: Calibration) -> EffectError | None:
 
 def _pattern_change(result: Calibration) -> Array:
     """Return what the offsets of pixels (H, W) [m] gained over those of the file before."""
-    new: Any = result.camera.effects.get("fixed_pattern_offset")
-    old: Any = result.before.effects.get("fixed_pattern_offset")
+    new, old = effect_of(result.camera, PixelMap), effect_of(result.before, PixelMap)
     if new is None:
         return np.zeros(result.camera.shape)
     return np.asarray(new.map.values - (0.0 if old is None else old.map.values), float)

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from rim_camera_ros.calibrate.held_out import Accuracy
 from rim_camera_ros.calibrate.run import Calibration
 from rim_camera_ros.camera_file import camera_numbers
+from rim_camera_ros.effects import PixelMap
+from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.info.text import several
 from rim_camera_ros.reports.calibration_text import number_of, owner_of, significant, unit_of
 from rim_camera_ros.reports.curves import effect_panels
@@ -75,7 +77,7 @@ def curves(result: Calibration) -> list[Part]:
 
 def pattern(result: Calibration) -> list[Part]:
     """Return the offset of each pixel."""
-    effect: Any = result.camera.effects.get("fixed_pattern_offset")
+    effect = effect_of(result.camera, PixelMap)
     if effect is None:
         return []
     values = effect.map.values.astype(float) * 1e3

@@ -15,7 +15,7 @@ from rim_camera_ros.effects import registry
 from rim_camera_ros.info.text import table
 from rim_camera_ros.parameters import arrays_of, encode
 from rim_camera_ros.reports.calibration_text import number_of, unit_of
-from rim_camera_ros.reports.walls import NOT_STEADY, Wall, difference, distances_of, setting_of
+from rim_camera_ros.reports.walls import Wall, difference, distances_of, setting_of
 from rim_camera_ros.reports.words import joined, millimetres
 
 Array = NDArray[Any]
@@ -90,7 +90,8 @@ def compare(one: Camera, other: Camera) -> Comparison:
     walls = tuple(Wall(distance, setting) for distance in distances_of(one, other, count=_DISTANCES))
     maps = tuple(difference(one, other, wall) for wall in walls)
     effects = []
-    for name in registry():
+    known = registry()
+    for name in known:
         mine, theirs = one.effects.get(name), other.effects.get(name)
         if _plain(mine) == _plain(theirs):
             continue
@@ -99,7 +100,7 @@ def compare(one: Camera, other: Camera) -> Comparison:
         if theirs is not None:
             swapped[name] = theirs
         rms = None
-        if name not in NOT_STEADY:
+        if known[name].shows_on_a_wall:
             moved = with_effects(replace(one, effects={}), swapped)
             rms = rms_of([difference(one, moved, wall) for wall in walls])
         effects.append(EffectDifference(name, stands, rms))

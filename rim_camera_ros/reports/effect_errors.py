@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.blocks import UNFITTED
 from rim_camera_ros.calibrate.coarser import coarser_camera
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.library import GEOMETRY
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.run import Calibration
 from rim_camera_ros.calibrate.sizes import change_by, contribution
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects import OPTICS
 
 Array = NDArray[Any]
 
@@ -50,8 +49,8 @@ def effect_errors(result: Calibration) -> dict[str, EffectError]:
     old.amplitude_model, old.shifts = new.amplitude_model, new.shifts
     old.masks, old.margins, old.light_curves = new.masks, new.margins, new.light_curves
     paths, covariance = result.solution.covariance()
-    names = [name for name in fitted.camera.effects if name not in UNFITTED - {"empirical"}]
-    names += [name for name in GEOMETRY if any(path.startswith("optics.") for path in paths)]
+    names = [n for n, one in fitted.camera.effects.items() if one.estimated in ("joint", "covariates")]
+    names += [name for name in OPTICS if any(path.startswith("optics.") for path in paths)]
     every = max(1, len(new.dataset.stations) // _MOST_STATIONS)
     sums = {name: _Sums(name, paths, covariance) for name in names}
     pairs = zip(old.predictions(slopes=True, every=every), new.predictions(every=every), strict=True)
@@ -76,7 +75,7 @@ class _Sums:
 
     def add(self, before: Prediction, after: Prediction, start: Camera) -> None:
         old: Array = np.zeros(after.used.shape)
-        if self._name in GEOMETRY:
+        if self._name in OPTICS:
             # what the optics do is their change already
             size = contribution(after, self._name, start)
         else:

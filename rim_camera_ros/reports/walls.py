@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.coarser import BY_POSITION, coarser_camera
+from rim_camera_ros.calibrate.coarser import coarser_camera
 from rim_camera_ros.calibrate.empirical_fit import LABEL, with_empirical_changes
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_effects, with_numbers
@@ -22,8 +22,6 @@ from rim_camera_ros.scene import Scene, ScenePose, Surface
 
 Array = NDArray[Any]
 
-#: Change from frame to frame, with a reading, or by more than one surface: no picture of a wall shows them.
-NOT_STEADY = ("interference", "motion", "multipath", "reference_path")
 #: Seconds after power-on at which nothing warms up any more.
 _WARM = 1e6
 _REFLECTIVITY = 0.5
@@ -60,16 +58,7 @@ def setting_of(*cameras: Camera) -> float | None:
 
 
 def _settings(camera: Camera) -> list[float]:
-    rows = {
-        "amplitude_offset": "hyperbola",
-        "incidence_angle": "polynomial",
-        "integration_time_offset": "offset",
-    }
-    found: list[float] = []
-    for name, field in rows.items():
-        if name in camera.effects:
-            found += [float(key) for key in getattr(camera.effects[name], field)]
-    return found
+    return [key for effect in camera.effects.values() for key in effect.rows()]
 
 
 def distances_of(*cameras: Camera, count: int = 3) -> list[float]:
@@ -88,7 +77,7 @@ def raw_wall(camera: Camera, wall: Wall) -> RawFrame:
 
     Raises `InputError` where the camera needs an integration time and none is given.
     """
-    steady = {name: one for name, one in camera.effects.items() if name not in NOT_STEADY}
+    steady = {name: one for name, one in camera.effects.items() if one.shows_on_a_wall}
     quiet = with_effects(replace(camera, radiometry=replace(camera.radiometry, gain_sigma=0.0)), steady)
     pose = Pose((0.0, 0.0, wall.distance))
     surface = Surface("wall", "plane", ScenePose(pose.position), reflectivity=wall.reflectivity)
@@ -100,7 +89,7 @@ def raw_wall(camera: Camera, wall: Wall) -> RawFrame:
 
 def corrected_walls(camera: Camera, raw: Sequence[RawFrame]) -> Array:
     """Return corrected distances (N, H, W) [m] of N raw frames, NaN where a camera file allows none."""
-    steady = {name: one for name, one in camera.effects.items() if name not in NOT_STEADY}
+    steady = {name: one for name, one in camera.effects.items() if one.shows_on_a_wall}
     correction = Correction(with_effects(camera, steady), minimum_amplitude=0.0, exact=True)
     return np.stack([np.asarray(correction.correct(one).distance, float) for one in raw])
 
@@ -155,7 +144,7 @@ def uncertainty(
 
 
 def _coarseness(camera: Camera) -> int:
-    if any(name in camera.effects for name in BY_POSITION):
+    if any(one.stated_by_pixels for one in camera.effects.values()):
         return 1
     return max(1, int(np.ceil(np.sqrt(camera.sensor.width * camera.sensor.height / _ENOUGH))))
 

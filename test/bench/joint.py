@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.blocks import present_priors
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.reduction import reduce_frames
@@ -176,7 +175,7 @@ def _priors(camera: Camera) -> Array:
     found = {
         f"effects.{name}.{path}": sigma
         for name, effect in camera.effects.items()
-        for path, sigma in present_priors(effect, camera).items()
+        for path, sigma in effect.priors().items()
     }
     return np.array([found[path] for path in PATHS])
 

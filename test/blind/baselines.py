@@ -16,12 +16,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from rim_camera_ros.calibrate.blocks import present_blocks
-from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.reduction import reduce_recording
 from rim_camera_ros.camera_file import load_camera
+from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.scene import load_scene
 
 CONSISTENT = "consistent"

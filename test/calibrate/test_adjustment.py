@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.blocks import present_priors
-from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
 from rim_camera_ros.calibrate.library import candidates
@@ -23,6 +21,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_effects, with_numbers
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.base import Effect
+from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.effects.incidence_angle import IncidenceAngle
@@ -55,7 +54,7 @@ def test_derivatives_are_those_of_the_prediction(tmp_path: Path) -> None:
     board = scene(tmp_path)
     data = record(own, board, poses=1, frames=1)
     for name, effect in own.effects.items():
-        for path in present_priors(effect, own):
+        for path in effect.priors():
             full = f"effects.{name}.{path}"
             value = camera_numbers(own)[full]
             step = 1e-4 * max(abs(value), 0.1)

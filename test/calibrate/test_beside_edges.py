@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.search import search
+from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.scene import Scene, ScenePose, Surface

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.joint import exactly
 from rim_camera_ros.calibrate.noise_fit import fit_noise
@@ -21,6 +20,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_effects
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.base import Effect
+from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
 from rim_camera_ros.effects.scattering import Kernel, Scattering

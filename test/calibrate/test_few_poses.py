@@ -11,13 +11,13 @@ import pytest
 
 from rim_camera_ros.calibrate import few_poses
 from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.few_poses import at_stations, few_stations, left_behind
 from rim_camera_ros.calibrate.gauss_newton import GaussNewton
 from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.calibrate.steps import Solved
+from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 

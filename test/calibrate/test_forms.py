@@ -12,8 +12,6 @@ import pytest
 from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate import elsewhere
-from rim_camera_ros.calibrate.blocks import Block, Regressor
-from rim_camera_ros.calibrate.candidate import Candidate, Facts
 from rim_camera_ros.calibrate.elsewhere import shows_elsewhere
 from rim_camera_ros.calibrate.exploration import Exploration, explore, explored, further_equations
 from rim_camera_ros.calibrate.forms import SHARE, form_blocks
@@ -26,6 +24,7 @@ from rim_camera_ros.calibrate.sizes import change_by
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
+from rim_camera_ros.effects.candidate import Block, Candidate, Facts, Regressor
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.emission_pattern import EmissionPattern

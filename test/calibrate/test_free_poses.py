@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.reduction import reduce_frames
 from rim_camera_ros.calibrate.search import search
@@ -18,6 +17,7 @@ from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import accuracy
 from rim_camera_ros.effects.base import Effect
+from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.frame import Pose, Settings
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation

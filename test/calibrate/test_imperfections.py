@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.fold_sums import Fold
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.imperfections import common_pose_block, known_optics, reflectivity_block
@@ -17,6 +16,7 @@ from rim_camera_ros.calibrate.normal_equations import PixelPriors, reduce_folds
 from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.camera import Camera, Covariance
+from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.optics import pixel_rays
 from rim_camera_ros.parameters import ArrayFile, NestedList

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.calibrate.steps import moved_from
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_numbers
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
+from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.integration_time_offset import IntegrationTimeOffset
 

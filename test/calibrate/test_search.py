@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate import search_steps
-from rim_camera_ros.calibrate.candidate import Facts, without_idle_halos
 from rim_camera_ros.calibrate.entry import Found, curve_of_forms, paired_error
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
@@ -35,6 +34,8 @@ from rim_camera_ros.calibrate.search_steps import Search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import contribution, effect_size
 from rim_camera_ros.calibrate.views import NEAR
+from rim_camera_ros.camera_file import lean_camera
+from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
@@ -107,13 +108,13 @@ def test_stray_light_within_its_pixel_is_two_surfaces_in_a_pixel(
 def test_halos_without_light_are_left_out(tmp_path: Path) -> None:
     halo, idle = Kernel(0.01, (5.0, 6.0)), Kernel(0.0, (33.0, 34.0))
     told = camera(tmp_path, CYCLIC, Scattering((idle, halo, idle)))
-    lean = without_idle_halos(told)
+    lean = lean_camera(told)
     assert lean.effects == {"scattering": Scattering((halo,)), "cyclic_error": CYCLIC}
-    assert without_idle_halos(lean) is lean
-    assert without_idle_halos(camera(tmp_path, CYCLIC)).effects == {"cyclic_error": CYCLIC}
+    assert lean_camera(lean) is lean
+    assert lean_camera(camera(tmp_path, CYCLIC)).effects == {"cyclic_error": CYCLIC}
     ghost = Ghost(0.004, (7.0, -3.0))
-    assert Scattering((idle,), ghost).without_idle_halos() == Scattering((), ghost)
-    assert Scattering((idle, idle)).without_idle_halos() == Scattering((idle,))
+    assert Scattering((idle,), ghost).lean() == Scattering((), ghost)
+    assert Scattering((idle, idle)).lean() == Scattering((idle,))
 
 
 def test_stray_light_of_one_halo_is_found_as_such(tmp_path: Path) -> None:

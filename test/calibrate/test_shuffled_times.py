@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.candidate import Candidate, Facts
 from rim_camera_ros.calibrate.elsewhere import quiet_pixels
 from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.selection import Scores, folds_of
 from rim_camera_ros.calibrate.shuffled_times import follows_time
 from rim_camera_ros.effects.base import Effect
+from rim_camera_ros.effects.candidate import Candidate, Facts
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.warm_up_drift import Exponential, WarmUpDrift
 

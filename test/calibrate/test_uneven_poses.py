@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.beyond_hyperbola import beyond_hyperbola
+from rim_camera_ros.calibrate.beyond_form import beyond_form
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.normal_equations import PATTERN_PRIOR
@@ -160,8 +160,8 @@ def test_a_curve_that_turns_negative_is_told_from_a_hyperbola(tmp_path: Path) ->
     )
     other = with_effects(given, {"empirical": curve})
     dataset = record(other, scene(tmp_path), poses=36)
-    said = beyond_hyperbola(*solved(dataset, given, tmp_path))
+    said = beyond_form(*solved(dataset, given, tmp_path))
     assert said is not None
     assert said.startswith("a smooth curve in amplitude fits held-out poses better than the hyperbola")
     assert "empirical:amplitude" in said
-    assert beyond_hyperbola(*solved(record(given, scene(tmp_path)), given, tmp_path)) is None
+    assert beyond_form(*solved(record(given, scene(tmp_path)), given, tmp_path)) is None

@@ -13,9 +13,8 @@ import pytest
 
 from rim_camera_ros.bags import Recording, RecordingWriter
 from rim_camera_ros.calibrate import coarser
-from rim_camera_ros.calibrate.candidate import added
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.camera_file import camera_numbers, load_camera
+from rim_camera_ros.camera_file import added, camera_numbers, load_camera
 from rim_camera_ros.diagnose import formula as formulas
 from rim_camera_ros.diagnose import full_grid
 from rim_camera_ros.diagnose.noise_verdict import with_variance

@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.blocks import Block, Regressor
 from rim_camera_ros.calibrate.exploration import explored, further_equations
 from rim_camera_ros.calibrate.forms import change_of_forms, form_blocks
 from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
-from rim_camera_ros.calibrate.light_curves import RESPONSE, LightCurves
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.sizes import change_by
@@ -27,8 +25,10 @@ from rim_camera_ros.diagnose.where import _shares, _times, of_residuals, of_term
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.base import Effect
+from rim_camera_ros.effects.candidate import Block, Regressor
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.emission_pattern import EmissionPattern
+from rim_camera_ros.effects.light_curves import RESPONSE, LightCurves
 from rim_camera_ros.effects.saturation_bleed import SaturationBleed
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.noise import Noise

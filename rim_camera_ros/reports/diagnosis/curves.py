@@ -9,30 +9,14 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.diagnose.formula import formula_curve
 from rim_camera_ros.diagnose.result import Diagnosis
-from rim_camera_ros.diagnose.where import OF_AMPLITUDE
+from rim_camera_ros.effects import CovariateTable, vocabulary
 from rim_camera_ros.reports.diagnosis.classes import Bins, binned, explained
-from rim_camera_ros.reports.diagnosis.evidence import AXIS, Evidence
+from rim_camera_ros.reports.diagnosis.evidence import Evidence
 from rim_camera_ros.reports.diagnosis.figures import Telling
 from rim_camera_ros.reports.diagnosis.words import axis_of, title_of
 
 Array = NDArray[Any]
 
-#: What an effect is a function of; the others depend on the whole image and are drawn over their own size.
-_NATURAL: dict[str, tuple[str, ...]] = {
-    "cyclic_error": ("distance",),
-    "distance_scale": ("distance",),
-    "amplitude_offset": ("amplitude",),
-    "incidence_angle": ("incidence",),
-    "integration_time_offset": ("integration_time",),
-    "warm_up_drift": ("uptime", "time"),
-    "ambient_temperature": ("time",),
-    "saturation_bleed": ("saturation",),
-    "background_light": ("amplitude",),
-    "emission_pattern": (AXIS,),
-    "amplitude_nonlinearity": ("amplitude",),
-}
-#: Effects whose parameters stand in rows by integration time.
-_BY_SETTING = frozenset({"amplitude_offset", "incidence_angle"})
 _MOST = 6
 _FINE = 60
 _LEAST_SHARE = 0.03
@@ -42,7 +26,7 @@ def curves_of(result: Diagnosis, found: Evidence) -> list[Telling]:
     """Return the telling curves of all effects that are shown."""
     items: list[Telling] = []
     for name in found.changed:
-        if name in OF_AMPLITUDE:
+        if vocabulary()[name].shows_in == "amplitude":
             items += _of_amplitude(found, name)
         else:
             items += _of_distance(result, found, name)
@@ -56,7 +40,10 @@ def _of_distance(result: Diagnosis, found: Evidence, name: str) -> list[Telling]
     items = []
     for covariate in names:
         settings = np.unique(samples.setting[np.isfinite(samples.setting)])
-        if name in _BY_SETTING and 1 < settings.size <= 4:
+        effect = result.camera.effects.get(name)
+        # a term that is of the setting alone is drawn over it
+        rows = effect is not None and covariate != "integration_time" and bool(effect.rows())
+        if rows and 1 < settings.size <= 4:
             for setting in settings:
                 own = samples.setting == setting
                 items += _over(found, name, covariate, own, f"{title_of(name)}, setting {setting:g}")
@@ -72,10 +59,10 @@ def _of_distance(result: Diagnosis, found: Evidence, name: str) -> list[Telling]
 
 
 def _covariates(result: Diagnosis, name: str) -> tuple[str, ...]:
-    if name == "empirical":
-        effect: Any = result.camera.effects[name]
-        return tuple(effect.covariates) if len(effect.covariates) == 1 else ()
-    return _NATURAL.get(name, ())
+    table = result.camera.effects.get(name)
+    if isinstance(table, CovariateTable):
+        return tuple(table.covariates) if len(table.covariates) == 1 else ()
+    return vocabulary()[name].drawn_over
 
 
 def _varies(values: Array) -> bool:
@@ -98,7 +85,7 @@ def _over(
     if drawn is None:
         return []
     bins, effect = drawn
-    unknown = name == "empirical" and result is not None
+    unknown = name == CovariateTable.name and result is not None
     return [
         Telling(
             title,
@@ -152,7 +139,7 @@ def _against_itself(found: Evidence, name: str) -> list[Telling]:
 
 def _of_amplitude(found: Evidence, name: str) -> list[Telling]:
     samples = found.samples
-    covariate = _NATURAL.get(name, ("amplitude",))[0]
+    covariate = (*vocabulary()[name].drawn_over, "amplitude")[0]
     x = samples.covariates[covariate]
     if not _varies(x):
         return []

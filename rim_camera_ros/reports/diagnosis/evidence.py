@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.coarser import finer_covariate
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.library import GEOMETRY
 from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.residuals import after_nuisances
@@ -21,13 +20,12 @@ from rim_camera_ros.calibrate.stations import Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.smooth import values_of
-from rim_camera_ros.diagnose.where import OF_AMPLITUDE
-from rim_camera_ros.effects.covariates import COVARIATES
+from rim_camera_ros.effects import OF_SURFACES, OPTICS, CovariateTable, vocabulary
+from rim_camera_ros.effects.covariates import AXIS, COVARIATES
 
 Array = NDArray[Any]
 
 #: Angle between a pixel's ray and the optical axis [rad]: what the emitter's lobe depends on.
-AXIS = "axis_angle"
 _SAMPLE = 2500
 _SEED = 11
 
@@ -200,8 +198,8 @@ def better_fit(result: Diagnosis) -> Fit:
 
 def changed_effects(result: Diagnosis) -> tuple[str, ...]:
     """Return the effects whose contribution is shown, by their names in the improved camera."""
-    present = set(result.model.effects) | set(GEOMETRY) | {"radiometry"}
-    missing = ["empirical" if one.modelled else one.effect for one in result.missing]
+    present = set(result.model.effects) | set(OPTICS) | OF_SURFACES
+    missing = [CovariateTable.name if one.modelled else one.effect for one in result.missing]
     names = missing or [one.effect for one in result.adjusted]
     return tuple(name for name in names if name in present)
 
@@ -214,7 +212,7 @@ def _compared(
     change = new.distance - old.distance
     parts = {}
     for name in names:
-        if name in OF_AMPLITUDE:
+        if vocabulary()[name].shows_in == "amplitude":
             continue
         part = contribution(new, name, start)
         if name in start.effects:

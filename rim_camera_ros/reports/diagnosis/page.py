@@ -12,7 +12,8 @@ from rim_camera_ros.diagnose.files import PAGE
 from rim_camera_ros.diagnose.report import as_json
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
-from rim_camera_ros.diagnose.where import OF_AMPLITUDE
+from rim_camera_ros.effects import CovariateTable, vocabulary
+from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.info.text import several
 from rim_camera_ros.reports.diagnosis import candidates, sections, setup, words
 from rim_camera_ros.reports.diagnosis.evidence import evidence
@@ -21,9 +22,6 @@ from rim_camera_ros.reports.words import joined, millimetres, noise_words
 from rim_camera_ros.yaml_files import write_whole
 
 Array = NDArray[Any]
-
-#: What is told by the variance of repeated frames.
-_OF_FRAMES = ("noise", "interference")
 
 
 def write_page(result: Diagnosis, folder: Path, *, recording: str, camera: str, scene: str) -> None:
@@ -94,7 +92,7 @@ def _cards(result: Diagnosis) -> list[Card]:
     sizes = [
         one.magnitude
         for one in result.missing
-        if one.magnitude is not None and one.effect not in OF_AMPLITUDE
+        if one.magnitude is not None and _shows_in(one.effect) != "amplitude"
     ]
     if sizes:
         unknown = any(one.effect == UNKNOWN for one in result.missing)
@@ -117,10 +115,15 @@ def _improved(result: Diagnosis) -> bool:
     return changed and result.verdict not in ("consistent", "inconsistent_setup")
 
 
+def _shows_in(effect: str) -> str | None:
+    known = vocabulary().get(effect)
+    return None if known is None else known.shows_in
+
+
 def _evidence_words(one: Missing, result: Diagnosis) -> str:
     """Return how sure an effect is: the first by its probability, further ones by their gain beside it."""
     order = [found.effect for found in result.found]
-    if one.effect in _OF_FRAMES and one.effect not in order:
+    if _shows_in(one.effect) in ("noise", "frames") and one.effect not in order:
         return "This follows from repeated frames."
     number = order.index(one.effect) if one.effect in order else 0
     if number == 0:
@@ -184,7 +187,7 @@ def _unknown(one: Missing, result: Diagnosis) -> list[Part]:
                 "cannot be told from the fixed pattern."
             )
         )
-    known: Any = result.camera.effects.get("empirical")
+    known = effect_of(result.camera, CovariateTable)
     table = known if one.modelled else None
     if table is not None and len(table.covariates) == 2:
         from rim_camera_ros.reports.diagnosis.maps import surface
@@ -196,7 +199,7 @@ def _unknown(one: Missing, result: Diagnosis) -> list[Part]:
             [label for label, _, _ in drawn],
             log=[log for _, _, log in drawn],
         )
-        caption = "What it adds to distances over its two covariates: effect empirical of camera.yaml."
+        caption = f"What it adds to distances over its two covariates: {CovariateTable.name} of camera.yaml."
         alt = f"Map of what it adds to distances over {joined([label for label, _, _ in drawn])}"
         parts.append(Figure(picture, alt, caption))
     elif table is None:

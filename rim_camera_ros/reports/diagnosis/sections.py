@@ -7,6 +7,7 @@ import numpy as np
 from rim_camera_ros.diagnose.accuracy import LEFT
 from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.setup import errors_of_placements
+from rim_camera_ros.effects import vocabulary
 from rim_camera_ros.info.text import several
 from rim_camera_ros.reports.diagnosis import words
 from rim_camera_ros.reports.diagnosis.classes import region
@@ -68,7 +69,7 @@ def where(result: Diagnosis, found: Evidence) -> list[Part]:
             listed = joined([f"{words.plain_name(n)} ({percent(s)})" for n, s in result.where.covariates])
             caption += f"; of its variance follow {listed}"
         caption += ". "
-        if any(one.effect == "mixed_pixels" for one in result.missing):
+        if any(vocabulary()[one.effect].at_edges for one in result.missing if one.effect in vocabulary()):
             caption += "Mixed pixels count as they measure, between the surfaces beside them. "
     caption += (
         "Differences of distances between recording and simulation: RMS over the poses in standard "

@@ -14,21 +14,17 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.formula import formula_terms
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
-from rim_camera_ros.effects import registry
-from rim_camera_ros.effects.base import row_name
-from rim_camera_ros.reports.diagnosis.evidence import AXIS
+from rim_camera_ros.effects import SECTIONS, CovariateTable, vocabulary
+from rim_camera_ros.effects.covariates import AXIS
+from rim_camera_ros.effects.rows import row_name
 from rim_camera_ros.reports.page import Part, Table
 from rim_camera_ros.reports.words import joined, noise_words
 
 Array = NDArray[Any]
 
 _TITLES = {
-    "camera_constant": "focal length and principal point",
-    "lens_distortion": "lens distortion",
-    "noise": "the noise model",
-    "radiometry": "the brightness of the light",
     UNKNOWN: "physics that no known effect describes",
-    "empirical": "unknown physics, as a smooth function",
+    CovariateTable.name: "unknown physics, as a smooth function",
 }
 #: Probability of what is named, and chi-square per value that is left, from which on the verdict is unsure.
 _SURE, _LEFT = 0.95, 1.5
@@ -59,7 +55,7 @@ def title_of(effect: str) -> str:
     """Return what an effect is, in words."""
     if effect in _TITLES:
         return _TITLES[effect]
-    known = registry().get(effect)
+    known = vocabulary().get(effect)
     return effect.replace("_", " ") if known is None else known.title
 
 
@@ -198,9 +194,7 @@ def described(camera: Camera, owner: str, path: str) -> tuple[str, str]:
     """Return unit and meaning of a parameter by its path within an effect or section."""
     value: Any = camera.effects.get(owner)
     if value is None:
-        value = getattr(
-            camera, {"camera_constant": "optics", "lens_distortion": "optics"}.get(owner, owner), None
-        )
+        value = getattr(camera, SECTIONS[owner].section if owner in SECTIONS else owner, None)
     unit = meaning = ""
     parts = path.split(".")
     while parts:
@@ -280,12 +274,6 @@ def stretches(times: Iterable[tuple[float, float]]) -> str:
 
 def unseen_table(names: Sequence[str]) -> list[Part]:
     """Return a table of effects that a recording cannot show, with what it would take."""
-    known = registry()
-    needs = {
-        "camera_constant": "a board at known poses that reaches into the corners of the image",
-        "lens_distortion": "a board at known poses that reaches into the corners of the image",
-    }
-    rows = [
-        [label_of(name), known[name].observable if name in known else needs.get(name, "-")] for name in names
-    ]
+    known = vocabulary()
+    rows = [[label_of(name), known[name].observable if name in known else "-"] for name in names]
     return [Table(["effect", "what a recording must contain to show it"], rows)] if rows else []

@@ -1,0 +1,202 @@
+"""Regressors and candidates: how an effect enters a linear fit, and the way back from coefficients to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.base import Context, DistanceTerm, Effect, Signal
+from rim_camera_ros.frame import Settings
+
+Array = NDArray[Any]
+Coefficients = Mapping[str, float]
+
+#: Derivatives (H, W) of measured distance and published amplitude (None: none) by one regressor.
+Column = tuple[Array, Array | None]
+#: Number of pixels from which on a search looks at a coarser grid, or at fewer variants.
+MANY_PIXELS = 60_000
+#: 1-sigma of a distance term's prior [m] where it is at its largest.
+TERM_SIZE = 0.05
+
+
+class Reading(Protocol):
+    """What a fit predicts of one station's mean frame, as far as columns of regressors need it."""
+
+    @property
+    def context(self) -> Context:
+        """The context in which effects see the station."""
+
+    @property
+    def distance(self) -> Array:
+        """Predicted distance (H, W) [m]."""
+
+    def columns(self, effect: Effect) -> dict[str, tuple[Array, Array]]:
+        """Return the derivatives of the readings by an effect's parameters, by dotted path."""
+
+    def before_effect(self, name: str) -> Signal:
+        """Return the light just before an effect, which need not be one of the camera's."""
+
+    def light_change(self, after: str | None, change: Array) -> tuple[Array, Array]:
+        """Return what a relative change of the light after an effect (None: at the scene) does."""
+
+    def reading_change(self, by_distance: Array | float, relative: Array | float) -> tuple[Array, Array]:
+        """Return the changes of the readings for changes of delivered distance [m] and log amplitude."""
+
+    def curve_columns(self, labels: Sequence[str]) -> list[tuple[Array, Array]]:
+        """Return the derivatives of the readings by curves of the light."""
+
+
+@dataclass(frozen=True)
+class Regressor:
+    """One column of the design: label, the effect or curve it belongs to, 1-sigma of its prior."""
+
+    label: str
+    owner: str
+    prior: float
+
+
+@dataclass(frozen=True)
+class Block:
+    """Regressors whose columns are computed together; ``in_order`` where they need the stations in order.
+
+    ``grouped``, where each pixel has one of them at most: its number (-1: none), and the derivatives of
+    distance and amplitude by it, (H, W) each.
+    """
+
+    regressors: tuple[Regressor, ...]
+    columns: Callable[[Any], Sequence[Column]]
+    in_order: bool = False
+    grouped: Callable[[Any], tuple[Array, Array, Array]] | None = None
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One variant of an effect that a camera file lacks.
+
+    ``effect`` is its name in the vocabulary, ``variant`` tells variants apart; ``build`` makes the camera
+    with it from the coefficients by label. ``positive`` coefficients by label: light that is added cannot be
+    negative, which speaks for something else. ``footprint`` [px] of variants that show in the very pixels
+    that an edge crosses.
+    """
+
+    effect: str
+    variant: str
+    block: Block
+    build: Callable[[Camera, Coefficients], Camera]
+    positive: tuple[str, ...] = ()
+    footprint: float | None = None
+
+
+class _Station(Protocol):
+    settings: Settings
+    amplitude: Array
+    count: Array
+    saturated: Array
+
+
+class _Dataset(Protocol):
+    @property
+    def stations(self) -> Sequence[Any]: ...
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What the recordings contain, as far as candidates depend on it.
+
+    ``amplitude`` is the median in counts, ``uptime`` [s] and ``ambient`` [degC] the ranges (None: not
+    stated); ``moves`` says whether the camera does.
+    """
+
+    integration_times: tuple[float, ...]
+    amplitude: float
+    uptime: tuple[float, float] | None
+    ambient: tuple[float, float] | None
+    saturated: bool
+    moves: bool
+    surfaces: int
+
+    @classmethod
+    def of(cls, dataset: _Dataset, *, moves: bool, surfaces: int, camera: Camera) -> Facts:
+        """Collect them from the stations."""
+        stations: Sequence[_Station] = dataset.stations
+        times = {camera.integration_time(one.settings) for one in stations}
+        uptimes = [one.settings.uptime for one in stations]
+        ambients = [one.settings.ambient_temperature for one in stations]
+        known_up = [u for u in uptimes if u is not None]
+        known_ambient = [a for a in ambients if a is not None]
+        bright = [float(np.median(one.amplitude[one.count > 0])) for one in stations if one.count.any()]
+        return cls(
+            integration_times=tuple(sorted(times)),
+            amplitude=float(np.median(bright)) if bright else 1.0,
+            uptime=(min(known_up), max(known_up)) if len(known_up) == len(uptimes) and known_up else None,
+            ambient=(min(known_ambient), max(known_ambient)) if known_ambient else None,
+            saturated=any(bool(one.saturated.any()) for one in stations),
+            moves=moves,
+            surfaces=surfaces,
+        )
+
+
+def has_many_pixels(camera: Camera) -> bool:
+    """Return whether so many pixels make every variant expensive: then there are fewer."""
+    return camera.sensor.width * camera.sensor.height > MANY_PIXELS
+
+
+def with_effect(camera: Camera, effect: Effect) -> Camera:
+    """Return the camera with one effect more, unchecked and the last: `camera_file.in_order` does both."""
+    return replace(camera, effects=MappingProxyType({**camera.effects, effect.name: effect}))
+
+
+def effect_block(
+    effect: Effect, priors: Mapping[str, float], *, owner: str | None = None, label: str = ""
+) -> Block:
+    """Return the regressors of some parameters of an effect: ``priors`` by dotted path.
+
+    The label is ``effects.NAME.PATH``, with ``label`` appended where variants must be told apart.
+    """
+    paths = tuple(priors)
+    has_amplitude = not isinstance(effect, DistanceTerm)
+
+    def columns(reading: Reading) -> list[Column]:
+        found = reading.columns(effect)
+        return [(found[path][0], found[path][1] if has_amplitude else None) for path in paths]
+
+    name = effect.name if owner is None else owner
+    regressors = tuple(Regressor(f"effects.{effect.name}.{p}{label}", name, priors[p]) for p in paths)
+    return Block(regressors, columns, in_order=effect.remembers)
+
+
+def together(*blocks: Block) -> Block:
+    """Return one block of the regressors of several, in their order."""
+    regressors = tuple(regressor for one in blocks for regressor in one.regressors)
+    return Block(
+        regressors,
+        lambda reading: [c for one in blocks for c in one.columns(reading)],
+        in_order=any(one.in_order for one in blocks),
+    )
+
+
+def linear(effect: Effect, priors: Mapping[str, float], variant: str = "") -> Candidate:
+    """Return a variant that is linear in the named parameters about those of the effect given.
+
+    Coefficients add to its values, within their bounds; those whose bound they start at must not turn
+    negative.
+    """
+    from rim_camera_ros.parameters import flatten, with_values
+
+    block = effect_block(effect, priors, label=f"@{variant}" if variant else "")
+    labels = dict(zip(priors, (one.label for one in block.regressors), strict=True))
+    start, bounds = flatten(effect), effect.bounds()
+
+    def build(camera: Camera, values: Coefficients) -> Camera:
+        own = {path: start[path] + values[label] for path, label in labels.items()}
+        clipped = {path: float(np.clip(v, *bounds.get(path, (-np.inf, np.inf)))) for path, v in own.items()}
+        return with_effect(camera, with_values(effect, clipped))
+
+    positive = tuple(label for path, label in labels.items() if bounds.get(path, (-1.0,))[0] == 0.0)
+    return Candidate(effect.name, variant, block, build, positive)
