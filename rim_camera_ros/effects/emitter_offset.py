@@ -8,8 +8,24 @@ import numpy as np
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import Column, Context, Effect, Image, Signal
-from rim_camera_ros.effects.candidate import Candidate, Facts, linear
+from rim_camera_ros.effects.candidate import (
+    Block,
+    Candidate,
+    Coefficients,
+    Facts,
+    Reading,
+    Regressor,
+    effect_block,
+    linear,
+    together,
+    with_effect,
+)
 from rim_camera_ros.parameters import quantity
+
+#: Where variants begin [m]: LEDs stand about so far beside a lens, to one side of it or above.
+_PLACES = ((0.03, 0.0, 0.0), (0.0, 0.03, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0))
+#: 1-sigma [m] of how far from there.
+_MOVED = 0.03
 
 
 @dataclass(frozen=True)
@@ -71,8 +87,14 @@ class EmitterOffset(Effect):
 
     @classmethod
     def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
+        """At the lens, and at several places beside it.
+
+        To first order an emitter is an offset of each pixel, -ray . e / 2, which the fixed pattern takes up;
+        what is left, (|e|^2 - (ray . e)^2) / (4 d), no linearisation at e = 0 shows.
+        """
         base = cls(position=(0.0, 0.0, 0.0))
-        return [linear(base, {"position.0": 0.05, "position.1": 0.05, "position.2": 0.05})]
+        at_lens = linear(base, {"position.0": 0.05, "position.1": 0.05, "position.2": 0.05})
+        return [at_lens, *(_beside(cls(position)) for position in _PLACES)]
 
     def sentence(self) -> str:
         beside = float(np.linalg.norm(self.position)) * 1e3
@@ -84,3 +106,30 @@ class EmitterOffset(Effect):
     @classmethod
     def example(cls, camera: Camera) -> EmitterOffset:
         return cls(position=(0.02, -0.035, 0.004))
+
+
+def _beside(start: EmitterOffset) -> Candidate:
+    """All that an emitter at a place does, as a whole of prior 1, and the derivatives there."""
+    name, place = start.name, start.position
+    variant = f"{1e3 * place[0]:g}, {1e3 * place[1]:g} mm"
+    share = f"effects.{name}.share@{variant}"
+    moved = effect_block(
+        start, dict.fromkeys((f"position.{i}" for i in range(3)), _MOVED), label=f"@{variant}"
+    )
+
+    def whole(reading: Reading) -> list[tuple[Image, Image]]:
+        before = reading.before_effect(name)
+        after = start.simulate(before, reading.context)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            relative = np.where(before.amplitude > 0, np.log(after.amplitude / before.amplitude), 0.0)
+        turned = 2 * np.pi / reading.context.ambiguity * (after.distance - before.distance)
+        return [reading.light_change(name, np.nan_to_num(relative) + 1j * np.nan_to_num(turned))]
+
+    def build(camera: Camera, values: Coefficients) -> Camera:
+        x, y, z = (
+            values[share] * e + values[one.label] for e, one in zip(place, moved.regressors, strict=True)
+        )
+        return with_effect(camera, EmitterOffset(position=(float(x), float(y), float(z))))
+
+    block = together(Block((Regressor(share, name, 1.0),), whole), moved)
+    return Candidate(name, variant, block, build)
