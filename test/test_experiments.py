@@ -17,6 +17,7 @@ import setuptools
 
 from rim_camera_ros.bags import Recording, RecordingWriter
 from rim_camera_ros.camera_file import load_camera
+from rim_camera_ros.chain import ideal_amplitude
 from rim_camera_ros.devices.timeline import Timeline
 from rim_camera_ros.effects.interference import Interference
 from rim_camera_ros.errors import InputError
@@ -311,7 +312,7 @@ def test_two_cameras_add_common_noise() -> None:
     assert there[2].settings.integration_time == 100
     frames = [simulation.frame(replace(there[2], stamp=there[2].stamp + k)) for k in range(400)]
     distance = np.stack([one.distance for one in frames])
-    amplitude = simulation.ideal_amplitude(simulation.geometry(there[2].poses), 100.0)
+    amplitude = ideal_amplitude(simulation.geometry(there[2].poses), other.radiometry.gain * 100.0)
     left = 80.0 * np.sinc(20.0 * 0.0202)
     bright = amplitude > 10 * left
     predicted = 7.49481 / (2 * np.pi) * left / (np.sqrt(2) * amplitude[bright])

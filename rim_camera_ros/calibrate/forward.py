@@ -16,21 +16,16 @@ from rim_camera_ros.calibrate.prediction import Prediction, Shift
 from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.calibrate.views import NEAR, Margins, View, Views
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects import PixelMap, registry
+from rim_camera_ros.chain import Chain, deliver, ideal_amplitude
+from rim_camera_ros.effects import registry
 from rim_camera_ros.effects.base import (
-    ComplexEffect,
     Context,
-    DistanceTerm,
-    Effect,
-    ResponseEffect,
     Signal,
-    from_phasor,
-    response_of,
 )
 from rim_camera_ros.effects.light_curves import LightCurves
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.noise import sigma_amplitude
-from rim_camera_ros.phasor import to_phasor, wrap_residual
+from rim_camera_ros.phasor import wrap_residual
 from rim_camera_ros.scene import Geometry, Scene, see
 
 Array = NDArray[Any]
@@ -89,6 +84,7 @@ class Forward:
         self.threads = 1
         # the last is that of a ray that meets nothing, which has the number -1
         self._undescribed = np.array([*(not one.is_described for one in scene.surfaces), False])
+        self._chain = Chain.of(camera.effects.values(), of_means=True)
         self._order = {name: i for i, name in enumerate(registry())}
         self._of_geometry = [name for name, one in registry().items() if one.remembers_geometry]
 
@@ -197,7 +193,7 @@ class Forward:
             self.masks, self.margins = masks, None
 
     def _expanded(self, published: Array) -> Array:
-        effect = response_of(self.camera)
+        effect = self._chain.response
         if effect is None:
             return published
         if self.light_curves is not None and self.light_curves.responds:
@@ -206,11 +202,11 @@ class Forward:
 
     def _light(self, geometry: Geometry, power: float) -> Array:
         """Return the amplitude [counts] before all effects: power rho cos(incidence) / d^2; [counts m^2]."""
-        with np.errstate(invalid="ignore"):
-            light = power * geometry.reflectivity * geometry.cos_incidence / geometry.distance**2
-        if self.light_curves is not None:
-            light = light * self.light_curves.factor(geometry, self.camera.sensor.ambiguity)
-        return np.where(geometry.hit, light, 0.0)
+        light = ideal_amplitude(geometry, power)
+        if self.light_curves is None:
+            return light
+        factor = self.light_curves.factor(geometry, self.camera.sensor.ambiguity)
+        return np.where(geometry.hit, light * factor, 0.0)
 
     def _predict(
         self, station: Station, memory: dict[str, Any], model: AmplitudeModel, slopes: bool
@@ -253,29 +249,9 @@ class Forward:
             light_tolerance=_SAME_LIGHT,
             notes=self.notes,
         )
-        signal = Signal(geometry.distance, ideal)
         before: dict[str, Signal] = {}
-        spread: list[Effect] = []
-        terms: list[DistanceTerm] = []
-        published: ResponseEffect | None = None
-        for name, effect in camera.effects.items():
-            if not effect.predictable:
-                continue
-            if isinstance(effect, DistanceTerm):
-                terms.append(effect)
-            elif isinstance(effect, ResponseEffect):
-                published = effect
-            else:
-                before[name] = signal
-                if isinstance(effect, ComplexEffect):
-                    phasor = to_phasor(signal.distance, signal.amplitude, context.ambiguity)
-                    signal = from_phasor(effect.apply(phasor, context), signal, context)
-                else:
-                    signal = effect.simulate(signal, context)
-                    if effect.remembers_geometry and name in memory:
-                        view.memory[name] = memory[name]
-                if effect.spreads:
-                    spread.append(effect)
+        signal = deliver(self._chain.light, Signal(geometry.distance, ideal), context, before=before)
+        view.memory.update({name: memory[name] for name in self._of_geometry if name in memory})
         if nameless.any():
             # nobody said how much these surfaces reflect: their light is what was measured
             measured = self._noise_amplitude(station, signal.amplitude)
@@ -283,9 +259,7 @@ class Forward:
         if model.pixels is not None:
             lighter = np.where(nameless, 1.0, np.exp(model.pixels))
             signal = Signal(signal.distance, signal.amplitude * lighter)
-        return self._compare(
-            station, view, context, before, spread, terms, published, signal, model, slopes, gain, nameless
-        )
+        return self._compare(station, view, context, before, signal, model, slopes, gain, nameless)
 
     def _compare(
         self,
@@ -293,9 +267,6 @@ class Forward:
         view: View,
         context: Context,
         before: dict[str, Signal],
-        spread: list[Effect],
-        terms: Sequence[DistanceTerm],
-        published: ResponseEffect | None,
         light: Signal,
         model: AmplitudeModel,
         slopes: bool,
@@ -308,32 +279,14 @@ class Forward:
         safe = np.where(lit, light.amplitude, 1.0)
         latent, follows = self._latent(station, safe, n, model)
         delivered = Signal(light.distance, np.where(lit, latent, 0.0))
-        total: Any = 0.0
-        by_distance: Any = 1.0
-        by_amplitude: Any = 0.0
-        relative_step, step = 1e-4, 1e-4
-        for term in terms:
-            total = total + term.term(delivered.distance, latent, context)
-            depends = term.depends_on()
-            if not slopes or isinstance(term, PixelMap):
-                continue
-            if "distance" in depends:
-                up = term.term(delivered.distance + step, latent, context)
-                down = term.term(delivered.distance - step, latent, context)
-                by_distance = by_distance + (up - down) / (2 * step)
-            if "amplitude" in depends:
-                up = term.term(delivered.distance, latent * (1 + relative_step), context)
-                down = term.term(delivered.distance, latent * (1 - relative_step), context)
-                by_amplitude = by_amplitude + (up - down) / (2 * relative_step * latent)
-        distance = delivered.distance + total
+        terms = self._chain.evaluated(delivered.distance, latent, context, slopes=slopes)
+        distance = delivered.distance + terms.total
         residual = station.distance - distance
         if camera.sensor.wraps:
             residual = wrap_residual(residual, context.ambiguity)
-        slope_published: Any = 1.0
-        if published is not None:
-            slope_published = published.slope(latent)
-        model_reading = safe if published is None else published.compressed(safe)
-        if published is not None and self.light_curves is not None:
+        response, model_reading = self._chain.response, self._chain.published(safe)
+        slope_published: Any = 1.0 if response is None else response.slope(latent)
+        if response is not None and self.light_curves is not None:
             model_reading = model_reading * self.light_curves.response(safe)
             slope_published = slope_published * self.light_curves.response(latent)
         variance, amplitude_variance = self._variances(self._noise_amplitude(station, latent), context)
@@ -369,15 +322,15 @@ class Forward:
             amplitude_share=1.0 / alike,
             used=used,
             amplitude_used=amplitude_used,
-            slope_distance=by_distance,
-            slope_amplitude=by_amplitude,
+            slope_distance=1.0 + terms.by_distance,
+            slope_amplitude=terms.by_amplitude,
             slope_published=slope_published,
             pose_columns=view.pose_columns,
             model_amplitude=safe,
             model_reading=model_reading,
             gain=gain,
             amplitude_follows=np.where(nameless, 0.0, follows),
-            spread=spread,
+            spread=[one for one in self._chain.light if one.spreads],
             light_curves=self.light_curves,
             linear=self.linear,
         )

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.chain import Chain
 from rim_camera_ros.effects import InternalReference
 from rim_camera_ros.effects.base import Context, effect_of
 from rim_camera_ros.errors import InputError, nearest_name
@@ -83,6 +84,7 @@ class Correction:
         self._folded: dict[float | None, Folded] = {}
         self._dtype = np.float64 if exact else np.float32
         self._active = {name: one for name, one in camera.effects.items() if name not in self.without}
+        self._chain = Chain.of(self._active.values())
         undone = replace(camera, effects=self._active)
         self._optics = OpticsUndo(undone, self._dtype)
         reference = effect_of(undone, InternalReference)
@@ -197,7 +199,7 @@ class Correction:
         folded = self._folded.get(key)
         if folded is None:
             context = Context(camera=self.camera, settings=settings, notes=self.notes)
-            folded = Folded(self.camera, self._active, context, self.minimum_amplitude, exact=self.exact)
+            folded = Folded(self.camera, self._chain, context, self.minimum_amplitude, exact=self.exact)
             if len(self._folded) >= _KEPT:
                 self._folded.pop(next(iter(self._folded)))
             self._folded[key] = folded

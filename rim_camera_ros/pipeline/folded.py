@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.chain import Chain
 from rim_camera_ros.effects import InternalReference, mean_reading
-from rim_camera_ros.effects.base import Context, DistanceTerm, ResponseEffect
+from rim_camera_ros.effects.base import Context, DistanceTerm
 from rim_camera_ros.effects.incidence import IncidenceTerm, incidence_gon
 from rim_camera_ros.effects.rows import outside_rows
 from rim_camera_ros.pipeline import kernels
@@ -34,7 +35,7 @@ class Folded:
     def __init__(
         self,
         camera: Camera,
-        active: Mapping[str, Any],
+        chain: Chain,
         context: Context,
         minimum: float | None,
         *,
@@ -43,11 +44,11 @@ class Folded:
         self.context = context
         self._exact = exact
         self._dtype = np.float64 if exact else np.float32
-        self._sort([one for one in active.values() if isinstance(one, DistanceTerm)])
+        self._sort(chain.terms)
         self.amplitude = AmplitudeModel(
             camera,
             self._by_amplitude,
-            next((one for one in active.values() if isinstance(one, ResponseEffect)), None),
+            chain.response,
             context,
             minimum,
         )
@@ -57,15 +58,15 @@ class Folded:
         self._placed_directly = [one for one in self._placed if one not in planes]
         self._planes = PlaneTable(camera, planes, context) if planes else None
         self._fold_incidence()
-        self._reference = next((one for one in active.values() if isinstance(one, InternalReference)), None)
+        self._reference = next((one for one in chain.light if isinstance(one, InternalReference)), None)
         #: pixels that see no scene
         self.reference_region = self._reference.region() if self._reference is not None else None
         self._constant = sum(self._number(one) for one in self._constants)
         t = context.camera.stated_integration_time(context.settings)
         #: whether the setting lies outside the calibrated rows
-        self.outside = any(outside_rows(one.rows(), t) for one in active.values())
+        self.outside = any(outside_rows(one.rows(), t) for one in (*chain.light, *chain.terms))
 
-    def _sort(self, terms: list[DistanceTerm]) -> None:
+    def _sort(self, terms: Sequence[DistanceTerm]) -> None:
         self._by_amplitude: list[DistanceTerm] = []
         self._by_pixel: list[DistanceTerm] = []
         self._by_distance: list[DistanceTerm] = []

@@ -4,29 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import groupby, takewhile
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import FULL_SCALE, Camera
+from rim_camera_ros.chain import Chain, deliver, ideal_amplitude
 from rim_camera_ros.effects import InternalReference, mean_reading
 from rim_camera_ros.effects.base import (
-    ComplexEffect,
     Context,
     DistanceTerm,
     Effect,
     Signal,
     effect_of,
-    from_phasor,
-    response_of,
 )
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.footprint import Cells, FootprintLight, footprint_light
 from rim_camera_ros.frame import NANOSECONDS, Pose, RawFrame, Settings
 from rim_camera_ros.noise import sigma_amplitude
-from rim_camera_ros.phasor import Waveform, to_phasor, wrap, wrap_residual
+from rim_camera_ros.phasor import Waveform, wrap, wrap_residual
 from rim_camera_ros.pipeline.reference import SimulatedReference
 from rim_camera_ros.scene import Geometry, Scene, see
 
@@ -83,6 +81,7 @@ class Simulation:
                     place="surfaces",
                     remedy="state reflectivity or texture",
                 )
+        self._chain = Chain.of(self.camera.effects.values())
         self._rng = np.random.Generator(np.random.SFC64(self.seed))
         # the power of a station does not depend on how many frames came before it
         self._gain_seed = np.random.SeedSequence([self.seed, 20070])
@@ -104,13 +103,6 @@ class Simulation:
                 self._seen.pop(next(iter(self._seen)))
             self._seen[key] = found
         return found
-
-    def ideal_amplitude(self, geometry: Geometry, integration_time: float, power: float = 1.0) -> Any:
-        """Return gain * integration_time * reflectivity * cos(incidence) / distance^2 in counts, or 0."""
-        scale = self.camera.radiometry.gain * integration_time * power
-        with np.errstate(invalid="ignore"):
-            amplitude = scale * geometry.reflectivity * geometry.cos_incidence / geometry.distance**2
-        return np.where(geometry.hit, amplitude, 0.0)
 
     def power(self, station: int) -> float:
         """Return the relative emitted power of a station (``radiometry.gain_sigma``)."""
@@ -139,8 +131,8 @@ class Simulation:
                 "no ray of the camera meets a surface",
                 remedy="surfaces must lie before the camera, at positive z",
             )
-        integration_time = self.camera.integration_time(settings)
-        power = self.power(exposure.station)
+        scale = self.camera.radiometry.gain * self.camera.integration_time(settings)
+        scale *= self.power(exposure.station)
         motion = self.scene.camera_motion
 
         def geometry_at(seconds: float) -> tuple[Geometry, Any]:
@@ -149,7 +141,7 @@ class Simulation:
             else:
                 moved = {name: motion.carry(pose, seconds) for name, pose in exposure.poses.items()}
                 there = see(self.scene, moved, self.camera.rays)
-            return there, self.ideal_amplitude(there, integration_time, power)
+            return there, ideal_amplitude(there, scale)
 
         def footprint(cells: Cells) -> FootprintLight:
             kept = self._around
@@ -178,24 +170,15 @@ class Simulation:
 
     def signal(self, context: Context) -> Signal:
         """Return the noise-free signal after all effects."""
-        effects = list(self.camera.effects.values())
-        steady = list(takewhile(lambda one: one.steady, effects))
-        signal = self._delivered(steady, context)
-        terms_reached = False
-        for kind, group in groupby(effects[len(steady) :], key=lambda one: isinstance(one, ComplexEffect)):
-            if kind:
-                signal = _through(list(group), signal, context)
-                continue
-            for effect in group:
-                if isinstance(effect, DistanceTerm) and not terms_reached:
-                    terms_reached = True
-                    context.saturated = self._saturated(signal)
-                signal = effect.simulate(signal, context)
-        if self.waveform is not None:
-            signal = self._at_sample_level(signal, context)
-        return signal
+        steady = list(takewhile(lambda one: one.steady, self._chain.light))
+        signal = deliver(self._chain.light[len(steady) :], self._steady(steady, context), context)
+        if self._chain.terms:
+            context.saturated = self._full(self._chain.published(signal.amplitude))
+        terms = self._chain.evaluated(signal.distance, signal.amplitude, context)
+        signal = replace(signal, offset=terms.total, published=self._chain.published(signal.amplitude))
+        return signal if self.waveform is None else self._at_sample_level(signal, context)
 
-    def _delivered(self, steady: list[Effect], context: Context) -> Signal:
+    def _steady(self, steady: list[Effect], context: Context) -> Signal:
         """Return the light after the first effects, which stay as they are while the scene does."""
         if context.geometry is None or context.geometry_at is None:
             raise ValueError("the context of a simulation has a geometry")
@@ -207,22 +190,9 @@ class Simulation:
             and np.array_equal(kept.amplitude, amplitude)
         ):
             return kept.delivered
-        signal = Signal(context.geometry.distance, amplitude)
-        for kind, group in groupby(steady, key=lambda one: isinstance(one, ComplexEffect)):
-            if kind:
-                signal = _through(list(group), signal, context)
-                continue
-            for effect in group:
-                signal = effect.simulate(signal, context)
+        signal = deliver(steady, Signal(context.geometry.distance, amplitude), context)
         self._kept = _Kept(context.geometry, amplitude, signal)
         return signal
-
-    def _saturated(self, signal: Signal) -> NDArray[np.bool_]:
-        amplitude = signal.amplitude
-        response = response_of(self.camera)
-        if response is not None:
-            amplitude = response.compressed(amplitude)
-        return self._full(amplitude)
 
     def _full(self, published: Any) -> NDArray[np.bool_]:
         """Return where amplitude [counts] and what unmodulated light leaves reach the saturation."""
@@ -279,8 +249,7 @@ class Simulation:
             sigma_a = sigma_amplitude(sigma, delivered, ambiguity=context.ambiguity)
             distance = distance + sigma * self._rng.standard_normal(shape, dtype=np.float32)
             noisy = np.maximum(delivered + sigma_a * self._rng.standard_normal(shape, dtype=np.float32), 0.0)
-            response = response_of(self.camera)
-            amplitude = noisy if response is None else response.compressed(noisy)
+            amplitude = self._chain.published(noisy)
         distance[~(signal.amplitude > 0)] = np.nan
         return distance, amplitude
 
@@ -323,14 +292,6 @@ class Simulation:
     def true_distance(self, exposure: Exposure) -> NDArray[np.float64]:
         """Return the true radial distance (H, W) in metres, NaN where nothing is seen."""
         return self.geometry(exposure.poses).distance
-
-
-def _through(effects: list[Any], signal: Signal, context: Context) -> Signal:
-    """Return the signal after consecutive effects on the complex image."""
-    phasor = to_phasor(signal.distance, signal.amplitude, context.ambiguity)
-    for effect in effects:
-        phasor = effect.apply(phasor, context)
-    return from_phasor(phasor, signal, context)
 
 
 def drift_of(camera: Camera, context: Context) -> float:

@@ -1,0 +1,119 @@
+"""The one forward chain: light through the effects in their order, terms at what the optics deliver.
+
+The simulation of frames, the prediction of mean frames in a fit, and the tables of the correction all take
+the effects of a camera from here, so that they cannot disagree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, MutableMapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.effects.base import (
+    ComplexEffect,
+    Context,
+    DistanceTerm,
+    Effect,
+    ResponseEffect,
+    Signal,
+    from_phasor,
+)
+from rim_camera_ros.phasor import to_phasor
+from rim_camera_ros.scene import Geometry
+
+Array = NDArray[Any]
+
+#: Steps of the derivatives of terms: of the distance [m], and relative ones of the amplitude.
+_STEP = 1e-4
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The sum of the terms in metres, and its derivatives by distance [-] and amplitude [m/count]."""
+
+    total: Array | float
+    by_distance: Array | float = 0.0
+    by_amplitude: Array | float = 0.0
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The effects of a camera by where they act, each in the order along the light.
+
+    ``light`` changes what the optics deliver, ``terms`` add up to the measured distance at that, and
+    ``response`` publishes the amplitude.
+    """
+
+    light: tuple[Effect, ...]
+    terms: tuple[DistanceTerm, ...]
+    response: ResponseEffect | None
+
+    @classmethod
+    def of(cls, effects: Iterable[Effect], *, of_means: bool = False) -> Chain:
+        """Sort ordered effects; ``of_means`` leaves out those without a mean that could be predicted."""
+        kept = [one for one in effects if one.predictable or not of_means]
+        responses = [one for one in kept if isinstance(one, ResponseEffect)]
+        return cls(
+            tuple(one for one in kept if not isinstance(one, DistanceTerm | ResponseEffect)),
+            tuple(one for one in kept if isinstance(one, DistanceTerm)),
+            responses[-1] if responses else None,
+        )
+
+    def evaluated(
+        self, distance: Array, amplitude: Array, context: Context, *, slopes: bool = False
+    ) -> Terms:
+        """Return the terms at delivered distance [m] and amplitude [counts]; derivatives if ``slopes``."""
+        total: Any = 0.0
+        by_distance: Any = 0.0
+        by_amplitude: Any = 0.0
+        for one in self.terms:
+            total = total + one.term(distance, amplitude, context)
+            depends = one.depends_on() if slopes else ()
+            if "distance" in depends:
+                sides = (one.term(distance + step, amplitude, context) for step in (_STEP, -_STEP))
+                by_distance = by_distance + (next(sides) - next(sides)) / (2 * _STEP)
+            if "amplitude" in depends:
+                sides = (one.term(distance, amplitude * (1 + step), context) for step in (_STEP, -_STEP))
+                by_amplitude = by_amplitude + (next(sides) - next(sides)) / (2 * _STEP * amplitude)
+        return Terms(total, by_distance, by_amplitude)
+
+    def published(self, amplitude: Array) -> Array:
+        """Return the published amplitude in counts of delivered ones."""
+        return amplitude if self.response is None else self.response.compressed(amplitude)
+
+
+def deliver(
+    effects: Iterable[Effect],
+    signal: Signal,
+    context: Context,
+    *,
+    before: MutableMapping[str, Signal] | None = None,
+) -> Signal:
+    """Return the light after effects on it; ``before`` collects it before each of them by name."""
+    phasor: Array | None = None
+    for one in effects:
+        if phasor is not None and (before is not None or not isinstance(one, ComplexEffect)):
+            signal = from_phasor(phasor, signal, context)
+        if before is not None:
+            before[one.name] = signal
+        if isinstance(one, ComplexEffect):
+            if phasor is None:
+                phasor = to_phasor(signal.distance, signal.amplitude, context.ambiguity)
+            phasor = one.apply(phasor, context)
+        else:
+            signal, phasor = one.simulate(signal, context), None
+    return signal if phasor is None else from_phasor(phasor, signal, context)
+
+
+def ideal_amplitude(geometry: Geometry, power: float) -> Array:
+    """Return power * reflectivity * cos(incidence) / distance^2 in counts (H, W), 0 where nothing is seen.
+
+    ``power`` [counts m^2] is gain * integration time times that of the pose.
+    """
+    with np.errstate(invalid="ignore"):
+        light = power * geometry.reflectivity * geometry.cos_incidence / geometry.distance**2
+    return np.where(geometry.hit, light, 0.0)
