@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.entry import Found, own_covariates
+from rim_camera_ros.calibrate.entry import Found
 from rim_camera_ros.calibrate.leaders import NOT_ELSEWHERE, NOT_IN_ALL_POSES, Refused
 from rim_camera_ros.diagnose import setup
 from rim_camera_ros.diagnose.accuracy import Accuracy
@@ -63,14 +63,14 @@ def test_noise_beside_unknown_physics_must_be_far_off(
 
 
 def test_distance_terms_have_covariates_of_their_own() -> None:
-    assert own_covariates(HYPERBOLA) == {"amplitude", "settings"}
-    assert own_covariates(IncidenceAngle(polynomial={16.0: (0.0, 0.0, 1e-5, 2e-4)})) == {
+    assert HYPERBOLA.own_covariates() == {"amplitude", "settings"}
+    assert IncidenceAngle(polynomial={16.0: (0.0, 0.0, 1e-5, 2e-4)}).own_covariates() == {
         "incidence",
         "settings",
     }
     lagging = AmbientTemperature(coefficient=0.002, reference=20.0, time_constant=600.0)
-    assert own_covariates(lagging) == {"ambient_temperature", "temperature", "settings"}
-    assert own_covariates(Scattering((Kernel(0.01, (3.0, 4.0)),))) == frozenset()
+    assert lagging.own_covariates() == {"ambient_temperature", "temperature", "settings"}
+    assert Scattering((Kernel(0.01, (3.0, 4.0)),)).own_covariates() == frozenset()
 
 
 @pytest.mark.parametrize(
