@@ -90,10 +90,10 @@ setup(
     entry_points={
         "console_scripts": [
             f"camera_node = {NAME}.nodes.camera_node:main",
-            f"driver_node = {NAME}.nodes.driver_node:main",
-            f"correction_node = {NAME}.nodes.correction_node:main",
-            f"people_node = {NAME}.nodes.people_node:main",
-            f"calibration_node = {NAME}.nodes.calibration_node:main",
+            f"driver_node = {NAME}.nodes.driver.node:main",
+            f"correction_node = {NAME}.nodes.correction.node:main",
+            f"people_node = {NAME}.nodes.people.node:main",
+            f"calibration_node = {NAME}.nodes.calibration.node:main",
             f"rim = {NAME}.cli:main",
         ],
         # The group "rim_camera_ros.effects" belongs to other packages: they add physical effects through it.

@@ -41,7 +41,7 @@ def program(command: Sequence[str], script: str) -> str | None:
         package, _, module = command[flags[0] + 1].partition(".") if flags else ("", "", "")
         if package != _PACKAGE:
             return None
-        name = module.rpartition(".")[2]
+        name = module.removeprefix("nodes.").replace(".", "_")
         name = _MODULES.get(name, name)
     else:
         name = os.path.basename(script)

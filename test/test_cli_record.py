@@ -15,7 +15,7 @@ import numpy as np
 
 from rim_camera_ros.bags import Recording, Topics
 from rim_camera_ros.frame import Settings
-from rim_camera_ros.nodes import messages
+from rim_camera_ros.nodes.common import messages
 
 from .helpers_cli import nothing_left, process, run
 from .ros.conftest import world  # noqa: F401 -- a fixture

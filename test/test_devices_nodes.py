@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rim_camera_ros.bags.stamp_pairing import CAPACITY, PATIENCE, StampPairing
+from rim_camera_ros.devices.acquisition import Acquisition
 from rim_camera_ros.errors import DeviceError, RimError
 from rim_camera_ros.frame import RawFrame, Settings
-from rim_camera_ros.nodes.acquisition import Acquisition
-from rim_camera_ros.nodes.pairing import CAPACITY, PATIENCE, StampPairing
 
 ALL = {"frame_info", "temperature", "ambient", "reference"}
 
@@ -201,7 +201,7 @@ def frame(stamp: int) -> RawFrame:
 
 @pytest.fixture(autouse=True)
 def _no_patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rim_camera_ros.nodes.acquisition._RETRY", 0.01)
+    monkeypatch.setattr("rim_camera_ros.devices.acquisition._RETRY", 0.01)
 
 
 def test_a_device_that_fails_is_opened_again() -> None:

@@ -78,12 +78,19 @@ def interrupted(*command: str, after: float, number: signal.Signals, tmp_path: P
         running.wait()
 
 
+def module_of(executable: str) -> str:
+    """Return the module of a node, as setup.py names it."""
+    found = re.search(rf"{executable} = \{{NAME\}}(\.[a-z._]+):main", (ROOT / "setup.py").read_text())
+    assert found
+    return f"rim_camera_ros{found[1]}"
+
+
 @pytest.mark.parametrize("after", MOMENTS)
 @pytest.mark.parametrize("node", NODES)
 def test_a_node_ends_with_status_0_and_no_traceback(tmp_path: Path, node: str, after: float) -> None:
     pytest.importorskip("rclpy")
     number = signal.SIGINT if round(after * 100) % 2 else signal.SIGTERM
-    status, text = interrupted(f"rim_camera_ros.nodes.{node}", after=after, number=number, tmp_path=tmp_path)
+    status, text = interrupted(module_of(node), after=after, number=number, tmp_path=tmp_path)
     assert status == 0, text
     assert not re.search(r"Traceback|Exception|KeyboardInterrupt|Error|\[ERROR\]", text), text
 
@@ -138,8 +145,9 @@ def test_the_programs_are_those_that_are_installed() -> None:
     ("command", "script", "expected"),
     [
         (["python3", "-m", "rim_camera_ros.cli", "info"], "-m", "rim"),
-        (["python3", "-X", "dev", "-Wm", "-Im", "rim_camera_ros.nodes.people_node"], "-m", None),
-        (["python3", "-X", "dev", "-Im", "rim_camera_ros.nodes.people_node"], "-m", "people_node"),
+        (["python3", "-X", "dev", "-Wm", "-Im", "rim_camera_ros.nodes.people.node"], "-m", None),
+        (["python3", "-X", "dev", "-Im", "rim_camera_ros.nodes.people.node"], "-m", "people_node"),
+        (["python3", "-m", "rim_camera_ros.nodes.camera_node"], "-m", "camera_node"),
         (["python3", "-m", "rim_camera_ros.demo"], "-m", "demo"),
         (["python3", "-m", "rim_camera_ros.devices.acquisition_process", "5"], "-m", None),
         (["python3", "-m", "other.cli"], "-m", None),

@@ -14,11 +14,11 @@ pytest.importorskip("rclpy", reason="rim_camera_ros.nodes needs it")
 
 from std_msgs.msg import Header
 
+from rim_camera_ros.bags.image_transport import compressed, compressed_depth
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Intrinsics
-from rim_camera_ros.nodes import messages
-from rim_camera_ros.nodes.compression import compressed, compressed_depth
-from rim_camera_ros.nodes.rectification import Rectifier
+from rim_camera_ros.nodes.common import messages
+from rim_camera_ros.pipeline.rectification import Rectifier
 
 #: An SR-3000's size with strong, asymmetric distortion.
 LENS = Intrinsics(

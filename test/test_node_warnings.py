@@ -12,12 +12,19 @@ import pytest
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.files import find_camera
 from rim_camera_ros.frame import CorrectedFrame, Flag, RawFrame, Settings
-from rim_camera_ros.nodes.announcements import QUIET, SETTLED, Announcements
-from rim_camera_ros.nodes.consistency import Verdict
-from rim_camera_ros.nodes.correction_status import CorrectionStatus
-from rim_camera_ros.nodes.driver_status import DriverStatus
-from rim_camera_ros.nodes.lifecycle import ACTIVE
-from rim_camera_ros.nodes.statistics import Finding, Flow, Hysteresis, Level
+from rim_camera_ros.nodes.common.findings import (
+    QUIET,
+    SETTLED,
+    Announcements,
+    Finding,
+    Flow,
+    Hysteresis,
+    Level,
+)
+from rim_camera_ros.nodes.common.lifecycle import ACTIVE
+from rim_camera_ros.nodes.correction.status import CorrectionStatus
+from rim_camera_ros.nodes.driver.status import DriverStatus
+from rim_camera_ros.pipeline.consistency import Verdict
 
 OK, WARN, ERROR = Level.OK, Level.WARN, Level.ERROR
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rim_camera_ros.nodes.transform_tree import TransformTree
+from rim_camera_ros.tracking.transform_tree import TransformTree
 
 #: Child, parent, position [m], roll pitch yaw [rad]: a robot with two arms of its tree.
 FRAMES = [

@@ -9,13 +9,11 @@ from pathlib import Path
 
 from pages import DOCS, run
 
-from rim_camera_ros.nodes import (
-    calibration_parameters,
-    correction_parameters,
-    driver_parameters,
-    people_parameters,
-)
-from rim_camera_ros.nodes.parameters import Spec
+from rim_camera_ros.nodes.calibration import parameters as calibration_parameters
+from rim_camera_ros.nodes.common.parameters import Spec
+from rim_camera_ros.nodes.correction import parameters as correction_parameters
+from rim_camera_ros.nodes.driver import parameters as driver_parameters
+from rim_camera_ros.nodes.people import parameters as people_parameters
 
 PAGE = DOCS / "node_parameters.md"
 #: The nodes by their executables' first word, with what they declare.

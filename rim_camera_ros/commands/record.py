@@ -52,7 +52,7 @@ def run(given: argparse.Namespace) -> int:
     """Record; 1 if no frame came."""
     check_outputs({"--out": given.out}, [])
     try:
-        from rim_camera_ros.nodes.recorder import record
+        from rim_camera_ros.nodes.common.recorder import record
     except ImportError as error:
         raise RimError(
             f"recording needs ROS 2 ({error})",

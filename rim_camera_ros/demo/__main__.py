@@ -102,7 +102,7 @@ def _record(out: Path, camera: Path, *, frames: int, seed: int) -> tuple[Path, d
 
     def node(name: str, **parameters: Any) -> subprocess.Popen[bytes]:
         given = [part for key, value in parameters.items() for part in ("-p", f"{key}:={value}")]
-        return start(name, f"rim_camera_ros.nodes.{name}", "--ros-args", *given)
+        return start(name, f"rim_camera_ros.nodes.{name.replace('_', '.')}", "--ros-args", *given)
 
     processes = {"correction_node": node("correction_node", camera=camera)}
     processes["recorder"] = start(
@@ -116,7 +116,12 @@ def _record(out: Path, camera: Path, *, frames: int, seed: int) -> tuple[Path, d
         "--quiet",
     )
     processes["listener"] = start(
-        "listener", "rim_camera_ros.nodes.latency_monitor", "--frames", str(frames), "--json", str(summary)
+        "listener",
+        "rim_camera_ros.nodes.common.latency_monitor",
+        "--frames",
+        str(frames),
+        "--json",
+        str(summary),
     )
     processes["driver_node"] = node(
         "driver_node", source="simulator", camera=SIMULATED, scene=SCENE, frame_rate=RATE, loop="true",

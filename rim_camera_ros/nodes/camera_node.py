@@ -10,11 +10,13 @@ import sys
 from collections.abc import Iterator
 
 from rim_camera_ros.effects import registry
-from rim_camera_ros.nodes import correction_parameters, driver_parameters, people_parameters
-from rim_camera_ros.nodes.correction_node import CorrectionNode
-from rim_camera_ros.nodes.driver_node import DriverNode
-from rim_camera_ros.nodes.handover import CorrectedCloud, Exposure, Handover
-from rim_camera_ros.nodes.run import Service, run
+from rim_camera_ros.nodes.common.handover import CorrectedCloud, Exposure, Handover
+from rim_camera_ros.nodes.common.run import Service, run
+from rim_camera_ros.nodes.correction import parameters as correction_parameters
+from rim_camera_ros.nodes.correction.node import CorrectionNode
+from rim_camera_ros.nodes.driver import parameters as driver_parameters
+from rim_camera_ros.nodes.driver.node import DriverNode
+from rim_camera_ros.nodes.people import parameters as people_parameters
 
 
 def nodes() -> Iterator[Service]:
@@ -29,7 +31,7 @@ def nodes() -> Iterator[Service]:
     correction = CorrectionNode(frames=frames, clouds=clouds, elsewhere=known)
     yield correction
     if correction.follows_people:
-        from rim_camera_ros.nodes.people_node import PeopleNode
+        from rim_camera_ros.nodes.people.node import PeopleNode
 
         yield PeopleNode(clouds=clouds, elsewhere=known)
     yield DriverNode(frames=frames, elsewhere=known)

@@ -116,7 +116,7 @@ def message(size: tuple[int, int]) -> Row | None:
     try:
         from std_msgs.msg import Header
 
-        from rim_camera_ros.nodes.messages import cloud as message_of
+        from rim_camera_ros.nodes.common.messages import cloud as message_of
     except ImportError:
         return None
     points = np.random.default_rng(6).normal(size=(size[1], size[0], 4)).astype(np.float32)

@@ -16,12 +16,12 @@ from typing import Any
 import pytest
 
 from rim_camera_ros.devices import sr3000
+from rim_camera_ros.devices.acquisition import Acquisition
 from rim_camera_ros.devices.sr3000 import SwissRanger
 from rim_camera_ros.devices.swissranger_settings import CameraSettings
 from rim_camera_ros.devices.usb import UsbCameras
 from rim_camera_ros.errors import DeviceError, InputError, RimError
 from rim_camera_ros.frame import Intrinsics, RawFrame
-from rim_camera_ros.nodes.acquisition import Acquisition
 from test.devices.conftest import Make
 from test.devices.standin import Control, is_as_stated, until, usb_backend
 

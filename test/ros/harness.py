@@ -211,7 +211,8 @@ class World:
 
     def start(self, executable: str, *arguments: str, **parameters: Any) -> Process:
         """Start a node, ``driver_node`` say, with parameters (with dots: ``**{"qos.images": ...}``)."""
-        command = [sys.executable, "-m", f"rim_camera_ros.nodes.{executable}", "--ros-args"]
+        module = executable if executable == "camera_node" else executable.replace("_node", ".node")
+        command = [sys.executable, "-m", f"rim_camera_ros.nodes.{module}", "--ros-args"]
         for name, value in parameters.items():
             shown = (
                 str(value).lower()

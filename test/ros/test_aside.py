@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from rim_camera_ros.nodes.aside import Aside
+from rim_camera_ros.nodes.correction.aside import Aside
 
 
 class StandIn:

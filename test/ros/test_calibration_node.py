@@ -22,7 +22,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from rim_camera_ros.camera_file import load_camera, save_camera
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
-from rim_camera_ros.nodes.calibration_supervision import WorkProcess
+from rim_camera_ros.nodes.calibration.supervision import WorkProcess
 from rim_camera_ros.pipeline.correct import Correction
 from test.calibrate.bags import frames, write
 from test.calibrate.helpers import SCENE, camera, scene

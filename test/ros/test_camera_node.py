@@ -18,7 +18,7 @@ from sensor_msgs.msg import Image, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from rim_camera_ros.bags.messages import points_array
-from rim_camera_ros.nodes.handover import Handover
+from rim_camera_ros.nodes.common.handover import Handover
 from test.ros.harness import BEST_EFFORT, RELIABLE, World, stamp_of
 
 PRESETS = Path(__file__).resolve().parents[2] / "config" / "presets"

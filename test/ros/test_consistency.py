@@ -11,7 +11,7 @@ import pytest
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.devices.simulator import Simulator
 from rim_camera_ros.files import find_camera, find_scene
-from rim_camera_ros.nodes.consistency import NoiseWatch
+from rim_camera_ros.pipeline.consistency import NoiseWatch
 from rim_camera_ros.scene import CameraMotion, load_scene
 
 CAMERA = load_camera(find_camera("sr3000"))

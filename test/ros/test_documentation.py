@@ -15,13 +15,11 @@ pytest.importorskip("sklearn", reason="scikit-learn is an optional extra, for th
 import yaml
 from sensor_msgs.msg import CameraInfo, Image
 
-from rim_camera_ros.nodes import (
-    calibration_parameters,
-    correction_parameters,
-    driver_parameters,
-    people_parameters,
-)
-from rim_camera_ros.nodes.transforms import mount, optical_rotation
+from rim_camera_ros.nodes.calibration import parameters as calibration_parameters
+from rim_camera_ros.nodes.common.transforms import mount, optical_rotation
+from rim_camera_ros.nodes.correction import parameters as correction_parameters
+from rim_camera_ros.nodes.driver import parameters as driver_parameters
+from rim_camera_ros.nodes.people import parameters as people_parameters
 from test.ros.harness import BEST_EFFORT, World
 
 ROOT = Path(__file__).resolve().parents[2]

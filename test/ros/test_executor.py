@@ -20,7 +20,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import UInt32
 from std_srvs.srv import Trigger
 
-from rim_camera_ros.nodes.executor import SteadyExecutor
+from rim_camera_ros.nodes.common.executor import SteadyExecutor
 from test.ros.harness import next_domain
 
 PATIENCE = 20.0

@@ -21,11 +21,11 @@ from rim_camera_ros.bags.topics import ROLES
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.files import find_camera
 from rim_camera_ros.frame import RawFrame, Settings
-from rim_camera_ros.nodes import messages
-from rim_camera_ros.nodes.correction_input import MessageInput, Receiver
-from rim_camera_ros.nodes.freshness import Freshness
-from rim_camera_ros.nodes.handover import Handover
-from rim_camera_ros.nodes.run import Throttle
+from rim_camera_ros.nodes.common import messages
+from rim_camera_ros.nodes.common.handover import Handover
+from rim_camera_ros.nodes.common.run import Throttle
+from rim_camera_ros.nodes.correction.freshness import Freshness
+from rim_camera_ros.nodes.correction.input import MessageInput, Receiver
 from test.ros.harness import RELIABLE, World, stamp_of
 
 MILLISECOND = 10**6

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from rim_camera_ros.files import share_folder
-from rim_camera_ros.nodes.middleware import use_shipped_profile
+from rim_camera_ros.nodes.common.run import use_shipped_profile
 from test.ros.harness import Process, World
 
 PROFILE = share_folder() / "config" / "fastdds.xml"
@@ -66,7 +66,7 @@ def test_clouds_arrive_with_the_transports_of_the_user(world: World, tmp_path: P
     driver = world.start("driver_node", scene="wall", frame_rate=10.0)
     correction = world.start("correction_node")
     summary = tmp_path / "summary.json"
-    command = [sys.executable, "-m", "rim_camera_ros.nodes.latency_monitor", "--frames", "15"]
+    command = [sys.executable, "-m", "rim_camera_ros.nodes.common.latency_monitor", "--frames", "15"]
     monitor = Process(
         [*command, "--timeout", "45", "--json", str(summary)], world.environment, tmp_path / "m.txt"
     )

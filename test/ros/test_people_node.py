@@ -17,8 +17,8 @@ from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from rim_camera_ros.nodes.messages import cloud, header, image
-from rim_camera_ros.nodes.people_pairing import POINTS, SIGMA, CloudPairing
+from rim_camera_ros.nodes.common.messages import cloud, header, image
+from rim_camera_ros.nodes.people.pairing import POINTS, SIGMA, CloudPairing
 from rim_camera_ros.tracking.figures import GROUND
 from test.ros.harness import LATCHED, LOSSLESS_CORRECTION, LOSSLESS_DRIVER, World, stamp_of
 

@@ -12,12 +12,12 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from rim_camera_ros.bags.stamp_pairing import StampPairing
+from rim_camera_ros.devices.acquisition import Acquisition
 from rim_camera_ros.errors import DeviceError, InputError, RimError
 from rim_camera_ros.frame import RawFrame, Settings
-from rim_camera_ros.nodes.acquisition import Acquisition
-from rim_camera_ros.nodes.folders import Folders
-from rim_camera_ros.nodes.pairing import StampPairing
-from rim_camera_ros.nodes.statistics import Finding, Flow, Level, Tally
+from rim_camera_ros.nodes.common.findings import Finding, Flow, Level, Tally
+from rim_camera_ros.nodes.common.folders import Folders
 
 
 class Stalling:

@@ -17,7 +17,7 @@ from geometry_msgs.msg import TransformStamped
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Image, PointCloud2
 
-from rim_camera_ros.nodes.transforms import optical_rotation
+from rim_camera_ros.nodes.common.transforms import optical_rotation
 from test.ros import tf2_messages
 from test.ros.harness import BEST_EFFORT, LATCHED, RELIABLE, World
 from test.ros.test_people_node import empty

@@ -17,11 +17,12 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from rim_camera_ros.devices.source import Source
-from rim_camera_ros.nodes import calibration_node, correction_node
-from rim_camera_ros.nodes.calibration_node import CalibrationNode
-from rim_camera_ros.nodes.correction_node import CorrectionNode
-from rim_camera_ros.nodes.driver_node import DriverNode
-from rim_camera_ros.nodes.people_node import PeopleNode
+from rim_camera_ros.nodes.calibration import node as calibration_node
+from rim_camera_ros.nodes.calibration.node import CalibrationNode
+from rim_camera_ros.nodes.correction import node as correction_node
+from rim_camera_ros.nodes.correction.node import CorrectionNode
+from rim_camera_ros.nodes.driver.node import DriverNode
+from rim_camera_ros.nodes.people.node import PeopleNode
 from rim_camera_ros.tracking.people import PeopleTracker
 from test.ros.harness import BEST_EFFORT, World, next_domain
 

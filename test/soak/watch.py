@@ -16,7 +16,7 @@ from rim_camera_ros.bags.messages import image_array, points_array, settings_fro
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.files import find_camera, share_folder
 from rim_camera_ros.frame import RawFrame
-from rim_camera_ros.nodes.middleware import use_shipped_profile
+from rim_camera_ros.nodes.common.run import use_shipped_profile
 from rim_camera_ros.pipeline.correct import Correction
 from test.ros.harness import BEST_EFFORT, World, stamp_of
 

@@ -35,7 +35,7 @@ def test_the_convention_is_that_of_the_driver() -> None:
     pytest.importorskip("rclpy")
     from scipy.spatial.transform import Rotation
 
-    from rim_camera_ros.nodes.transforms import optical_rotation
+    from rim_camera_ros.nodes.common.transforms import optical_rotation
 
     theirs = Rotation.from_quat(optical_rotation(roll=0.2, pitch=-0.5, yaw=0.0))
     ours = Ground(height=1.0, roll=0.2, pitch=-0.5).rotation

@@ -1,0 +1,1 @@
+"""The calibration node, and the processes in which it records and calibrates."""

@@ -1,0 +1,206 @@
+"""Records the topics of a namespace: messages go to the file as they come, still serialised."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import rclpy
+import rclpy.utilities
+from rclpy.executors import ExternalShutdownException
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from rim_camera_ros.bags import ROLES, RecordingWriter, Topics
+from rim_camera_ros.bags.topics import CAMERA_INFO, POSE_ROLES
+from rim_camera_ros.frame import NANOSECONDS
+from rim_camera_ros.nodes.common.messages import ros_class
+
+#: Messages of a topic that may wait to be written.
+_DEPTH = 200
+#: Seconds that messages of the last frame may take to arrive.
+_GRACE = 1.0
+#: Seconds after the first image within which a frame with all its parts is waited for, and bytes held then.
+_BEGINNING = 2.0
+_HELD_BYTES = 128 << 20
+#: What belongs to one frame.
+_PARTS = frozenset({"distance", "amplitude", "frame_info"})
+_OF_FRAMES = _PARTS | {"camera_info"}
+#: Seconds between two looks for new publishers.
+_LOOK = 0.1
+#: Every message here begins with a header: encapsulation (4 bytes), seconds, nanoseconds.
+_STAMP = struct.Struct("<4xiI")
+
+
+@dataclass(frozen=True, slots=True)
+class _Message:
+    role: str
+    topic: str
+    kind: str
+    stamp: int
+    data: bytes
+
+
+class Recorder:
+    """Subscribes to all roles of ``topics`` and writes what comes, each message once.
+
+    ``frames`` counts distance images. A subscription is made when a publisher appears, reliable where all
+    publishers of the topic are (then nothing is lost), else best effort, which suits every publisher.
+
+    The topics are found one by one. What comes before the first frame with distance, amplitude and frame_info
+    is left out; where there is none within `_BEGINNING` seconds (a driver without frame_info), all is kept.
+    """
+
+    def __init__(self, topics: Topics, writer: RecordingWriter, *, frames: int | None = None) -> None:
+        self._topics = topics
+        self._writer = writer
+        self._wanted = frames
+        self._last: int | None = None
+        self._held: list[_Message] | None = []
+        self._parts: dict[int, set[str]] = {}
+        self._held_bytes = 0
+        self._first_image: float | None = None
+        self.frames = 0
+        self.node = rclpy.create_node("recorder")
+        self._known: dict[str, tuple[QoSProfile, Any]] = {}
+        self._routes = {
+            topics.info_beside(role): ("camera_info", CAMERA_INFO) for role in ("distance", "depth")
+        }
+        self._routes |= {
+            topics[role]: (role, kind) for role, (_, kind) in ROLES.items() if role not in POSE_ROLES
+        }
+
+    def look(self) -> None:
+        """Subscribe to what has appeared since the last look, as its publishers offer it."""
+        for topic, kinds in self.node.get_topic_names_and_types():
+            route = self._routes.get(topic) or self._pose_route(topic)
+            if route is not None and route[1] in kinds:
+                role, kind = route
+                offers = [one.qos_profile for one in self.node.get_publishers_info_by_topic(topic)]
+                if offers:
+                    self._subscribe(role, topic, kind, _suiting(role, offers))
+
+    def _pose_route(self, topic: str) -> tuple[str, str] | None:
+        for role in POSE_ROLES:
+            if self._topics.surface_of(topic, role=role):
+                return role, ROLES[role][1]
+        return None
+
+    def _subscribe(self, role: str, topic: str, kind: str, qos: QoSProfile) -> None:
+        known = self._known.get(topic)
+        if known is not None and known[0] == qos:
+            return
+
+        def take(data: bytes) -> None:
+            self._take(role, topic, kind, bytes(data))
+
+        if known is not None:
+            # before the new one is made: a message that came twice would look like a stamp that stands still
+            self.node.destroy_subscription(known[1])
+        made = self.node.create_subscription(ros_class(kind), topic, take, qos, raw=True)
+        self._known[topic] = (qos, made)
+
+    def _take(self, role: str, topic: str, kind: str, data: bytes) -> None:
+        if len(data) < _STAMP.size or data[1] not in (0, 1):
+            return
+        layout = _STAMP if data[1] == 1 else struct.Struct(">4xiI")
+        seconds, nanoseconds = layout.unpack_from(data)
+        stamp = max(seconds * NANOSECONDS + nanoseconds, 0)
+        message = _Message(role, topic, kind, stamp, data)
+        if self._held is None or role not in _OF_FRAMES:
+            self._write(message)
+            return
+        self._held.append(message)
+        self._held_bytes += len(data)
+        if role == "distance" and self._first_image is None:
+            self._first_image = time.monotonic()
+        parts = self._parts.setdefault(stamp, set())
+        parts.add(role)
+        if parts >= _PARTS:
+            self._begin(stamp)
+        elif self._held_bytes > _HELD_BYTES:
+            self._begin(0)
+
+    def _begin(self, first: int) -> None:
+        """Write what was held from the stamp ``first`` on, and from now on all that comes."""
+        held, self._held = self._held or [], None
+        self._parts.clear()
+        for one in held:
+            if one.stamp >= first:
+                self._write(one)
+
+    def _write(self, message: _Message) -> None:
+        if self._last is not None and message.stamp > self._last:
+            return
+        self._writer.write_serialised(message.role, message.topic, message.kind, message.stamp, message.data)
+        if message.role == "distance":
+            self.frames += 1
+            if self.frames == self._wanted:
+                self._last = message.stamp
+
+    def wait_no_longer(self, *, at_once: bool = False) -> None:
+        """Keep what is held although no frame had all its parts, once that was waited for."""
+        if self._held is None or self._first_image is None:
+            return
+        if at_once or time.monotonic() - self._first_image > _BEGINNING:
+            self._begin(0)
+
+    @property
+    def complete(self) -> bool:
+        """Whether all the frames that are wanted have come."""
+        return self._last is not None
+
+
+def _suiting(role: str, offers: list[QoSProfile]) -> QoSProfile:
+    """Return the best that all publishers can serve; poses that were published before are asked for."""
+    reliable = all(one.reliability == ReliabilityPolicy.RELIABLE for one in offers)
+    kept = role in POSE_ROLES and all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in offers)
+    return QoSProfile(
+        depth=_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
+    )
+
+
+def record(
+    topics: Topics,
+    writer: RecordingWriter,
+    *,
+    frames: int | None,
+    duration: float | None,
+    show: Callable[[int], Any],
+    stopped: Callable[[], bool],
+) -> int:
+    """Record until so many frames, so many seconds, or ``stopped()``; return the number of frames.
+
+    ``show`` is called with the number of frames so far.
+    """
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    recorder = Recorder(topics, writer, frames=frames)
+    start = time.monotonic()
+    looked, ended = 0.0, None
+    try:
+        with contextlib.suppress(ExternalShutdownException):
+            while not stopped():
+                now = time.monotonic()
+                if ended is None and (
+                    recorder.complete or (duration is not None and now - start >= duration)
+                ):
+                    ended = now
+                if ended is not None and now - ended >= (_GRACE if recorder.complete else 0.0):
+                    break
+                if now - looked >= _LOOK:
+                    recorder.look()
+                    looked = now
+                rclpy.spin_once(recorder.node, timeout_sec=0.05)
+                recorder.wait_no_longer()
+                show(recorder.frames)
+        recorder.wait_no_longer(at_once=True)
+    finally:
+        recorder.node.destroy_node()
+        rclpy.utilities.try_shutdown()
+    return recorder.frames

@@ -1,0 +1,225 @@
+"""Running a node as a process: start, signals, errors in one line, exit status."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, MutableMapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import get_rmw_implementation_identifier, remove_ros_args
+
+from rim_camera_ros.errors import RimError
+from rim_camera_ros.files import share_folder
+from rim_camera_ros.nodes.common.executor import SteadyExecutor
+
+#: Seconds between two warnings of a kind.
+_QUIET = 5.0
+#: Parameters of mallopt (malloc.h), and the bytes up to which memory is kept: the greatest that it takes.
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+_KEPT_SIZE = 32 << 20
+#: What a user sets who wants other transports or profiles.
+_OF_USER = (
+    "FASTDDS_BUILTIN_TRANSPORTS",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_DEFAULT_PROFILES_FILE",
+)
+_FAST_DDS = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
+
+
+class Service(Protocol):
+    """A node's life: ``status`` becomes other than None when it is to end by itself."""
+
+    status: int | None
+
+    @property
+    def node(self) -> Node: ...
+
+    def close(self) -> None: ...
+
+
+def run(name: str, make: Callable[[], Iterable[Service]]) -> int:
+    """Run the nodes that ``make`` makes until one ends or a signal comes, and return the exit status.
+
+    0: ended, or asked to end by SIGINT or SIGTERM, however often. An error at the start is one line on
+    standard error, status 2 (bad input) or 1.
+    """
+    signals = _Signals()
+    try:
+        return _run(name, make, signals)
+    finally:
+        signals.ignore()
+
+
+def _run(name: str, make: Callable[[], Iterable[Service]], signals: _Signals) -> int:
+    single_threaded()
+    keep_memory()
+    try:
+        used = use_shipped_profile(
+            os.environ,
+            profile=share_folder() / "config" / "fastdds.xml",
+            middleware=get_rmw_implementation_identifier(),
+        )
+        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    except RimError as error:
+        return _failed(name, str(error), error.exit_status)
+    except Exception as error:
+        reason = str(error).partition(", at /")[0].rstrip(".")
+        return _failed(name, f"{reason} (parameters: --ros-args -p name:=value)", 2)
+    try:
+        unknown = remove_ros_args(sys.argv)[1:]
+        if unknown:
+            return _failed(name, f"unknown argument {unknown[0]} (parameters: --ros-args -p name:=value)", 2)
+        services: list[Service] = []
+        try:
+            for one in make():
+                services.append(one)  # one by one: those before one that fails are closed
+                if signals.came:
+                    break
+        except RimError as error:
+            _close(services)
+            return _failed(name, str(error), error.exit_status)
+        except RuntimeError as error:  # of rcl: the middleware refuses (security, domain, memory)
+            _close(services)
+            return _failed(name, str(error).partition(", at /")[0], 1)
+        services[0].node.get_logger().info(used)
+        return _spin(services, signals)
+    finally:
+        rclpy.try_shutdown()  # type: ignore[attr-defined]
+
+
+def _spin(services: Sequence[Service], signals: _Signals) -> int:
+    executor = SteadyExecutor()
+    for one in services:
+        executor.add_node(one.node)
+    # a guard condition of a node counts as work: only work makes spin_once return
+    signals.wake = services[0].node.create_guard_condition(lambda: None).trigger
+    try:
+        while not signals.came and all(one.status is None for one in services):
+            executor.spin_once()
+    finally:
+        signals.wake = None
+        _close(services, executor)
+    return max(one.status or 0 for one in services)
+
+
+def _close(services: Sequence[Service], executor: SteadyExecutor | None = None) -> None:
+    """End the nodes, those that were made last (and give to the others) first."""
+    for one in reversed(services):
+        one.close()
+        if executor is not None:
+            executor.remove_node(one.node)
+    if executor is not None:
+        executor.shutdown(timeout_sec=0)
+    for one in services:
+        one.node.destroy_node()
+
+
+class _Signals:
+    """SIGINT and SIGTERM end the executor between two callbacks; those that come later do nothing.
+
+    rclpy's own handlers shut the context down under a running executor, which then may raise anything.
+    Python's run in the main thread, which waits inside of it: hence the pipe, into which Python writes at
+    once, and a thread that reads it.
+    """
+
+    _NUMBERS = (signal.SIGINT, signal.SIGTERM)
+
+    def __init__(self) -> None:
+        self.came = False
+        self.wake: Callable[[], None] | None = None
+        self._read, write = os.pipe()
+        os.set_blocking(write, False)
+        signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+        for number in self._NUMBERS:
+            signal.signal(number, _no_matter)
+        threading.Thread(target=self._wait, name="signals", daemon=True).start()
+
+    def ignore(self) -> None:
+        """Ignore the signals from now on, also while the interpreter ends."""
+        for number in self._NUMBERS:
+            signal.signal(number, signal.SIG_IGN)
+
+    def _wait(self) -> None:
+        while os.read(self._read, 1):
+            self.came = True
+            wake = self.wake
+            if wake is not None:
+                with contextlib.suppress(Exception):  # the executor may be going already
+                    wake()
+
+
+def _no_matter(number: int, frame: Any) -> None:
+    """Python's part in a signal."""
+
+
+def use_shipped_profile(environment: MutableMapping[str, str], *, profile: Path, middleware: str) -> str:
+    """Have Fast DDS use ``profile`` where the user has set nothing, and return which settings are used.
+
+    Its own shared memory of 512 KB is filled by one image of 512 x 424 pixels, and the messages beside it
+    come seconds late. ``middleware``: the name of the one in use. To be called before nodes are made.
+    """
+    if middleware not in _FAST_DDS:
+        return f"middleware: {middleware}, with its own settings"
+    for name in _OF_USER:
+        if environment.get(name):
+            return f"middleware: Fast DDS as {name}={environment[name]} says"
+    if not profile.is_file():
+        return "middleware: Fast DDS with its own settings"
+    environment[_OF_USER[1]] = str(profile)
+    return f"middleware: Fast DDS with {profile}"
+
+
+def single_threaded() -> None:
+    """Pin OpenCV to one thread; BLAS and OpenMP are pinned by `rim_camera_ros.nodes`."""
+    try:
+        import cv2
+    except ImportError:
+        return
+    cv2.setNumThreads(1)
+
+
+def keep_memory() -> None:
+    """Let the C library (glibc) keep what is freed: images and clouds are made anew with every frame.
+
+    Else memory of this size goes back to the system each time, which fills it with zeros again, page by page:
+    of a cloud of 640 x 480 points more than a millisecond.
+    """
+    with contextlib.suppress(OSError, AttributeError):  # another C library
+        libc = ctypes.CDLL(None)
+        libc.mallopt(_MMAP_THRESHOLD, _KEPT_SIZE)
+        libc.mallopt(_TRIM_THRESHOLD, 8 * _KEPT_SIZE)
+
+
+def _failed(name: str, problem: str, status: int) -> int:
+    text = " ".join(problem.split())
+    print(f"{name}: {text}", file=sys.stderr, flush=True)
+    return status
+
+
+class Throttle:
+    """Warnings, of each kind at most one in five seconds, with the number of those left out."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._last: dict[str, float] = {}
+        self._left_out: dict[str, int] = {}
+
+    def warn(self, kind: str, text: str) -> None:
+        """Log a warning of a kind, unless one was just logged."""
+        now = time.monotonic()
+        if kind in self._last and now - self._last[kind] < _QUIET:
+            self._left_out[kind] = self._left_out.get(kind, 0) + 1
+            return
+        more = self._left_out.pop(kind, 0)
+        self._last[kind] = now
+        self._node.get_logger().warning(text + (f" [{more} more like it]" if more else ""))

@@ -1,0 +1,1 @@
+"""The correction node: raw frames in, corrected clouds and images out."""

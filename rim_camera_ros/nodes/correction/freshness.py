@@ -1,0 +1,80 @@
+"""Which of the frames that wait are still wanted: the newest wins; no ROS in here."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from statistics import median
+from typing import Protocol
+
+from rim_camera_ros.frame import NANOSECONDS
+from rim_camera_ros.nodes.common.parameters import Spec, Values
+
+MAXIMUM_AGE = Spec(
+    "maximum_age",
+    0.0,
+    "seconds [s] by which a frame that waits may be behind the newest, and its stamp behind the clock; older "
+    "ones are dropped, counted and warned of, unless qos.input is reliable; 0: three periods of the frames "
+    "behind the newest, whatever the clock says",
+    limits=(0.0, 60.0),
+)
+QUEUE_DEPTH = Spec(
+    "queue_depth",
+    5,
+    "frames that may wait for the correction; where more would, all but the newest are dropped, counted and "
+    "warned of, unless qos.input is reliable",
+    limits=(1, 1000),
+)
+
+#: Periods by which a frame may be behind the newest.
+_PERIODS = 3
+#: Steps between stamps of which the median is the period.
+_STEPS = 15
+#: Stamps that are farther apart [ns], or from the clock, are of a clock that was set, or of a recording.
+_JUMP = 60 * NANOSECONDS
+
+
+class Stamped(Protocol):
+    """What waits; ``stamp`` in ns."""
+
+    @property
+    def stamp(self) -> int: ...
+
+
+class Freshness:
+    """Says how many of the values that wait are to be dropped.
+
+    ``values`` holds `MAXIMUM_AGE` and `QUEUE_DEPTH`; ``now`` returns the time of the stamps' clock in ns.
+    """
+
+    def __init__(self, values: Values, now: Callable[[], int]) -> None:
+        self._values = values
+        self._now = now
+        self._steps: deque[int] = deque(maxlen=_STEPS)
+        self._newest: int | None = None
+
+    def surplus(self, waiting: Sequence[Stamped]) -> int:
+        """Return the number of the first values to drop, of those that wait in the order of their arrival.
+
+        Where one is too old, all but the newest are: the correction has caught up then, and whoever is a
+        little late now and then loses none.
+        """
+        if not waiting:
+            return 0
+        newest = waiting[-1].stamp
+        self._note(newest)
+        limit = round(self._values[MAXIMUM_AGE.name] * NANOSECONDS)
+        if limit and limit < self._now() - newest < _JUMP:
+            return len(waiting)
+        limit = limit or self._three_periods()
+        late = any(limit < newest - one.stamp < _JUMP for one in waiting) if limit else False
+        return len(waiting) - 1 if late or len(waiting) > self._values[QUEUE_DEPTH.name] else 0
+
+    def _note(self, stamp: int) -> None:
+        if self._newest is not None and 0 < stamp - self._newest < _JUMP:
+            self._steps.append(stamp - self._newest)
+        self._newest = stamp
+
+    def _three_periods(self) -> int:
+        # half a period more: stamps are not exactly a period apart
+        return round((_PERIODS + 0.5) * median(self._steps)) if self._steps else 0

@@ -1,0 +1,126 @@
+"""The correction's topics: a corrected frame as messages of one stamp, as far as somebody listens."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.duration import Duration
+from rclpy.publisher import Publisher
+from std_msgs.msg import Header
+
+from rim_camera_ros.bags.image_transport import compressed, compressed_depth
+from rim_camera_ros.bags.topics import CAMERA_INFO, COMPRESSED, IMAGE, ROLES
+from rim_camera_ros.frame import CorrectedDistance, CorrectedFrame, RawFrame
+from rim_camera_ros.nodes.common import messages, qos
+from rim_camera_ros.nodes.common.handover import CorrectedCloud, Handover
+from rim_camera_ros.nodes.common.lifecycle import ManagedNode
+from rim_camera_ros.nodes.common.parameters import Values
+from rim_camera_ros.pipeline.correct import Correction
+from rim_camera_ros.pipeline.rectification import rectifier
+
+#: Topics that are no roles of recordings: name, message type.
+_FURTHER = {
+    "depth_camera_info": ("depth/camera_info", CAMERA_INFO),
+    "rectified": ("depth/image_rect", IMAGE),
+    "depth_compressed": ("depth/image_raw/compressedDepth", COMPRESSED),
+    "rectified_compressed": ("depth/image_rect/compressedDepth", COMPRESSED),
+    "flags_compressed": ("flags/image/compressed", COMPRESSED),
+}
+_ROLES = ("points", "sigma", "flags", "corrected_distance", "depth")
+_RECTIFIED = {"rectified", "rectified_compressed"}
+#: Outputs that need sigma and flags, and those that need the depth.
+_WHOLE = {"sigma", "flags", "flags_compressed"}
+_DEPTH = {"depth", "depth_compressed", *_RECTIFIED}
+
+
+class CorrectedPublishers:
+    """Publishers of the corrected frames; ``values`` are the correction's parameters.
+
+    ``clouds``: hands points and sigma to a node in the same process, too.
+    """
+
+    def __init__(self, node: ManagedNode, values: Values, *, clouds: Handover[CorrectedCloud]) -> None:
+        self._node = node
+        self._clouds = clouds
+        self._values = values
+        self._of: dict[str, Publisher] = {}
+        self._cloud: messages.CloudMessage | None = None
+        for role, (topic, kind) in ({role: ROLES[role] for role in _ROLES} | _FURTHER).items():
+            self._of[role] = self._publisher(kind, topic, "qos.points" if role == "points" else "qos.images")
+
+    def wait_until_received(self, seconds: float) -> None:
+        """Wait until reliable subscribers have received everything, at most so long for each topic."""
+        for one in self._of.values():
+            one.wait_for_all_acked(Duration(seconds=seconds))
+
+    def destroy(self) -> None:
+        """Take the topics back."""
+        for one in self._of.values():
+            self._node.destroy_publisher(one)
+
+    def publish(
+        self, correction: Correction, frame: RawFrame, frame_id: str, *, whole: bool
+    ) -> CorrectedFrame | None:
+        """Correct a frame and publish what somebody listens to.
+
+        ``whole``: correct it in any case, and return it with sigma and flags.
+        """
+        wanted = {role for role, one in self._of.items() if one.get_subscription_count() > 0}
+        handed = self._clouds.wanted
+        if not wanted and not whole and not handed:
+            return None
+        head = messages.header(frame.stamp, frame_id)
+        fields = self._values["points.fields"].split("+")
+        corrected: CorrectedDistance
+        full: CorrectedFrame | None = None
+        if whole or handed or wanted & _WHOLE or ("points" in wanted and len(fields) > 1):
+            corrected = full = correction.correct(frame)
+            self._publish_whole(full, wanted, head)
+        else:
+            corrected = correction.correct_distance(frame)
+        if handed or ("points" in wanted and len(fields) > 1):
+            points = correction.cloud(corrected)
+            if full is not None:
+                self._clouds.put(CorrectedCloud(points, full.sigma, head, frame.stamp))
+            if "points" in wanted:
+                sigma = full.sigma if full is not None and "sigma" in fields else None
+                flags = full.flags if full is not None and "flags" in fields else None
+                self._of["points"].publish(messages.cloud(points, head, sigma=sigma, flags=flags))
+        elif "points" in wanted:
+            if self._cloud is None or self._cloud.points.shape[:2] != frame.shape:
+                self._cloud = messages.CloudMessage(frame.shape)
+            correction.cloud(corrected, out=self._cloud.points)
+            self._of["points"].publish(self._cloud.of(head))
+        if "corrected_distance" in wanted:
+            self._of["corrected_distance"].publish(messages.image(corrected.distance, head))
+        if "depth_camera_info" in wanted:
+            self._of["depth_camera_info"].publish(messages.camera_info(correction.camera.intrinsics, head))
+        if wanted & _DEPTH:
+            self._publish_depth(correction, correction.depth(corrected), wanted, head)
+        return full
+
+    def _publish_whole(self, frame: CorrectedFrame, wanted: Set[str], head: Header) -> None:
+        if "sigma" in wanted:
+            self._of["sigma"].publish(messages.image(frame.sigma, head))
+        if "flags" in wanted:
+            self._of["flags"].publish(messages.image(frame.flags, head))
+        if "flags_compressed" in wanted:
+            self._of["flags_compressed"].publish(messages.compressed_image(compressed(frame.flags), head))
+
+    def _publish_depth(
+        self, correction: Correction, depth: NDArray[np.float32], wanted: Set[str], head: Header
+    ) -> None:
+        images = {"depth": depth}
+        if wanted & _RECTIFIED:
+            images["rectified"] = rectifier(correction.camera.intrinsics).depth(depth)
+        for role, image in images.items():
+            if role in wanted:
+                self._of[role].publish(messages.image(image, head))
+            if (packed := f"{role}_compressed") in wanted:
+                self._of[packed].publish(messages.compressed_image(compressed_depth(image), head))
+
+    def _publisher(self, kind: str, topic: str, parameter: str) -> Publisher:
+        profile = qos.profile(self._values[parameter])
+        return qos.publisher(self._node, messages.ros_class(kind), topic, profile, parameter=parameter)

@@ -1,0 +1,1 @@
+"""The driver node: raw frames of a device, simulated, played back or on USB, as topics."""

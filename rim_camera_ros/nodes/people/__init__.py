@@ -1,0 +1,1 @@
+"""The node that follows people through corrected clouds."""

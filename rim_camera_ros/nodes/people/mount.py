@@ -1,0 +1,88 @@
+"""How the camera is mounted above the floor, as the transforms from a frame on the floor tell it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rclpy.node import Node
+
+from rim_camera_ros.errors import RimError
+from rim_camera_ros.nodes.common.findings import Finding, Level
+from rim_camera_ros.nodes.common.transforms import Transforms
+from rim_camera_ros.tracking.ground import Ground
+
+#: Changes of height [m] and of angles [rad] below which a mount is the same: joints and localisation are not
+#: still, and whoever is followed is lost with another floor. At 5 m the angle moves a point by 25 mm.
+_SAME_HEIGHT, _SAME_ANGLE = 0.01, 0.005
+
+
+class MountOf:
+    """The mount of a camera from /tf and /tf_static; ``changed`` is called when it becomes another one.
+
+    ``ground``: the floor below the camera, None while no base frame is used or nothing leads from it.
+    """
+
+    def __init__(self, node: Node, changed: Callable[[], None]) -> None:
+        self.ground: Ground | None = None
+        self._node = node
+        self._changed = changed
+        self._base = ""
+        self._frame = ""
+        self._problem = ""
+        self._transforms = Transforms(node, self._update)
+
+    def use(self, base: str) -> None:
+        """Take the mount from a base frame from now on; '': from no frame."""
+        if base != self._base:
+            self.ground, self._problem = None, ""
+        self._base = base
+        self._transforms.listen(bool(base))
+        self._update()
+
+    def seen_from(self, frame: str) -> None:
+        """Take note of the camera's optical frame, as the headers of its messages name it."""
+        if frame != self._frame:
+            self._frame = frame
+            self._update()
+
+    def look(self, used: Ground) -> Finding:
+        """Return which mount is ``used`` and where it comes from."""
+        finding = Finding()
+        finding.values = {
+            "height_m": f"{used.height:.4f}",
+            "roll_rad": f"{used.roll:.4f}",
+            "pitch_rad": f"{used.pitch:.4f}",
+            "from": "mount.*" if self.ground is None else self._base,
+        }
+        if self._base and (self.ground is None or self._problem):
+            reason = self._problem or f"no transform leads from {self._base} to {self._frame or 'the camera'}"
+            finding.worse(Level.WARN, f"{reason}: the mount of {finding.values['from']} holds")
+        finding.note(f"{used.height:.2f} m above the floor, by {finding.values['from']}")
+        return finding
+
+    def _update(self) -> None:
+        if not self._base or not self._frame:
+            return
+        found = self._transforms.tree.lookup(self._base, self._frame)
+        if found is None:
+            return
+        try:
+            ground = Ground.below(*found)
+            self._problem = ""
+        except RimError as error:
+            self._problem = f"the transform from {self._base} to {self._frame}: {error}"
+            return
+        if self.ground is None or _differ(ground, self.ground):
+            self.ground = ground
+            self._node.get_logger().info(
+                f"mount by {self._base}: {ground.height:.3f} m above it, roll {ground.roll:.4f}, "
+                f"pitch {ground.pitch:.4f} rad"
+            )
+            self._changed()
+
+
+def _differ(one: Ground, other: Ground) -> bool:
+    return (
+        abs(one.height - other.height) > _SAME_HEIGHT
+        or max(abs(one.roll - other.roll), abs(one.pitch - other.pitch)) > _SAME_ANGLE
+    )
