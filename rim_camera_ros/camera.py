@@ -168,9 +168,7 @@ class Camera:
     @cached_property
     def rays(self) -> NDArray[np.float64]:
         """Unit rays (height, width, 3) in the optical frame."""
-        rays = pixel_rays(self.optics, width=self.sensor.width, height=self.sensor.height)
-        rays.setflags(write=False)
-        return rays
+        return pixel_rays(self.optics, width=self.sensor.width, height=self.sensor.height)
 
     @property
     def intrinsics(self) -> Intrinsics:

@@ -6,6 +6,7 @@ Source: Brown (1971) as used by Kahlmann 2007, sec. 3.2, in the parametrisation 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,9 +104,11 @@ def _error(xy: Array, target: Array, d: tuple[float, ...]) -> tuple[Array, tuple
     return distort(xy, d) - target, (a, b, c, a * c - b * b)
 
 
+@lru_cache(maxsize=20)
 def pixel_rays(optics: Optics, *, width: int, height: int) -> Array:
-    """Return the unit rays (height, width, 3) of all pixel centres in the optical frame.
+    """Return the unit rays (height, width, 3) of all pixel centres in the optical frame, read-only.
 
+    They are kept, as fits ask for those of the same few optics again and again.
     NaN where the distortion cannot be inverted; such pixels see nothing. Raises ValueError where that
     is more than half of them.
     """
@@ -113,6 +116,7 @@ def pixel_rays(optics: Optics, *, width: int, height: int) -> Array:
     rays = rays_through(optics, np.stack([column, row], axis=-1))
     if np.isnan(rays[..., 0]).mean() > 0.5:
         raise ValueError("optics.d: the lens model folds back within the image and cannot be inverted")
+    rays.setflags(write=False)
     return rays
 
 

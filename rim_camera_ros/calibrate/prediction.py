@@ -20,6 +20,9 @@ Array = NDArray[Any]
 #: Derivatives (H, W) of measured distance and published amplitude (None: none) by one regressor.
 Column = tuple[Array, Array | None]
 
+#: Under which the derivatives by the emitter's power are kept, beside those by the poses.
+_POWER = "power"
+
 
 @dataclass
 class Prediction:
@@ -63,6 +66,7 @@ class Prediction:
     variance_of_other: Array | float = 0.0
     linear: Sequence[Any] = ()
     _images: dict[str, tuple[Array, Array]] = field(default_factory=dict)
+    _changes: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
     def light_change(self, after: str | None, change: Array) -> tuple[Array, Array]:
         """Carry a relative change of the complex image through the optics that follow an effect.
@@ -73,12 +77,14 @@ class Prediction:
         start = -1 if after is None else self.order[after]
         relative = change
         for effect in self.spread:
-            if self.order[effect.name] <= start:
-                continue
-            assert isinstance(effect, ComplexEffect)
-            before, inverse = self._through(effect)
-            moved = effect.apply(np.where(np.isfinite(relative), relative, 0) * before, self.context)
-            relative = moved * inverse
+            if self.order[effect.name] > start:
+                assert isinstance(effect, ComplexEffect)
+                before, inverse = self._through(effect)
+                # a derivative needs no more digits
+                relative = relative.astype(np.complex64)
+                if not np.isfinite(relative.sum()):
+                    relative[~np.isfinite(relative)] = 0
+                relative = effect.apply(relative * before, self.context) * inverse
         by_distance = relative.imag * (self.context.ambiguity / (2 * np.pi))
         return self.reading_change(by_distance, relative.real)
 
@@ -90,7 +96,8 @@ class Prediction:
             before = to_phasor(light.distance, light.amplitude, self.context.ambiguity)
             image = effect.apply(before, self.context)
             dark = image == 0
-            found = (before, np.where(dark, 0, 1.0 / np.where(dark, 1.0, image)))
+            inverse = np.where(dark, 0, 1.0 / np.where(dark, 1.0, image))
+            found = (before.astype(np.complex64), inverse.astype(np.complex64))
             self._images[effect.name] = found
         return found
 
@@ -134,7 +141,9 @@ class Prediction:
 
     def gain_column(self) -> tuple[Array, Array]:
         """Return the derivatives by the relative power of the emitter."""
-        return self.reading_change(0.0, np.ones(self.distance.shape))
+        if _POWER not in self._changes:
+            self._changes[_POWER] = self.reading_change(0.0, np.ones(self.distance.shape))
+        return self._changes[_POWER]
 
     def curve_columns(self, labels: Sequence[str]) -> list[tuple[Array, Array]]:
         """Return the derivatives by curves of the light, in the order of their labels."""
@@ -158,11 +167,14 @@ class Prediction:
 
     def pose_change(self, column: PoseColumn) -> tuple[Array, Array]:
         """Return the derivatives of the readings by an error of a pose."""
-        wave = 2 * np.pi / self.context.ambiguity
-        change = column.amplitude + 1j * wave * column.distance
-        if not self.spread:
-            return self.reading_change(change.imag / wave, change.real)
-        return self.light_change(None, change)
+        if column.path not in self._changes:
+            wave = 2 * np.pi / self.context.ambiguity
+            self._changes[column.path] = (
+                self.light_change(None, column.amplitude + 1j * wave * column.distance)
+                if self.spread
+                else self.reading_change(column.distance, column.amplitude)
+            )
+        return self._changes[column.path]
 
 
 @dataclass(frozen=True)
