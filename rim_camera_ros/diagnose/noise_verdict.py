@@ -114,9 +114,7 @@ def only_background(result: Result, rest: Rest | None, variance: Variance, camer
         return False
     named = result.gained
     gain = named + (0.0 if rest is None else rest.on_top)
-    # alone, and of the distance alone
-    alone = [result.camera.effects.get(one.effect) for one in result.found]
-    scale = len(alone) == 1 and alone[0] is not None and alone[0].scales_distance
+    scale = len(result.found) == 1 and vocabulary()[result.found[0].effect].scales_distance
     most = _by_light(result.explorations[0]) * (_AS_SCALE if scale else 1.0)
     return gain < _SHIFT_OF_BACKGROUND * _cost(result, variance) or most > named
 

@@ -44,6 +44,8 @@ class Physics(ABC):
     from_one_pose: ClassVar[bool] = False
     #: whether it is the amplitude response of the electronics, beside whose law there is a free curve
     is_response: ClassVar[bool] = False
+    #: whether it is in proportion to the distance
+    scales_distance: ClassVar[bool] = False
     #: whether it shows beside edges, in pixels that other effects are fitted without
     at_edges: ClassVar[bool] = False
     #: whether it moves rays, so that every pixel sees another point
