@@ -24,6 +24,25 @@ UNDO = {
     "none": "not from one frame: pixels are flagged where they can be told, the rest stays",
 }
 
+ADDING = """## Adding one
+
+One file, one line in `ORDER`, and this command; another package: a subclass of
+`rim_camera_ros.effects.Effect` and the entry-point group `rim_camera_ros.effects`. Nothing else names it (a
+test says so): simulation, correction, calibration, diagnosis and reports ask for what the class declares.
+
+| what | by |
+|---|---|
+| parameters with unit, bounds, common size | the dataclass, `quantity`; `priors` |
+| what it does, and undoing it | `simulate`, `correct`; `term` or `apply` of its base class |
+| derivatives by its parameters | `columns`, `phasor_columns` |
+| how a search begins with it | `candidates`: variants linear about a start, several where that is blind |
+| what its form may do otherwise | `discrepancy`, `has_discrepancy` |
+| where it acts | traits of `effects/physics.py` and `effects/base.py`: `shows_in`, `in_time`, `at_edges`, ... |
+| what a fit may do to it | `reach`, `longest_step`, `greatest`, `shapes`, `estimated` |
+| fewer pixels | `in_pixels`, `per_pixel`, `resampled` |
+| sentence, curve, experiment | `sentence`; `graph`, `drawn_over`; `observable`, `refuted_by`, `lacking` |
+"""
+
 
 def rows(kind: type, prefix: str = "") -> list[str]:
     """Return the table rows of a parameter dataclass and of those inside it."""
@@ -93,8 +112,7 @@ def pages() -> dict[Path, str]:
         "The names " + ", ".join(f"`{one}`" for one in SECTIONS) + " belong to the vocabulary as well;",
         f"their parameters are sections of the camera file ({', '.join(sections)}).",
         "",
-        "Another package adds an effect by a subclass of `rim_camera_ros.effects.Effect` and the entry-point",
-        "group `rim_camera_ros.effects`.",
+        *ADDING.splitlines(),
         "",
     ]
     result[FOLDER / "README.md"] = "\n".join(lines)
