@@ -37,7 +37,7 @@ test says so): simulation, correction, calibration, diagnosis and reports ask fo
 | derivatives by its parameters | `columns`, `phasor_columns` |
 | how a search begins with it | `candidates`: variants linear about a start, several where that is blind |
 | what its form may do otherwise | `discrepancy`, `has_discrepancy` |
-| where it acts | traits of `effects/physics.py` and `effects/base.py`: `shows_in`, `in_time`, `at_edges`, ... |
+| where it acts | traits in `effects/physics.py`, `effects/base.py`: `shows_in`, `in_time`, `at_edges`, ... |
 | what a fit may do to it | `reach`, `longest_step`, `greatest`, `shapes`, `estimated` |
 | fewer pixels | `in_pixels`, `per_pixel`, `resampled` |
 | sentence, curve, experiment | `sentence`; `graph`, `drawn_over`; `observable`, `refuted_by`, `lacking` |

@@ -9,7 +9,7 @@ and `fold_sums`; those here are common to all poses.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -175,19 +175,3 @@ def known_optics(camera: Camera) -> Block:
 def is_linear(path: str) -> bool:
     """Whether a regressor is a nuisance whose value is no parameter of camera or light."""
     return path.startswith((COMMON_POSE, OPTICS, PATTERN_FIELD))
-
-
-def sizes_found(values: Mapping[str, float], blocks: Sequence[Block]) -> dict[str, tuple[float, float]]:
-    """Return root mean square and stated 1-sigma, both relative to nothing, by kind of imperfection."""
-    kinds: dict[str, list[tuple[float, float]]] = {}
-    for block in blocks:
-        for one in block.regressors:
-            if one.label in values:
-                kinds.setdefault(one.label.split(".")[0], []).append((values[one.label], one.prior))
-    return {
-        kind: (
-            float(np.sqrt(np.mean([v**2 for v, _ in pairs]))),
-            float(np.sqrt(np.mean([p**2 for _, p in pairs]))),
-        )
-        for kind, pairs in kinds.items()
-    }
