@@ -243,7 +243,7 @@ class Correction:
             if banded:
                 folded.distance.solve(part, rows=rows, out=part)
         if banded:
-            work.light = self._optics.undo(y, reading.amplitude)
+            work.light = self._optics.undo(y, reading.amplitude, folded.context)
             return work
         folded.context.saturated = reading.saturated
         folded.subtract_frame_terms(y, reading.amplitude)
@@ -251,7 +251,7 @@ class Correction:
             self._solve_with_incidence(work, y)
         else:
             delivered, _ = folded.refined(folded.distance.solve(y), y, reading.amplitude)
-            work.light = self._optics.undo(delivered, reading.amplitude)
+            work.light = self._optics.undo(delivered, reading.amplitude, folded.context)
         return work
 
     def _solve_with_incidence(self, work: _Work, y: Image) -> None:
@@ -268,7 +268,7 @@ class Correction:
         elif folded.has_placed:
             placed = folded.placed(delivered, amplitude)
             delivered -= placed
-        work.light = self._optics.undo(delivered, amplitude, quick=not self.exact)
+        work.light = self._optics.undo(delivered, amplitude, folded.context, quick=not self.exact)
         for _ in range(folded.incidence_rounds):
             cosine = self._estimator.cosine(work.light.distance, self._scaled_sigma(work))
             shifted = y - folded.incidence_term(cosine, amplitude, work.light.distance)
@@ -277,7 +277,7 @@ class Correction:
                 delivered, placed = folded.refined(delivered, shifted, amplitude)
             elif placed is not None:
                 folded.follow(delivered, placed, folded.placed(delivered, amplitude))
-            work.light = self._optics.undo(delivered, amplitude, guess=work.light.image)
+            work.light = self._optics.undo(delivered, amplitude, folded.context, guess=work.light.image)
             work.unplaned = np.isnan(cosine)
 
     # --- sigma and flags ------------------------------------------------------------------------

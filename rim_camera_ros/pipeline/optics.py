@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects import EmitterPath, StrayLight
-from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.chain import Chain
+from rim_camera_ros.effects import EmitterPath, InternalReference, StrayLight
+from rim_camera_ros.effects.base import Context, Signal, effect_of
 
 Image = NDArray[Any]
 
@@ -35,6 +36,13 @@ class OpticsUndo:
 
     def __init__(self, camera: Camera, dtype: Any) -> None:
         scattering, emitter = effect_of(camera, StrayLight), effect_of(camera, EmitterPath)
+        fast = StrayLight | EmitterPath | InternalReference
+        #: the nearest to the sensor first
+        self._others = [
+            one
+            for one in reversed(Chain.of(camera.effects.values()).light)
+            if one.undo != "none" and one.shows_in == "distance" and not isinstance(one, fast)
+        ]
         self._dtype = np.dtype(dtype)
         number = self._dtype.type
         self._ambiguity = number(camera.sensor.ambiguity)
@@ -55,12 +63,23 @@ class OpticsUndo:
         return self._spreading is not None
 
     def undo(
-        self, delivered: Image, amplitude: Image, *, guess: Image | None = None, quick: bool = False
+        self,
+        delivered: Image,
+        amplitude: Image,
+        context: Context,
+        *,
+        guess: Image | None = None,
+        quick: bool = False,
     ) -> Light:
         """Return the light for the delivered distance [m], which is overwritten, and amplitude [counts].
 
+        Effects on the light without a fast way of their own (those of other packages) correct it first.
+
         ``guess``: a complex image near the result. ``quick`` leaves narrow halos and ghosts alone.
         """
+        for one in self._others:
+            found = one.correct(Signal(delivered, amplitude), context)
+            delivered[...], amplitude = found.distance, found.amplitude.astype(amplitude.dtype, copy=False)
         light = Light(delivered, amplitude)
         if self._spreading is not None:
             self._undo_spreading(light, guess, quick=quick)

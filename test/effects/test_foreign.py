@@ -15,9 +15,10 @@ from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera, save_camera
-from rim_camera_ros.effects import DistanceTerm
+from rim_camera_ros.effects import ComplexEffect, DistanceTerm, Effect
 from rim_camera_ros.effects.base import Column, Context, Dependency, Image, Signal
 from rim_camera_ros.effects.candidate import Candidate, Facts, linear
+from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.pipeline.correct import Correction
@@ -61,11 +62,39 @@ class BrightDelay(DistanceTerm):
 
 
 @dataclass(frozen=True)
+class LightLeak(ComplexEffect):
+    """S + leak: light that reaches every pixel by a way inside the camera of no length."""
+
+    name = "light_leak"
+    title = "light that reaches every pixel inside the camera"
+    observable = "dark targets at several distances"
+    refuted_by = "a dark target at the same distance as a bright one"
+
+    leak: float = quantity("counts", "in phase with the emitter", minimum=0.0, typical=10.0)
+
+    def apply(self, phasor: Image, context: Context) -> Image:
+        return phasor + self.leak
+
+    def invert(self, phasor: Image, context: Context) -> Image:
+        return phasor - self.leak
+
+    def phasor_columns(self, phasor: Image, context: Context) -> dict[str, Image]:
+        return {"leak": np.ones_like(phasor)}
+
+    def sentence(self) -> str:
+        return f"light leak: {self.leak:.3g} counts reach every pixel inside the camera"
+
+    @classmethod
+    def example(cls, camera: Camera) -> LightLeak:
+        return cls(12.0)
+
+
+@dataclass(frozen=True)
 class _EntryPoint:
     name: str
-    kind: type[DistanceTerm]
+    kind: type[Effect]
 
-    def load(self) -> type[DistanceTerm]:
+    def load(self) -> type[Effect]:
         return self.kind
 
 
@@ -73,7 +102,7 @@ class _EntryPoint:
 def _installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     def entry_points(*, group: str) -> list[_EntryPoint]:
         assert group == "rim_camera_ros.effects"
-        return [_EntryPoint(BrightDelay.name, BrightDelay)]
+        return [_EntryPoint(one.name, one) for one in (BrightDelay, LightLeak)]
 
     monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
     monkeypatch.setattr(effects, "entry_points", entry_points)
@@ -122,6 +151,25 @@ def test_an_effect_of_another_package_is_corrected_and_kept_in_files(tmp_path: P
         np.testing.assert_allclose(found.distance, true, atol=1e-6 if exact else 5e-5)
         without = Correction(truth, without=[BrightDelay.name], exact=exact).correct(frame)
         assert np.nanmedian(without.distance - true) > 0.002
+
+
+@pytest.mark.usefixtures("_installed")
+@pytest.mark.parametrize("exact", [True, False])
+def test_light_that_another_package_adds_is_taken_off_before_the_stray_light(
+    tmp_path: Path, exact: bool
+) -> None:
+    """It acts after the built-in effects on the light, so that it is undone before them."""
+    stray = Scattering((Kernel(0.03, (2.3, 3.1)),))
+    truth = replace(camera(tmp_path, stray, LightLeak(9.0)), minimum_amplitude=0.0)
+    board = scene(tmp_path)
+    pose = record(truth, board, poses=1, frames=1, wrong=0.0).stations[0].truth
+    simulation = Simulation(truth, board, noise=False, quantised=False)
+    exposure = Exposure(0, Settings(integration_time=60.0), pose)
+    frame, true = simulation.frame(exposure), simulation.true_distance(exposure)
+    found = Correction(truth, exact=exact).correct(frame).distance
+    np.testing.assert_allclose(found, true, atol=1e-6 if exact else 1e-4)
+    without = Correction(truth, without=[LightLeak.name], exact=exact).correct(frame).distance
+    assert np.abs(without - true).max() > 0.02
 
 
 @pytest.mark.usefixtures("_installed")
