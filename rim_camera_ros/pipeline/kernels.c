@@ -8,8 +8,8 @@
 #include <stdint.h>
 
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__linux__)
-/* chosen when the library is loaded: the wide registers of a processor of the last ten years, or none */
-#define FOR_EACH_PROCESSOR __attribute__((target_clones("arch=x86-64-v3", "default")))
+/* chosen when the library is loaded: the wide registers of a processor of the last five or ten years, or none */
+#define FOR_EACH_PROCESSOR __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
 #else
 #define FOR_EACH_PROCESSOR
 #endif
@@ -313,5 +313,109 @@ void rim_plane_table(int64_t count, const float *restrict distance, const float 
             held = held > last ? last : held;
             term[i] += bend[i] * fabsf(held - knot);
         }
+    }
+}
+
+/* More turns than any distance has; NaN is not less. */
+static const float FAR = 1e6f;
+
+/* The nearest whole number of |x| < 2^22. */
+static inline float whole(float x)
+{
+    const float shift = 12582912.0f; /* 1.5 * 2^23: the sum has no digits behind the point */
+    return (x + shift) - shift;
+}
+
+/* Sine and cosine to 1e-7 by the polynomials of Cephes (Moshier 1989) within an eighth of a turn. */
+FOR_EACH_PROCESSOR
+static void row_to_image(int64_t width, const float *restrict distance, const float *restrict amplitude,
+                         float turns, float *restrict real, float *restrict imaginary)
+{
+    for (int64_t u = 0; u < width; u++) {
+        const float at = distance[u] * turns, turn = at - whole(at), quarter = whole(4.0f * turn);
+        const float x = (turn - 0.25f * quarter) * 6.28318531f, z = x * x;
+        const float sine = x + x * z * (-1.6666654611e-1f + z * (8.3321608736e-3f - z * 1.9515295891e-4f));
+        const float cosine = 1.0f - 0.5f * z
+                             + z * z * (4.166664568e-2f + z * (-1.388731625e-3f + z * 2.443315712e-5f));
+        const int odd = fabsf(quarter) == 1.0f, back = fabsf(quarter) == 2.0f;
+        const float light = fabsf(at) < FAR ? amplitude[u] : 0.0f, turned = back ? -light : light;
+        const float along = odd ? -quarter * sine : cosine, across = odd ? quarter * cosine : sine;
+        real[u] = light == 0.0f ? 0.0f : turned * along;
+        imaginary[u] = light == 0.0f ? 0.0f : turned * across;
+    }
+}
+
+/* OpticsUndo: distances [m] and amplitudes to the complex image (height, 2, width); pixels without a distance are
+ * dark. */
+void rim_to_image(int64_t height, int64_t width, const float *distance, const float *amplitude, float ambiguity,
+                  float *image)
+{
+    for (int64_t v = 0; v < height; v++) {
+        float *row = image + 2 * v * width;
+        row_to_image(width, distance + v * width, amplitude + v * width, 1.0f / ambiguity, row, row + width);
+    }
+}
+
+/* The angle in turns, to 3e-8, by the polynomial of Cephes; `length` of the vector, `inverse` gets 1 over it. */
+static inline float turn_of(float y, float x, float length, float *inverse)
+{
+    const float ax = fabsf(x), ay = fabsf(y);
+    const float low = ay < ax ? ay : ax, high = ay < ax ? ax : ay;
+    /* tan(pi/8): beyond it 45 degrees and the rest */
+    const int far = low > 0.414213562f * high;
+    const float top = far ? low - high : low, bottom = far ? low + high : high;
+    const float both = length > 0.0f ? 1.0f / (bottom * length) : 0.0f; /* of two divisions */
+    const float t = top * length * both, z = t * t;
+    const float eighths = t + t * z * (-3.33329491539e-1f + z * (1.99777106478e-1f + z * (-1.38776856032e-1f
+                                                                             + z * 8.05374449538e-2f)));
+    const float octant = eighths * 0.159154943f + (far ? 0.125f : 0.0f);
+    const float quadrant = ay > ax ? 0.25f - octant : octant, half = x < 0.0f ? 0.5f - quadrant : quadrant;
+    *inverse = bottom * both;
+    return y < 0.0f ? -half : half;
+}
+
+FOR_EACH_PROCESSOR
+static void row_from_image(int64_t width, const float *restrict real, const float *restrict imaginary,
+                           const float *restrict before, float ambiguity, int32_t wraps, float direct,
+                           float *restrict distance, float *restrict amplitude, float *restrict gain)
+{
+    const float turns = 1.0f / ambiguity, scale = 1.0f / direct;
+    for (int64_t u = 0; u < width; u++) {
+        const float light = sqrtf(real[u] * real[u] + imaginary[u] * imaginary[u]);
+        float inverse;
+        const float was = distance[u] * turns, turn = turn_of(imaginary[u], real[u], light, &inverse);
+        const float change = turn - was, nearest = was + (change - whole(change));
+        const float positive = turn < 0.0f ? turn + 1.0f : turn, within = positive < 1.0f ? positive : 0.0f;
+        const float found = (wraps ? within : nearest) * ambiguity;
+        const int known = fabsf(was) < FAR;
+        distance[u] = known ? found : NAN;
+        amplitude[u] = light;
+        gain[u] = known ? before[u] * scale * inverse : 0.0f;
+    }
+}
+
+FOR_EACH_PROCESSOR
+static void row_of_emitter(int64_t width, const float *restrict along, float square, float *restrict distance)
+{
+    const float shortest = 0.5f * sqrtf(square);
+    for (int64_t u = 0; u < width; u++) {
+        const float half = distance[u], twice = 4.0f * half, found = (half * twice - square) / (twice + along[u]);
+        distance[u] = half <= shortest ? NAN : found;
+    }
+}
+
+/* OpticsUndo: the image without stray light to distance, which holds the delivered one before, to amplitude, and to
+ * gain, the amplitude before over it and over `direct`. `along`, of the emitter beside the lens, may be NULL. */
+void rim_from_image(int64_t height, int64_t width, const float *image, const float *before, float ambiguity,
+                    int32_t wraps, float direct, const float *along, float square, float *distance,
+                    float *amplitude, float *gain)
+{
+    for (int64_t v = 0; v < height; v++) {
+        const int64_t at = v * width;
+        const float *row = image + 2 * at;
+        row_from_image(width, row, row + width, before + at, ambiguity, wraps, direct, distance + at,
+                       amplitude + at, gain + at);
+        if (along)
+            row_of_emitter(width, along + at, square, distance + at);
     }
 }

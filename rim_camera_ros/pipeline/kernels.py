@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 Image = NDArray[np.float32]
 
 _POINTER, _WHOLE, _NUMBER = ctypes.c_void_p, ctypes.c_int64, ctypes.c_float
+#: Where the data of an array begin, for a call; ValueError where it is not contiguous. A third of the time that
+#: `numpy.ndarray.ctypes` takes, which a frame would spend on 60 arrays.
+_at = (ctypes.c_char * 0).from_buffer
 #: Arguments, and what is returned.
 _FUNCTIONS: dict[str, tuple[list[Any], Any]] = {
     "rim_planes": ([*[_POINTER] * 5, *[_WHOLE] * 2, *[_NUMBER] * 4, _POINTER], _WHOLE),
@@ -29,6 +32,11 @@ _FUNCTIONS: dict[str, tuple[list[Any], Any]] = {
     "rim_solve": ([_WHOLE, *[_POINTER] * 5, _NUMBER, *[ctypes.c_int32] * 2, *[_POINTER] * 2], None),
     "rim_incidence": ([_WHOLE, *[_POINTER] * 3, ctypes.c_int32, _POINTER], None),
     "rim_plane_table": ([_WHOLE, *[_POINTER] * 3, _WHOLE, *[_POINTER] * 2, *[_NUMBER] * 2, _POINTER], None),
+    "rim_to_image": ([*[_WHOLE] * 2, *[_POINTER] * 2, _NUMBER, _POINTER], None),
+    "rim_from_image": (
+        [*[_WHOLE] * 2, *[_POINTER] * 2, _NUMBER, ctypes.c_int32, _NUMBER, _POINTER, _NUMBER, *[_POINTER] * 3],
+        None,
+    ),
     "rim_mixed": ([_POINTER, _POINTER, _WHOLE, _WHOLE, *[_NUMBER] * 3, ctypes.c_int32, _POINTER], None),
 }
 
@@ -133,7 +141,7 @@ class CompiledWindows:
                 self._grid,
                 self._geometry,
                 self._windows,
-                inverse_depth.ctypes.data,
+                _at(inverse_depth),
                 noise.ctypes.data,
                 row,
                 column,
@@ -141,7 +149,7 @@ class CompiledWindows:
                 excess,
                 residual,
                 tilt,
-                self._columns.ctypes.data,
+                _at(self._columns),
             )
         )
 
@@ -159,7 +167,7 @@ class CompiledWindows:
             self._grid,
             self._geometry,
             self._windows,
-            wider.ctypes.data,
+            _at(wider),
             mean_sigmas,
             near,
             slope_sigmas,
@@ -168,7 +176,7 @@ class CompiledWindows:
 
     def entries(self) -> NDArray[np.complex128]:
         """Return the entries of all windows, bad ones replaced by a good one within reach."""
-        LIBRARY.rim_entries(self._grid, self._windows, self._entries.ctypes.data)
+        LIBRARY.rim_entries(self._grid, self._windows, _at(self._entries))
         return self._entries
 
 
@@ -189,18 +197,18 @@ def cosine(
     distance, noise = np.ascontiguousarray(distance, np.float32), np.ascontiguousarray(sigma, np.float32)
     LIBRARY.rim_cosine(
         distance.size,
-        distance.ctypes.data,
-        noise.ctypes.data,
+        _at(distance),
+        _at(noise),
         int(np.ndim(sigma) > 0),
-        rays.ctypes.data,
-        entries.ctypes.data,
-        window.ctypes.data,
-        neighbours.ctypes.data,
+        _at(rays),
+        _at(entries),
+        _at(window),
+        _at(neighbours),
         neighbours.shape[1],
         near,
         sure,
         sigmas,
-        result.ctypes.data,
+        _at(result),
     )
     return result
 
@@ -217,18 +225,17 @@ def mark_mixed(
 ) -> None:
     """Set a bit in flags (H, W) where `rim_camera_ros.pipeline.mixed.mixed_pixels` is true."""
     height, width = distance.shape
-    assert flags.flags.c_contiguous  # written in place
     distance, sigma = (np.ascontiguousarray(one, np.float32) for one in (distance, sigma))
     LIBRARY.rim_mixed(
-        distance.ctypes.data,
-        sigma.ctypes.data,
+        _at(distance),
+        _at(sigma),
         height,
         width,
         least,
         sigmas,
         share,
         bit,
-        flags.ctypes.data,
+        _at(flags),
     )
 
 
@@ -248,19 +255,18 @@ def solve(
     """Return what `rim_camera_ros.pipeline.tables.DistanceSolver.solve` does; ``slope`` is written, too."""
     y = np.ascontiguousarray(y, np.float32)
     solved = np.empty_like(y) if out is None else out
-    assert solved.flags.c_contiguous  # written in place
     LIBRARY.rim_solve(
         y.size,
-        y.ctypes.data,
-        shift.ctypes.data,
-        row.ctypes.data,
-        None if beside is None else beside.ctypes.data,
-        entries.ctypes.data,
+        _at(y),
+        _at(shift),
+        _at(row),
+        None if beside is None else _at(beside),
+        _at(entries),
         scale,
         length,
         int(wraps),
-        slope.ctypes.data,
-        solved.ctypes.data,
+        _at(slope),
+        _at(solved),
     )
     return solved
 
@@ -271,11 +277,11 @@ def incidence_term(cosine: Image, distance: Image, *, table: NDArray[np.complex6
     cosine, distance = (np.ascontiguousarray(one, np.float32) for one in (cosine, distance))
     LIBRARY.rim_incidence(
         term.size,
-        cosine.ctypes.data,
-        distance.ctypes.data,
-        table.ctypes.data,
+        _at(cosine),
+        _at(distance),
+        _at(table),
         table.size - 2,
-        term.ctypes.data,
+        _at(term),
     )
     return term
 
@@ -295,14 +301,55 @@ def plane_table(
     distance = np.ascontiguousarray(distance, np.float32)
     LIBRARY.rim_plane_table(
         term.size,
-        distance.ctypes.data,
-        base.ctypes.data,
-        slope.ctypes.data,
+        _at(distance),
+        _at(base),
+        _at(slope),
         knots.size,
-        knots.ctypes.data,
-        bends.ctypes.data,
+        _at(knots),
+        _at(bends),
         first,
         last,
-        term.ctypes.data,
+        _at(term),
     )
     return term
+
+
+def to_image(distance: Image, amplitude: Image, *, ambiguity: float, image: Image) -> None:
+    """Write the complex image (H, 2, W) of distances [m] and amplitudes (H, W), dark where one is not finite."""
+    distance, amplitude = (np.ascontiguousarray(one, np.float32) for one in (distance, amplitude))
+    LIBRARY.rim_to_image(
+        *distance.shape, _at(distance), _at(amplitude), ambiguity, _at(image)
+    )
+
+
+def from_image(
+    image: Image,
+    distance: Image,
+    before: Image,
+    *,
+    ambiguity: float,
+    wraps: bool,
+    direct: float,
+    along: Image | None,
+    square: float,
+) -> tuple[Image, Image]:
+    """Overwrite the delivered distances (H, W) [m] by those of an image; return its amplitudes and the gains.
+
+    As `rim_camera_ros.pipeline.optics.OpticsUndo` does; ``before`` are the amplitudes before.
+    """
+    image, before = (np.ascontiguousarray(one, np.float32) for one in (image, before))
+    amplitude, gain = np.empty_like(before), np.empty_like(before)
+    LIBRARY.rim_from_image(
+        *distance.shape,
+        _at(image),
+        _at(before),
+        ambiguity,
+        int(wraps),
+        direct,
+        None if along is None else _at(along),
+        square,
+        _at(distance),
+        _at(amplitude),
+        _at(gain),
+    )
+    return amplitude, gain
