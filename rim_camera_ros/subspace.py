@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 Real = NDArray[Any]
 
-#: Eigenvalues of a Gaussian below this share of the greatest possible (1) are dropped, by precision. In single
-#: precision a tenth of the light, spread, then misses 1e-6 of it: 0.1 mm in a pixel a hundred times as dark.
+#: Eigenvalues of a Gaussian below this share of the greatest possible (1) are dropped, by precision. In
+#: float32 a tenth of the light, spread, then misses 1e-6 of it: 0.1 mm in a pixel a hundred times as dark.
 KEEP = {np.dtype(np.float32): 1e-5, np.dtype(np.float64): 1e-12}
 #: Relative change at which an iterative solution is taken as found.
 CONVERGED = {np.dtype(np.float32): 2e-7, np.dtype(np.float64): 1e-13}
