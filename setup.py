@@ -1,5 +1,6 @@
 """Build description of the ament_python package; colcon and pip both read it."""
 
+import platform
 import sys
 from pathlib import Path
 
@@ -37,7 +38,10 @@ TEST = ["pytest>=7.4", "pytest-timeout", "hypothesis>=6.98", "psutil"]
 KERNELS = Extension(
     f"{NAME}.pipeline._kernels",
     [f"{NAME}/pipeline/kernels.c"],
-    extra_compile_args=["-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"],
+    extra_compile_args=[
+        *("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"),
+        *(["-mprefer-vector-width=512"] if platform.machine() == "x86_64" else []),
+    ],
     optional=True,
 )
 

@@ -72,7 +72,17 @@ def _add_shifted(
                 continue
             to_v, from_v = _overlap(image.shape[0], dv)
             to_u, from_u = _overlap(image.shape[-1], du)
-            to[to_v, ..., to_u] += image.dtype.type(weight) * image[from_v, ..., from_u]
+            for part, moved in zip(
+                _planes(to[to_v, ..., to_u]), _planes(image[from_v, ..., from_u]), strict=True
+            ):
+                cv2.scaleAdd(moved, weight, part, dst=part)
+
+
+def _planes(image: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return views for OpenCV of the numbers in an image (H, W), complex or not, or (H, 2, W)."""
+    if np.iscomplexobj(image):
+        return [image.view(image.real.dtype).reshape(*image.shape, 2)]
+    return [image] if image.ndim == 2 else [image[:, i] for i in range(image.shape[1])]
 
 
 def _overlap(size: int, step: int) -> tuple[slice, slice]:

@@ -78,6 +78,11 @@ def read(path: str) -> Any:
 
 @pytest.fixture
 def launch_stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
+    put_stand_ins(monkeypatch)
+
+
+def put_stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let launch files import the classes of this module."""
     contents: dict[str, list[type]] = {
         "launch": [LaunchContext, LaunchDescription],
         "launch.actions": [DeclareLaunchArgument, OpaqueFunction],
@@ -96,9 +101,9 @@ def launch_stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, packages.__name__, packages)
 
 
-def launched(**arguments: str) -> dict[str, Node]:
-    """The nodes that camera.launch.py starts, by executable."""
-    description = runpy.run_path(str(LAUNCH / "camera.launch.py"))["generate_launch_description"]()
+def nodes_of(file: str, **arguments: str) -> list[Node]:
+    """The nodes that a launch file starts."""
+    description = runpy.run_path(str(LAUNCH / file))["generate_launch_description"]()
     declared = {e.name: e for e in description.entities if isinstance(e, DeclareLaunchArgument)}
     assert set(arguments) <= set(declared)
     context = LaunchContext({name: e.default_value for name, e in declared.items()} | arguments)
@@ -109,7 +114,12 @@ def launched(**arguments: str) -> dict[str, Node]:
         for node in entity.function(context)
     ]
     assert all(isinstance(node, Node) for node in nodes)
-    return {node.executable: node for node in nodes}
+    return nodes
+
+
+def launched(**arguments: str) -> dict[str, Node]:
+    """The nodes that camera.launch.py starts, by executable."""
+    return {node.executable: node for node in nodes_of("camera.launch.py", **arguments)}
 
 
 @pytest.mark.parametrize("path", sorted(LAUNCH.glob("*.launch.py")), ids=lambda path: path.name)

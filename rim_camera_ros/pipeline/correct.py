@@ -25,12 +25,13 @@ from rim_camera_ros.frame import (
     RawFrame,
     Settings,
 )
+from rim_camera_ros.pipeline import kernels
 from rim_camera_ros.pipeline.folded import Folded
-from rim_camera_ros.pipeline.mixed import mark_mixed
+from rim_camera_ros.pipeline.mixed import LEAST_SHARE, LEAST_SIGMAS, LEAST_STEP, mixed_pixels
 from rim_camera_ros.pipeline.normals import IncidenceEstimator
 from rim_camera_ros.pipeline.optics import Light, OpticsUndo
 from rim_camera_ros.pipeline.reference import Linearity, ReferenceReader
-from rim_camera_ros.pipeline.tables import WHOLE, AmplitudeReading
+from rim_camera_ros.pipeline.tables import WHOLE, AmplitudeReading, ByAmplitude
 
 Image = NDArray[Any]
 
@@ -83,6 +84,7 @@ class Correction:
         self._last: int | None = None
         self._folded: dict[float | None, Folded] = {}
         self._dtype = np.float64 if exact else np.float32
+        self._compiled = kernels.LIBRARY is not None and not exact
         self._active = {name: one for name, one in camera.effects.items() if name not in self.without}
         self._chain = Chain.of(self._active.values())
         undone = replace(camera, effects=self._active)
@@ -91,6 +93,7 @@ class Correction:
         self._reference = (
             None if reference is None else ReferenceReader(camera, reference, linearity=reference_linearity)
         )
+        self._reference_region = None if reference is None else reference.region()
         self._rays = np.ascontiguousarray(camera.rays.transpose(2, 0, 1), np.float32)
         self._bands = _bands(camera.shape)
         self._points = np.empty_like(self._rays[:, self._bands[0]])
@@ -105,11 +108,7 @@ class Correction:
         """
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             work = self._undo(frame)
-            sigma = self._sigma(work)
-            flags = self._flags(work, sigma, frame.settings)
-            invalid = (flags & np.uint8(INVALID.value)) != 0
-            np.copyto(work.light.distance, np.nan, where=invalid)
-            np.copyto(sigma, np.nan, where=invalid)
+            sigma, flags = self._judged(work, frame.settings)
         return CorrectedFrame(
             stamp=frame.stamp,
             distance=work.light.distance.astype(np.float32, copy=False),
@@ -214,34 +213,21 @@ class Correction:
     def _undo(self, frame: RawFrame) -> _Work:
         """Undo all effects; the distance is NaN where the raw values do not give one."""
         folded = self._begin(frame)
-        missing = _missing(frame.distance)
-        y = np.empty(self.camera.shape, self._dtype)
-        by_region = folded.reference_region is not None
         unit = 1.0 if frame.distance.dtype.kind == "f" else self.camera.sensor.lsb
-        if by_region:
-            np.multiply(frame.distance, self._dtype(unit), out=y, casting="same_kind")
-            if missing is not None:
-                y[missing] = np.nan
-            unit = 1.0
         if self._reference is not None:
             folded.context.settings = self._reference.take(
-                y, frame.settings, stamp=frame.stamp, memory=self._memory
+                folded.reference_pixels(frame.distance, unit),
+                frame.settings,
+                stamp=frame.stamp,
+                memory=self._memory,
             )
-        reading = folded.amplitude.reading(frame.amplitude, self._dtype)
-        offset = folded.offset(y)
-        work = _Work(folded, reading, missing, Light(y, reading.amplitude))
+        offset = folded.offset()
         banded = folded.pixel_by_pixel and not self.exact
-        for rows in self._bands if banded else (WHOLE,):
-            part = y[rows]
-            if not by_region:
-                np.copyto(part, frame.distance[rows], casting="same_kind")
-            cv2.addWeighted(part, unit, reading.term(rows), -1.0, -offset, dst=part)
-            if missing is not None:
-                np.copyto(part, np.nan, where=missing[rows])
-            if folded.map is not None:
-                part -= folded.map[rows]
-            if banded:
-                folded.distance.solve(part, rows=rows, out=part)
+        if self._compiled and frame.distance.dtype == frame.amplitude.dtype == np.uint16:
+            work = self._read_counts(frame, folded, unit, offset, solve=banded)
+        else:
+            work = self._read(frame, folded, unit, offset, solve=banded)
+        y, reading = work.light.distance, work.reading
         if banded:
             work.light = self._optics.undo(y, reading.amplitude, folded.context)
             return work
@@ -253,6 +239,44 @@ class Correction:
             delivered, _ = folded.refined(folded.distance.solve(y), y, reading.amplitude)
             work.light = self._optics.undo(delivered, reading.amplitude, folded.context)
         return work
+
+    def _read_counts(
+        self, frame: RawFrame, folded: Folded, unit: float, offset: float, *, solve: bool
+    ) -> _Work:
+        """Do what `_read` does with counts, in one pass over the pixels."""
+        y, amplitude, sigma, flags, found = kernels.read(
+            frame.distance,
+            frame.amplitude,
+            entries=folded.amplitude.entries,
+            unit=unit,
+            offset=offset,
+            map_=folded.map,
+            solver=folded.distance.compiled if solve else None,
+        )
+        some = found & Flag.SATURATED.value and not solve
+        saturated = (flags & np.uint8(Flag.SATURATED.value)) != 0 if some else None
+        reading = AmplitudeReading(amplitude, saturated, ByAmplitude(amplitude, y, sigma, flags), None)
+        return _Work(folded, reading, None, Light(y, amplitude))
+
+    def _read(self, frame: RawFrame, folded: Folded, unit: float, offset: float, *, solve: bool) -> _Work:
+        """Return distances without the terms that raw values and place tell, and what amplitudes say.
+
+        ``unit`` [m] of the raw distances, ``offset`` [m]. ``solve``: terms of the distance are undone, too.
+        """
+        missing = _missing(frame.distance)
+        reading = folded.amplitude.reading(frame.amplitude, self._dtype)
+        y = np.empty(self.camera.shape, self._dtype)
+        for rows in self._bands if solve else (WHOLE,):
+            part = y[rows]
+            np.copyto(part, frame.distance[rows], casting="same_kind")
+            cv2.addWeighted(part, unit, reading.term(rows), -1.0, -offset, dst=part)
+            if missing is not None:
+                np.copyto(part, np.nan, where=missing[rows])
+            if folded.map is not None:
+                part -= folded.map[rows]
+            if solve:
+                folded.distance.solve(part, rows=rows, out=part)
+        return _Work(folded, reading, missing, Light(y, reading.amplitude))
 
     def _solve_with_incidence(self, work: _Work, y: Image) -> None:
         """Solve where terms of the incidence need the result's own planes.
@@ -278,7 +302,7 @@ class Correction:
             elif placed is not None:
                 folded.follow(delivered, placed, folded.placed(delivered, amplitude))
             work.light = self._optics.undo(delivered, amplitude, folded.context, guess=work.light.image)
-            work.unplaned = np.isnan(cosine)
+            work.cosine = cosine
 
     # --- sigma and flags ------------------------------------------------------------------------
 
@@ -288,6 +312,36 @@ class Correction:
         sigma: Image = work.reading.sigma if gain is None else work.reading.sigma * gain
         return sigma
 
+    def _judged(self, work: _Work, settings: Settings) -> tuple[Image, NDArray[np.uint8]]:
+        """Return sigma [m] and flags (H, W); the distance is NaN, and sigma, where they are not valid."""
+        if not self._compiled:
+            sigma = self._sigma(work)
+            flags = self._flags(work, sigma, settings)
+            invalid = (flags & np.uint8(INVALID.value)) != 0
+            np.copyto(work.light.distance, np.nan, where=invalid)
+            np.copyto(sigma, np.nan, where=invalid)
+            return sigma, flags
+        folded, light, reading = work.folded, work.light, work.reading
+        if work.missing is not None:
+            _mark(reading.flags, work.missing, Flag.NO_MEASUREMENT)
+        outside = folded.outside or self._outside(settings)
+        kernels.judge(
+            light.distance,
+            reading.sigma,
+            reading.flags,
+            amplitude=light.amplitude,
+            gain=light.gain,
+            slope=folded.distance.slope,
+            cosine=work.cosine,
+            always=self._always,
+            minimum=folded.amplitude.minimum if self._optics.spreads else -np.inf,
+            spread=folded.incidence_spread,
+            limits=self.camera.validity.distance or (-np.inf, np.inf),
+            mixed=(LEAST_STEP, LEAST_SIGMAS, LEAST_SHARE),
+            everywhere=Flag.OUTSIDE_CALIBRATION.value if outside else 0,
+        )
+        return reading.sigma, reading.flags
+
     def _sigma(self, work: _Work) -> Image:
         """Return the 1-sigma in metres (H, W) with what is not known of the incidence; a new array."""
         sigma = self._scaled_sigma(work)
@@ -295,8 +349,8 @@ class Correction:
         if gain is not None:
             # where the cyclic error compresses distances, undoing it spreads their noise
             sigma *= gain
-        if work.unplaned is not None:
-            at = np.flatnonzero(work.unplaned)
+        if work.cosine is not None:
+            at = np.flatnonzero(np.isnan(work.cosine))
             sigma.ravel()[at] = np.hypot(sigma.take(at), self._dtype(work.folded.incidence_spread))
         return sigma
 
@@ -313,17 +367,15 @@ class Correction:
             _mark(flags, nowhere, Flag.NO_MEASUREMENT)
         if work.missing is not None:
             _mark(flags, work.missing, Flag.NO_MEASUREMENT)
-        if folded.reference_region is not None:
-            flags[folded.reference_region] |= Flag.NO_MEASUREMENT.value
-        mark_mixed(flags, distance, sigma, bit=Flag.MIXED_PIXEL.value)
+        _mark(flags, mixed_pixels(distance, sigma), Flag.MIXED_PIXEL)
         if folded.outside or self._outside(settings):
             flags |= np.uint8(Flag.OUTSIDE_CALIBRATION.value)
         limits = self.camera.validity.distance
         if limits is not None:
             low, high = (self._dtype(one) for one in limits)
             _mark(flags, (distance < low) | (distance > high), Flag.OUTSIDE_CALIBRATION)
-        if self._outside_region is not None:
-            flags |= self._outside_region
+        if self._always is not None:
+            flags |= self._always
         return flags
 
     def _outside(self, settings: Settings) -> bool:
@@ -339,14 +391,18 @@ class Correction:
         )
 
     @cached_property
-    def _outside_region(self) -> NDArray[np.uint8] | None:
-        """Flags of the pixels outside the calibrated region, None where it is not stated."""
-        region = self.camera.validity.region
-        if region is None:
+    def _always(self) -> NDArray[np.uint8] | None:
+        """Flags of pixels outside the calibrated region, and of those that see no scene; None without any."""
+        region, seen = self.camera.validity.region, self._reference_region
+        if region is None and seen is None:
             return None
-        u0, v0, u1, v1 = (round(x) for x in region)
-        flags = np.full(self.camera.shape, Flag.OUTSIDE_CALIBRATION.value, np.uint8)
-        flags[max(v0, 0) : v1 + 1, max(u0, 0) : u1 + 1] = 0
+        flags = np.zeros(self.camera.shape, np.uint8)
+        if region is not None:
+            u0, v0, u1, v1 = (round(x) for x in region)
+            flags += np.uint8(Flag.OUTSIDE_CALIBRATION.value)
+            flags[max(v0, 0) : v1 + 1, max(u0, 0) : u1 + 1] = 0
+        if seen is not None:
+            flags[seen] |= Flag.NO_MEASUREMENT.value
         return flags
 
 
@@ -359,8 +415,8 @@ class _Work:
     #: pixels without a raw distance, None where all have one
     missing: NDArray[np.bool_] | None
     light: Light
-    #: pixels where no plane was found for the incidence
-    unplaned: NDArray[np.bool_] | None = None
+    #: of the angle of incidence, NaN where no plane was found; None where nothing asks for it
+    cosine: Image | None = None
 
 
 def _missing(raw: Image) -> NDArray[np.bool_] | None:

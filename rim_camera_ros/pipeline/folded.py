@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.chain import Chain
-from rim_camera_ros.effects import InternalReference, mean_reading
+from rim_camera_ros.effects import InternalReference
 from rim_camera_ros.effects.base import Context, DistanceTerm
 from rim_camera_ros.effects.incidence import IncidenceTerm, incidence_gon
 from rim_camera_ros.effects.rows import outside_rows
@@ -20,8 +20,8 @@ from rim_camera_ros.pipeline.tables import AmplitudeModel, DistanceSolver, Plane
 
 Image = NDArray[Any]
 
-#: Entries of the table of the incidence terms over the cosine.
-_COSINES = 1 << 16
+#: Entries of the table of the incidence terms over the root of 1 - cosine: 0.2 mrad or less apart.
+_ANGLES = 1 << 13
 #: Below this angle in rad a plane is seen nearly perpendicularly.
 _PERPENDICULAR = 0.05
 #: Evaluations of terms of distance and place, and rounds of terms of the incidence, where exact.
@@ -103,18 +103,23 @@ class Folded:
         nothing = np.empty((0,))
         return float(np.asarray(term.term(nothing, nothing, self.context)))
 
-    def offset(self, metres: Image) -> float:
-        """Return the terms that are one number per frame, in metres, for its measured distances in metres.
+    def offset(self) -> float:
+        """Return the terms that are one number per frame, in metres.
 
         The reference path replaces the drift terms where it reads.
         """
         total = self._constant + sum(self._number(one) for one in self._scalars)
         reading = self.context.settings.reference_distance
-        if self.reference_region is not None:
-            reading = mean_reading(metres[self.reference_region])
         if self._reference is not None and reading is not None:
             return total + self._reference.drift(reading)
         return total + sum(self._number(one) for one in self._drifts)
+
+    def reference_pixels(self, raw: Image, unit: float) -> Image | None:
+        """Return the distances [m], or NaN, of the pixels that see the reference; None without such."""
+        if self.reference_region is None:
+            return None
+        pixels = raw[self.reference_region]
+        return np.where(pixels > 0, pixels * unit, np.nan)
 
     def subtract_frame_terms(self, y: Image, amplitude: Image) -> None:
         """Subtract terms of whole frames, or of amplitude and place, from y in metres."""
@@ -178,7 +183,7 @@ class Folded:
         self.incidence_rounds = 0
         #: RMS over the angles, in metres: what is not known where no plane is found
         self.incidence_spread = 0.0
-        self._by_cosine: NDArray[np.complex64] | None = None
+        self._by_angle: NDArray[np.complex64] | None = None
         if not self._by_incidence:
             return
         self.incidence_rounds = _EXACT_ROUNDS if self._exact else 1
@@ -187,18 +192,18 @@ class Folded:
         spread = sum(np.asarray(one.at(gon, self.context)) for one in angles)
         self.incidence_spread = float(np.sqrt(np.mean(np.square(spread))))
         if len(angles) == len(self._by_incidence) and not self._exact:
-            self._by_cosine = self._tabulate_incidence(angles)
+            self._by_angle = self._tabulate_incidence(angles)
             self._pair = [np.empty(self.context.camera.shape, np.float32) for _ in range(2)]
 
     def _tabulate_incidence(self, terms: list[IncidenceTerm]) -> NDArray[np.complex64]:
-        """Return t and b over the cosine of the angle that is seen in distances which still hold the term.
+        """Return t and b over sqrt(1 - cosine), of the angle that is seen in distances with the term in them.
 
         A plane r = d / cos(angle) is seen as r + t(angle), whose angle has the tangent
         tan(angle) + (t' - t tan(angle)) / d, to first order in t / d. So the term is t + b / d at the angle
         that is seen, with b = -t' cos^2(angle) (t' - t tan(angle)). Where the plane is seen perpendicularly,
         t has an edge that a window smoothes, and b goes to 0.
         """
-        angle = np.arccos(np.arange(_COSINES) / (_COSINES - 1))
+        angle = np.arccos(1.0 - np.linspace(0.0, 1.0, _ANGLES) ** 2)
 
         def at(angle: Image) -> Image:
             gon = incidence_gon(angle)
@@ -209,7 +214,7 @@ class Folded:
         value, cosine = at(angle), np.cos(angle)
         change = -slope * cosine * (slope * cosine - value * np.sin(angle))
         # the first entry is for pixels without a plane
-        table = np.zeros((_COSINES + 1, 2), np.float32)
+        table = np.zeros((_ANGLES + 1, 2), np.float32)
         table[1:, 0] = value
         table[1:, 1] = change * np.minimum(angle / _PERPENDICULAR, 1.0)
         return table.view(np.complex64).ravel()
@@ -219,13 +224,14 @@ class Folded:
 
         ``distance`` [m] is what the angle was estimated from.
         """
-        if self._by_cosine is not None and kernels.LIBRARY is not None:
-            return kernels.incidence_term(cosine, distance, table=self._by_cosine)
-        if self._by_cosine is not None:
+        if self._by_angle is not None and kernels.LIBRARY is not None:
+            return kernels.incidence_term(cosine, distance, table=self._by_angle)
+        if self._by_angle is not None:
             # NaN becomes a negative entry, which is taken for the first
-            entry = cosine * np.float32(_COSINES - 1)
+            entry = np.sqrt(np.float32(1.0) - cosine)
+            entry *= np.float32(_ANGLES - 1)
             entry += np.float32(1.5)
-            found = np.take(self._by_cosine, entry.astype(np.int32), mode="clip")
+            found = np.take(self._by_angle, entry.astype(np.int32), mode="clip")
             term, change = cv2.split(found.view(np.float32).reshape(*cosine.shape, 2), self._pair)
             change /= distance
             result: Image = term + change

@@ -5,16 +5,27 @@
  * A NaN makes a comparison false, as there.
  */
 #include <math.h>
+#include <stddef.h>
 #include <stdint.h>
 
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__linux__)
-/* chosen when the library is loaded: the wide registers of a processor of the last ten years, or none */
-#define FOR_EACH_PROCESSOR __attribute__((target_clones("arch=x86-64-v3", "default")))
+/* chosen when the library is loaded: the wide registers of a processor of the last five or ten years, or none */
+#define FOR_EACH_PROCESSOR __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
 #else
 #define FOR_EACH_PROCESSOR
 #endif
 
+#if defined(__GNUC__) && !defined(__clang__)
+/* before a loop: what it writes, it does not read */
+#define INDEPENDENT _Pragma("GCC ivdep")
+#else
+#define INDEPENDENT
+#endif
+
 enum { WINDOW = 5, STRIDE = 3, PIXELS = WINDOW * WINDOW };
+/* rim_camera_ros.frame.Flag */
+enum { LOW_AMPLITUDE = 1, SATURATED = 2, MIXED_PIXEL = 4, OUTSIDE_CALIBRATION = 8, NO_MEASUREMENT = 16 };
+enum { INVALID = LOW_AMPLITUDE | SATURATED | NO_MEASUREMENT };
 static const float SPREAD = 50.0f;
 
 typedef struct {
@@ -42,6 +53,7 @@ static void fit(const Grid *grid, const float *values, const Windows *to, float 
     float *restrict slope = columns + 2 * width, *restrict square = columns + 3 * width;
     for (int64_t r = 0; r < grid->rows; r++) {
         const float *restrict row = values + STRIDE * r * width;
+        INDEPENDENT
         for (int64_t u = 0; u < width; u++) {
             const float centre = row[2 * width + u];
             const float above2 = row[u] - centre, above = row[width + u] - centre;
@@ -51,6 +63,7 @@ static void fit(const Grid *grid, const float *values, const Windows *to, float 
             slope[u] = 2.0f * (below2 - above2) + below - above;
             square[u] = above2 * above2 + above * above + below * below + below2 * below2;
         }
+        INDEPENDENT
         for (int64_t c = 0; c < grid->columns; c++) {
             const int64_t u = STRIDE * c, at = r * grid->stride + c;
             const float centre = middle[u + 2];
@@ -90,6 +103,7 @@ int64_t rim_planes(const Grid *grid, const Geometry *geometry, const Windows *to
     const float least = (residual / factor) * (residual / factor), squared = excess * excess;
     const float uncertain = tilt * sqrtf(SPREAD);
     for (int64_t r = 0; r < grid->rows; r++) {
+        INDEPENDENT
         for (int64_t c = 0; c < grid->columns; c++) {
             const int64_t at = r * grid->stride + c;
             const float *corner = sigma + STRIDE * (r * sigma_row + c * sigma_column);
@@ -183,84 +197,108 @@ void rim_entries(const Grid *grid, const Windows *from, float *entries)
     }
 }
 
-/* IncidenceEstimator.cosine of `count` pixels from the entries of the windows. rays: x, y, z of all pixels;
- * window: of each pixel; neighbours: (4, windows + 1); sigma as above, of `each` 0 or 1 elements a pixel */
-void rim_cosine(int64_t count, const float *distance, const float *sigma, int64_t each, const float *rays,
-                const float *entries, const int64_t *window, const int64_t *neighbours, int64_t windows,
-                float near, float sure, float sigmas, float *cosine)
+enum { UNSURE = 2 };
+
+/* The planes of a row's pixels, 4 rows of numbers: the cosine, UNSURE where another plane may fit better. */
+FOR_EACH_PROCESSOR
+static void row_cosine(int64_t width, const float *restrict planes, const float *restrict rx,
+                       const float *restrict ry, const float *restrict rz, const float *restrict distance,
+                       const float *restrict sigma, float sure, float sigmas, float *restrict cosine)
 {
-    for (int64_t i = 0; i < count; i++) {
-        const float rx = rays[i], ry = rays[count + i], rz = rays[2 * count + i];
-        const float *own = entries + 4 * window[i];
-        const float inverse = own[0] * rx + own[1] * ry + own[2] * rz;
-        float found = fabsf(inverse * own[3]);
-        const float d = distance[i];
-        if (!(own[3] > 0.0f) && d > 0.0f) {
-            const float noise = sigmas * sigma[each * i], miss = fabsf(1.0f / inverse - d);
-            if (!(miss < noise || miss < sure)) {
-                float least = INFINITY, best = 0.0f;
-                for (int k = 0; k < 4; k++) {
-                    const float *other = entries + 4 * neighbours[k * windows + window[i]];
-                    if (!(other[3] > 0.0f))
-                        continue; /* holds a step itself */
-                    const float there = other[0] * rx + other[1] * ry + other[2] * rz;
-                    const float error = fabsf(1.0f / there - d), other_cosine = fabsf(there * other[3]);
-                    if (error < least || (error == least && other_cosine > best)) {
-                        least = error;
-                        best = other_cosine;
-                    }
-                }
-                if (!(miss <= least))
-                    found = best;
-                if (!(fminf(least, miss) < (noise < near ? near : noise)))
-                    found = NAN;
-            }
+    for (int64_t u = 0; u < width; u++) {
+        const float inverse = planes[u] * rx[u] + planes[width + u] * ry[u] + planes[2 * width + u] * rz[u];
+        const float sign = planes[3 * width + u], found = fabsf(inverse * sign), d = distance[u];
+        const float miss = fabsf(1.0f / inverse - d), most = sigmas * sigma[u] > sure ? sigmas * sigma[u] : sure;
+        const int unsure = !(sign > 0.0f) & (d > 0.0f) & !(miss < most);
+        cosine[u] = unsure ? (float)UNSURE : found > 1.0f ? 1.0f : found;
+    }
+}
+
+/* IncidenceEstimator._search for one pixel of distance d and ray r; `around` are the numbers of its neighbours,
+ * `windows` apart. */
+static float search(const float *own, const float *entries, const int64_t *around, int64_t windows, const float *r,
+                    float d, float most)
+{
+    const float inverse = own[0] * r[0] + own[1] * r[1] + own[2] * r[2];
+    const float miss = fabsf(1.0f / inverse - d);
+    float least = INFINITY, best = 0.0f;
+    for (int k = 0; k < 4; k++) {
+        const float *other = entries + 4 * around[k * windows];
+        if (!(other[3] > 0.0f))
+            continue; /* holds a step itself */
+        const float there = other[0] * r[0] + other[1] * r[1] + other[2] * r[2];
+        const float error = fabsf(1.0f / there - d), cosine = fabsf(there * other[3]);
+        if (error < least || (error == least && cosine > best)) {
+            least = error;
+            best = cosine;
         }
-        cosine[i] = found > 1.0f ? 1.0f : found;
+    }
+    const float found = miss <= least ? fabsf(inverse * own[3]) : best;
+    return !(fminf(least, miss) < most) ? NAN : found > 1.0f ? 1.0f : found;
+}
+
+/* IncidenceEstimator.cosine from the entries of the windows. rays: x, y, z of all pixels; window: of each pixel,
+ * the same for all rows of the same first; neighbours: (4, windows + 1); planes: room for four rows */
+void rim_cosine(int64_t height, int64_t width, const float *distance, const float *sigma, const float *rays,
+                const float *entries, const int64_t *window, const int64_t *neighbours, int64_t windows,
+                float near, float sure, float sigmas, float *planes, float *cosine)
+{
+    const int64_t count = height * width;
+    for (int64_t v = 0, last = -1; v < height; v++) {
+        const int64_t first = v * width;
+        for (int64_t u = 0; window[first] != last && u < width; u++)
+            for (int k = 0; k < 4; k++)
+                planes[k * width + u] = entries[4 * window[first + u] + k];
+        last = window[first];
+        row_cosine(width, planes, rays + first, rays + count + first, rays + 2 * count + first, distance + first,
+                   sigma + first, sure, sigmas, cosine + first);
+        for (int64_t i = first; i < first + width; i++) {
+            if (cosine[i] != (float)UNSURE)
+                continue;
+            const float ray[3] = {rays[i], rays[count + i], rays[2 * count + i]}, noise = sigmas * sigma[i];
+            cosine[i] = search(entries + 4 * window[i], entries, neighbours + window[i], windows, ray, distance[i],
+                               noise < near ? near : noise);
+        }
     }
 }
 
 FOR_EACH_PROCESSOR
 static void mixed_along(const float *restrict distance, const float *restrict sigma, int64_t count,
-                        int64_t stride, float least, float sigmas, float share, uint8_t bit,
-                        uint8_t *restrict flags)
+                        int64_t stride, float least, float sigmas, float share, uint8_t *restrict flags)
 {
     for (int64_t i = 0; i < count; i++) {
         const float low = distance[i - 2 * stride], high = distance[i + 2 * stride];
         const float slopes = fabsf(low - distance[i - 3 * stride]) + fabsf(distance[i + 3 * stride] - high);
-        const float excess = fabsf(high - low) - 4.0f * slopes;
-        const float at = (distance[i] - low) / (high - low);
-        const int mixed = (excess > least) & (excess > sigmas * sigma[i]) & (at > share) & (at < 1.0f - share);
-        flags[i] |= mixed ? bit : 0;
+        const float step = high - low, excess = fabsf(step) - 4.0f * slopes;
+        const float at = (distance[i] - low) * step, whole = step * step; /* a share without a division */
+        const int mixed = (excess > least) & (excess > sigmas * sigma[i]) & (at > share * whole)
+                          & (at < (1.0f - share) * whole);
+        flags[i] |= mixed ? MIXED_PIXEL : 0;
     }
 }
 
-/* mixed_pixels: sets `bit` in the flags (height, width) */
-void rim_mixed(const float *distance, const float *sigma, int64_t height, int64_t width, float least,
-               float sigmas, float share, int32_t bit, uint8_t *flags)
-{
-    for (int64_t v = 0; width > 6 && v < height; v++) {
-        const int64_t at = v * width + 3;
-        mixed_along(distance + at, sigma + at, width - 6, 1, least, sigmas, share, (uint8_t)bit, flags + at);
-    }
-    if (height > 6) {
-        const int64_t at = 3 * width;
-        mixed_along(distance + at, sigma + at, (height - 6) * width, width, least, sigmas, share, (uint8_t)bit,
-                    flags + at);
-    }
-}
+/* DistanceSolver: what does not change from frame to frame, but for the slope, of all pixels. `entries` of four
+ * numbers each; `length` entries a row, of which y comes round (a power of two) or ends at the last; `beside` may be
+ * NULL. */
+typedef struct {
+    const float *shift, *beside, *entries;
+    const int32_t *row;
+    float *slope, scale;
+    int32_t length, wraps;
+} Solver;
 
-/* DistanceSolver.solve of `count` pixels: y + value + slope * (distance from the entry's lower edge) + by_phase *
- * beside. `entries` of four numbers each; `length` entries a row, of which y comes round (a power of two) or
- * ends at the last; `beside` may be NULL; `slope` is written, `solved` may be y. */
+/* DistanceSolver.solve of `count` pixels from the one at `first`: y + value + slope * (distance from the entry's lower
+ * edge) + by_phase * beside; `solved` may be y. */
 FOR_EACH_PROCESSOR
-void rim_solve(int64_t count, const float *y, const float *restrict shift, const int32_t *restrict row,
-               const float *restrict beside, const float *restrict entries, float scale, int32_t length,
-               int32_t wraps, float *restrict slope, float *solved)
+void rim_solve(const Solver *by, int64_t first, int64_t count, const float *y, float *solved)
 {
-#if defined(__GNUC__) && !defined(__clang__)
-#pragma GCC ivdep
-#endif
+    const float *restrict shift = by->shift + first, *restrict entries = by->entries;
+    const float *restrict beside = by->beside ? by->beside + first : NULL;
+    const int32_t *restrict row = by->row + first;
+    float *restrict slope = by->slope + first;
+    const float scale = by->scale;
+    const int32_t length = by->length, wraps = by->wraps;
+    INDEPENDENT
     for (int64_t i = 0; i < count; i++) {
         const float at = y[i] * scale + shift[i], edge = floorf(at);
         int32_t entry = edge >= -2e9f && edge <= 2e9f ? (int32_t)edge : 0; /* NaN: any */
@@ -277,14 +315,54 @@ void rim_solve(int64_t count, const float *y, const float *restrict shift, const
     }
 }
 
-/* Folded.incidence_term of `count` pixels: t + b / distance from a table of pairs over the cosine, whose first
+FOR_EACH_PROCESSOR
+static int32_t read_counts(int64_t count, const uint16_t *restrict raw, const uint16_t *restrict published,
+                           const float *restrict entries, float unit, float offset, const float *restrict map,
+                           float *restrict y, float *restrict amplitude, float *restrict sigma,
+                           uint8_t *restrict flags)
+{
+    int32_t all = 0;
+    for (int64_t i = 0; i < count; i++) {
+        const float *restrict entry = entries + 4 * (int64_t)published[i];
+        const int32_t flag = (int32_t)entry[2] | (raw[i] ? 0 : NO_MEASUREMENT);
+        y[i] = raw[i] ? (float)raw[i] * unit - entry[0] - offset : NAN;
+        sigma[i] = entry[1];
+        amplitude[i] = entry[3];
+        flags[i] = (uint8_t)flag;
+        all |= flag;
+    }
+    for (int64_t i = 0; map && i < count; i++)
+        y[i] -= map[i];
+    return all;
+}
+
+/* Counts to distances [m] less offset, map (or NULL) and the amplitude's term, solved where `by` is not NULL; the
+ * rest of what the amplitudes say, of whose counts `entries` hold term, sigma, flags and amplitude. Returns all
+ * flags that are set somewhere. */
+int32_t rim_read(int64_t count, const uint16_t *raw, const uint16_t *published, const float *entries, float unit,
+                 float offset, const float *map, const Solver *by, float *y, float *amplitude, float *sigma,
+                 uint8_t *flags)
+{
+    const int64_t block = 1 << 12; /* stays in the processor's nearest cache */
+    int32_t all = 0;
+    for (int64_t at = 0; at < count; at += block) {
+        const int64_t size = count - at < block ? count - at : block;
+        all |= read_counts(size, raw + at, published + at, entries, unit, offset, map ? map + at : NULL, y + at,
+                           amplitude + at, sigma + at, flags + at);
+        if (by)
+            rim_solve(by, at, size, y + at, y + at);
+    }
+    return all;
+}
+
+/* Folded.incidence_term of `count` pixels: t + b / distance from a table of pairs over sqrt(1 - cosine), whose first
  * pair is for pixels without a plane */
 FOR_EACH_PROCESSOR
 void rim_incidence(int64_t count, const float *restrict cosine, const float *restrict distance,
                    const float *restrict table, int32_t last, float *restrict term)
 {
     for (int64_t i = 0; i < count; i++) {
-        const float at = cosine[i] * (float)last + 1.5f;
+        const float at = sqrtf(1.0f - cosine[i]) * (float)last + 1.5f;
         int32_t entry = at >= 0.0f ? (int32_t)at : 0;
         entry = entry > last + 1 ? last + 1 : entry;
         term[i] = table[2 * entry] + table[2 * entry + 1] / distance[i];
@@ -313,5 +391,178 @@ void rim_plane_table(int64_t count, const float *restrict distance, const float 
             held = held > last ? last : held;
             term[i] += bend[i] * fabsf(held - knot);
         }
+    }
+}
+
+/* More turns than any distance has; NaN is not less. */
+static const float FAR = 1e6f;
+
+/* The nearest whole number of |x| < 2^22. */
+static inline float whole(float x)
+{
+    const float shift = 12582912.0f; /* 1.5 * 2^23: the sum has no digits behind the point */
+    return (x + shift) - shift;
+}
+
+/* Sine and cosine to 1e-7 by the polynomials of Cephes (Moshier 1989) within an eighth of a turn. */
+FOR_EACH_PROCESSOR
+static void row_to_image(int64_t width, const float *restrict distance, const float *restrict amplitude,
+                         float turns, float *restrict real, float *restrict imaginary)
+{
+    for (int64_t u = 0; u < width; u++) {
+        const float at = distance[u] * turns, turn = at - whole(at), quarter = whole(4.0f * turn);
+        const float x = (turn - 0.25f * quarter) * 6.28318531f, z = x * x;
+        const float sine = x + x * z * (-1.6666654611e-1f + z * (8.3321608736e-3f - z * 1.9515295891e-4f));
+        const float cosine = 1.0f - 0.5f * z
+                             + z * z * (4.166664568e-2f + z * (-1.388731625e-3f + z * 2.443315712e-5f));
+        const int odd = fabsf(quarter) == 1.0f, back = fabsf(quarter) == 2.0f;
+        const float light = fabsf(at) < FAR ? amplitude[u] : 0.0f, turned = back ? -light : light;
+        const float along = odd ? -quarter * sine : cosine, across = odd ? quarter * cosine : sine;
+        real[u] = light == 0.0f ? 0.0f : turned * along;
+        imaginary[u] = light == 0.0f ? 0.0f : turned * across;
+    }
+}
+
+/* OpticsUndo: distances [m] and amplitudes to the complex image (height, 2, width); pixels without a distance are
+ * dark. */
+void rim_to_image(int64_t height, int64_t width, const float *distance, const float *amplitude, float ambiguity,
+                  float *image)
+{
+    for (int64_t v = 0; v < height; v++) {
+        float *row = image + 2 * v * width;
+        row_to_image(width, distance + v * width, amplitude + v * width, 1.0f / ambiguity, row, row + width);
+    }
+}
+
+/* The angle in turns, to 3e-8, by the polynomial of Cephes; `length` of the vector, `inverse` gets 1 over it. */
+static inline float turn_of(float y, float x, float length, float *inverse)
+{
+    const float ax = fabsf(x), ay = fabsf(y);
+    const float low = ay < ax ? ay : ax, high = ay < ax ? ax : ay;
+    /* tan(pi/8): beyond it 45 degrees and the rest */
+    const int far = low > 0.414213562f * high;
+    const float top = far ? low - high : low, bottom = far ? low + high : high;
+    const float both = length > 0.0f ? 1.0f / (bottom * length) : 0.0f; /* of two divisions */
+    const float t = top * length * both, z = t * t;
+    const float eighths = t + t * z * (-3.33329491539e-1f + z * (1.99777106478e-1f + z * (-1.38776856032e-1f
+                                                                             + z * 8.05374449538e-2f)));
+    const float octant = eighths * 0.159154943f + (far ? 0.125f : 0.0f);
+    const float quadrant = ay > ax ? 0.25f - octant : octant, half = x < 0.0f ? 0.5f - quadrant : quadrant;
+    *inverse = bottom * both;
+    return y < 0.0f ? -half : half;
+}
+
+FOR_EACH_PROCESSOR
+static void row_from_image(int64_t width, const float *restrict real, const float *restrict imaginary,
+                           const float *restrict before, float ambiguity, int32_t wraps, float direct,
+                           float *restrict distance, float *restrict amplitude, float *restrict gain)
+{
+    const float turns = 1.0f / ambiguity, scale = 1.0f / direct;
+    for (int64_t u = 0; u < width; u++) {
+        const float light = sqrtf(real[u] * real[u] + imaginary[u] * imaginary[u]);
+        float inverse;
+        const float was = distance[u] * turns, turn = turn_of(imaginary[u], real[u], light, &inverse);
+        const float change = turn - was, nearest = was + (change - whole(change));
+        const float positive = turn < 0.0f ? turn + 1.0f : turn, within = positive < 1.0f ? positive : 0.0f;
+        const float found = (wraps ? within : nearest) * ambiguity;
+        const int known = fabsf(was) < FAR;
+        distance[u] = known ? found : NAN;
+        amplitude[u] = light;
+        gain[u] = known ? before[u] * scale * inverse : 0.0f;
+    }
+}
+
+FOR_EACH_PROCESSOR
+static void row_of_emitter(int64_t width, const float *restrict along, float square, float *restrict distance)
+{
+    const float shortest = 0.5f * sqrtf(square);
+    for (int64_t u = 0; u < width; u++) {
+        const float half = distance[u], twice = 4.0f * half, found = (half * twice - square) / (twice + along[u]);
+        distance[u] = half <= shortest ? NAN : found;
+    }
+}
+
+/* OpticsUndo: the image without stray light to distance, which holds the delivered one before, to amplitude, and to
+ * gain, the amplitude before over it and over `direct`. `along`, of the emitter beside the lens, may be NULL. */
+void rim_from_image(int64_t height, int64_t width, const float *image, const float *before, float ambiguity,
+                    int32_t wraps, float direct, const float *along, float square, float *distance,
+                    float *amplitude, float *gain)
+{
+    for (int64_t v = 0; v < height; v++) {
+        const int64_t at = v * width;
+        const float *row = image + 2 * at;
+        row_from_image(width, row, row + width, before + at, ambiguity, wraps, direct, distance + at,
+                       amplitude + at, gain + at);
+        if (along)
+            row_of_emitter(width, along + at, square, distance + at);
+    }
+}
+
+/* What `rim_judge` is told, NULL where there is nothing: (height, width) each, `always` are flags */
+typedef struct {
+    const float *amplitude, *gain, *slope, *cosine;
+    const uint8_t *always;
+    float minimum, slope_scale, spread, least, greatest, step, sigmas, share;
+    int32_t everywhere;
+} Judged;
+
+FOR_EACH_PROCESSOR
+static void row_judged(int64_t width, const Judged *by, int64_t first, const float *restrict distance,
+                       float *restrict sigma, uint8_t *restrict flags)
+{
+    const float *restrict amplitude = by->amplitude + first;
+    const float minimum = by->minimum, least = by->least, greatest = by->greatest;
+    const int32_t everywhere = by->everywhere;
+    if (by->gain)
+        for (int64_t u = 0; u < width; u++)
+            sigma[u] *= by->gain[first + u];
+    if (by->slope)
+        for (int64_t u = 0; u < width; u++)
+            sigma[u] *= 1.0f + by->slope[first + u] * by->slope_scale;
+    if (by->cosine)
+        for (int64_t u = 0; u < width; u++) {
+            const float more = by->cosine[first + u] == by->cosine[first + u] ? 0.0f : by->spread;
+            sigma[u] = sqrtf(sigma[u] * sigma[u] + more * more);
+        }
+    for (int64_t u = 0; u < width; u++) {
+        const float d = distance[u];
+        const int32_t low = amplitude[u] < minimum ? LOW_AMPLITUDE : 0, flag = flags[u] | low;
+        const int32_t nowhere = d != d && !(flag & INVALID) ? NO_MEASUREMENT : 0;
+        const int32_t outside = (d < least) | (d > greatest) ? OUTSIDE_CALIBRATION : 0;
+        flags[u] = (uint8_t)(flag | nowhere | outside | everywhere);
+    }
+    if (by->always)
+        for (int64_t u = 0; u < width; u++)
+            flags[u] |= by->always[first + u];
+}
+
+FOR_EACH_PROCESSOR
+static void row_without_invalid(int64_t width, const uint8_t *restrict flags, float *restrict distance,
+                                float *restrict sigma)
+{
+    for (int64_t u = 0; u < width; u++) {
+        const int invalid = flags[u] & INVALID;
+        distance[u] = invalid ? NAN : distance[u];
+        sigma[u] = invalid ? NAN : sigma[u];
+    }
+}
+
+/* Correction._sigma and _flags, with mixed_pixels: sigma and flags (height, width) hold what the amplitudes say of
+ * them before; distance and sigma are NaN in the end where they are not valid. */
+void rim_judge(int64_t height, int64_t width, const Judged *by, float *distance, float *sigma, uint8_t *flags)
+{
+    const int64_t reach = 3; /* rows that mixed pixels look at */
+    for (int64_t v = 0; v < height + reach; v++) {
+        const int64_t at = v * width, done = at - reach * width;
+        if (v < height) {
+            row_judged(width, by, at, distance + at, sigma + at, flags + at);
+            if (width > 2 * reach)
+                mixed_along(distance + at + reach, sigma + at + reach, width - 2 * reach, 1, by->step, by->sigmas,
+                            by->share, flags + at + reach);
+            if (v >= reach && v < height - reach)
+                mixed_along(distance + at, sigma + at, width, width, by->step, by->sigmas, by->share, flags + at);
+        }
+        if (v >= reach)
+            row_without_invalid(width, flags + done, distance + done, sigma + done);
     }
 }

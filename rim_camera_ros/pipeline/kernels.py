@@ -17,19 +17,34 @@ from numpy.typing import NDArray
 Image = NDArray[np.float32]
 
 _POINTER, _WHOLE, _NUMBER = ctypes.c_void_p, ctypes.c_int64, ctypes.c_float
+#: Where the data of an array begin, for a call; TypeError where they are not contiguous or are read-only.
+#: Half the time that `numpy.ndarray.ctypes` takes, which a frame would spend on 60 arrays.
+_at = (ctypes.c_char * 0).from_buffer
 #: Arguments, and what is returned.
 _FUNCTIONS: dict[str, tuple[list[Any], Any]] = {
     "rim_planes": ([*[_POINTER] * 5, *[_WHOLE] * 2, *[_NUMBER] * 4, _POINTER], _WHOLE),
     "rim_widen": ([*[_POINTER] * 4, *[_NUMBER] * 4], None),
     "rim_entries": ([_POINTER] * 3, None),
-    "rim_cosine": (
-        [_WHOLE, _POINTER, _POINTER, _WHOLE, *[_POINTER] * 4, _WHOLE, *[_NUMBER] * 3, _POINTER],
-        None,
-    ),
-    "rim_solve": ([_WHOLE, *[_POINTER] * 5, _NUMBER, *[ctypes.c_int32] * 2, *[_POINTER] * 2], None),
+    "rim_cosine": ([*[_WHOLE] * 2, *[_POINTER] * 6, _WHOLE, *[_NUMBER] * 3, *[_POINTER] * 2], None),
+    "rim_solve": ([_POINTER, *[_WHOLE] * 2, *[_POINTER] * 2], None),
+    "rim_read": ([_WHOLE, *[_POINTER] * 3, *[_NUMBER] * 2, *[_POINTER] * 6], ctypes.c_int32),
+    "rim_judge": ([*[_WHOLE] * 2, *[_POINTER] * 4], None),
     "rim_incidence": ([_WHOLE, *[_POINTER] * 3, ctypes.c_int32, _POINTER], None),
     "rim_plane_table": ([_WHOLE, *[_POINTER] * 3, _WHOLE, *[_POINTER] * 2, *[_NUMBER] * 2, _POINTER], None),
-    "rim_mixed": ([_POINTER, _POINTER, _WHOLE, _WHOLE, *[_NUMBER] * 3, ctypes.c_int32, _POINTER], None),
+    "rim_to_image": ([*[_WHOLE] * 2, *[_POINTER] * 2, _NUMBER, _POINTER], None),
+    "rim_from_image": (
+        [
+            *[_WHOLE] * 2,
+            *[_POINTER] * 2,
+            _NUMBER,
+            ctypes.c_int32,
+            _NUMBER,
+            _POINTER,
+            _NUMBER,
+            *[_POINTER] * 3,
+        ],
+        None,
+    ),
 }
 
 
@@ -133,7 +148,7 @@ class CompiledWindows:
                 self._grid,
                 self._geometry,
                 self._windows,
-                inverse_depth.ctypes.data,
+                _at(inverse_depth),
                 noise.ctypes.data,
                 row,
                 column,
@@ -141,7 +156,7 @@ class CompiledWindows:
                 excess,
                 residual,
                 tilt,
-                self._columns.ctypes.data,
+                _at(self._columns),
             )
         )
 
@@ -159,7 +174,7 @@ class CompiledWindows:
             self._grid,
             self._geometry,
             self._windows,
-            wider.ctypes.data,
+            _at(wider),
             mean_sigmas,
             near,
             slope_sigmas,
@@ -168,7 +183,7 @@ class CompiledWindows:
 
     def entries(self) -> NDArray[np.complex128]:
         """Return the entries of all windows, bad ones replaced by a good one within reach."""
-        LIBRARY.rim_entries(self._grid, self._windows, self._entries.ctypes.data)
+        LIBRARY.rim_entries(self._grid, self._windows, _at(self._entries))
         return self._entries
 
 
@@ -186,83 +201,141 @@ def cosine(
 ) -> Image:
     """Return the cosines of `rim_camera_ros.pipeline.normals.IncidenceEstimator` (H, W), a new array."""
     result = np.empty(distance.shape, np.float32)
-    distance, noise = np.ascontiguousarray(distance, np.float32), np.ascontiguousarray(sigma, np.float32)
+    distance = np.ascontiguousarray(distance, np.float32)
+    noise = np.ascontiguousarray(sigma if np.ndim(sigma) else np.full(result.shape, sigma), np.float32)
+    planes = np.empty((4, result.shape[1]), np.float32)
     LIBRARY.rim_cosine(
-        distance.size,
-        distance.ctypes.data,
-        noise.ctypes.data,
-        int(np.ndim(sigma) > 0),
-        rays.ctypes.data,
-        entries.ctypes.data,
-        window.ctypes.data,
-        neighbours.ctypes.data,
+        *result.shape,
+        _at(distance),
+        _at(noise),
+        _at(rays),
+        _at(entries),
+        _at(window),
+        _at(neighbours),
         neighbours.shape[1],
         near,
         sure,
         sigmas,
-        result.ctypes.data,
+        _at(planes),
+        _at(result),
     )
     return result
 
 
-def mark_mixed(
-    flags: NDArray[np.uint8],
+class _Solver(ctypes.Structure):
+    _fields_ = [
+        *[(name, _POINTER) for name in ("shift", "beside", "entries", "row", "slope")],
+        ("scale", _NUMBER),
+        ("length", ctypes.c_int32),
+        ("wraps", ctypes.c_int32),
+    ]
+
+
+class CompiledSolver:
+    """What `rim_camera_ros.pipeline.tables.DistanceSolver` computes of a frame, from its arrays.
+
+    ``slope`` (H, W) is written with each pixel that is solved.
+    """
+
+    def __init__(
+        self,
+        *,
+        shift: Image,
+        row: NDArray[np.int32],
+        beside: Image | None,
+        entries: NDArray[np.complex128],
+        scale: float,
+        length: int,
+        wraps: bool,
+        slope: Image,
+    ) -> None:
+        self._held = shift, beside, entries, row, slope
+        addresses = [None if one is None else one.ctypes.data for one in self._held]
+        self.structure = _Solver(*addresses, scale, length, int(wraps))
+
+    def solve(self, y: Image, *, first: int, out: Image | None) -> Image:
+        """Return the distances [m] for y of the pixels from ``first`` on; a new array, or ``out``."""
+        y = np.ascontiguousarray(y, np.float32)
+        solved = np.empty_like(y) if out is None else out
+        LIBRARY.rim_solve(ctypes.byref(self.structure), first, y.size, _at(y), _at(solved))
+        return solved
+
+
+def read(
+    distance: NDArray[np.uint16],
+    amplitude: NDArray[np.uint16],
+    *,
+    entries: Image,
+    unit: float,
+    offset: float,
+    map_: Image | None,
+    solver: CompiledSolver | None,
+) -> tuple[Image, Image, Image, NDArray[np.uint8], int]:
+    """Return what counts (H, W) say, new arrays, and all flags that are set somewhere.
+
+    Distances [m] without what the amplitude (by ``entries``, see `rim_camera_ros.pipeline.tables`), a map
+    and an offset [m] add, solved where a solver is given; amplitude [counts], sigma [m], flags.
+    """
+    raw, published = (np.ascontiguousarray(one, np.uint16) for one in (distance, amplitude))
+    y, light, sigma = (np.empty(raw.shape, np.float32) for _ in range(3))
+    flags = np.empty(raw.shape, np.uint8)
+    found = LIBRARY.rim_read(
+        raw.size,
+        raw.ctypes.data,  # perhaps not to be written
+        published.ctypes.data,
+        _at(entries),
+        unit,
+        offset,
+        None if map_ is None else _at(map_),
+        None if solver is None else ctypes.byref(solver.structure),
+        _at(y),
+        _at(light),
+        _at(sigma),
+        _at(flags),
+    )
+    return y, light, sigma, flags, found
+
+
+class _Judged(ctypes.Structure):
+    _fields_ = [
+        *[(name, _POINTER) for name in ("amplitude", "gain", "slope", "cosine", "always")],
+        *[
+            (name, _NUMBER)
+            for name in (
+                *("minimum", "slope_scale", "spread", "least", "greatest"),
+                *("step", "sigmas", "share"),
+            )
+        ],
+        ("everywhere", ctypes.c_int32),
+    ]
+
+
+def judge(
     distance: Image,
     sigma: Image,
+    flags: NDArray[np.uint8],
     *,
-    bit: int,
-    least: float,
-    sigmas: float,
-    share: float,
+    amplitude: Image,
+    gain: Image | None,
+    slope: tuple[Image, float] | None,
+    cosine: Image | None,
+    always: NDArray[np.uint8] | None,
+    minimum: float,
+    spread: float,
+    limits: tuple[float, float],
+    mixed: tuple[float, float, float],
+    everywhere: int,
 ) -> None:
-    """Set a bit in flags (H, W) where `rim_camera_ros.pipeline.mixed.mixed_pixels` is true."""
-    height, width = distance.shape
-    assert flags.flags.c_contiguous  # written in place
-    distance, sigma = (np.ascontiguousarray(one, np.float32) for one in (distance, sigma))
-    LIBRARY.rim_mixed(
-        distance.ctypes.data,
-        sigma.ctypes.data,
-        height,
-        width,
-        least,
-        sigmas,
-        share,
-        bit,
-        flags.ctypes.data,
-    )
+    """Finish sigma [m] and flags (H, W), and make distances and sigmas NaN where they are not valid.
 
-
-def solve(
-    y: Image,
-    *,
-    shift: Image,
-    row: NDArray[np.int32],
-    beside: Image | None,
-    entries: NDArray[np.complex128],
-    scale: float,
-    length: int,
-    wraps: bool,
-    slope: Image,
-    out: Image | None,
-) -> Image:
-    """Return what `rim_camera_ros.pipeline.tables.DistanceSolver.solve` does; ``slope`` is written, too."""
-    y = np.ascontiguousarray(y, np.float32)
-    solved = np.empty_like(y) if out is None else out
-    assert solved.flags.c_contiguous  # written in place
-    LIBRARY.rim_solve(
-        y.size,
-        y.ctypes.data,
-        shift.ctypes.data,
-        row.ctypes.data,
-        None if beside is None else beside.ctypes.data,
-        entries.ctypes.data,
-        scale,
-        length,
-        int(wraps),
-        slope.ctypes.data,
-        solved.ctypes.data,
-    )
-    return solved
+    In place, as `rim_camera_ros.pipeline.correct.Correction` does, from what the amplitudes say. ``mixed``:
+    least step [m], in sigmas, share, of `rim_camera_ros.pipeline.mixed`.
+    """
+    held = amplitude, gain, None if slope is None else slope[0], cosine, always
+    addresses = [None if one is None else ctypes.addressof(_at(one)) for one in held]
+    scale = 0.0 if slope is None else slope[1]
+    by = _Judged(*addresses, minimum, scale, spread, *limits, *mixed, everywhere)
+    LIBRARY.rim_judge(*distance.shape, ctypes.byref(by), _at(distance), _at(sigma), _at(flags))
 
 
 def incidence_term(cosine: Image, distance: Image, *, table: NDArray[np.complex64]) -> Image:
@@ -271,11 +344,11 @@ def incidence_term(cosine: Image, distance: Image, *, table: NDArray[np.complex6
     cosine, distance = (np.ascontiguousarray(one, np.float32) for one in (cosine, distance))
     LIBRARY.rim_incidence(
         term.size,
-        cosine.ctypes.data,
-        distance.ctypes.data,
-        table.ctypes.data,
+        _at(cosine),
+        _at(distance),
+        _at(table),
         table.size - 2,
-        term.ctypes.data,
+        _at(term),
     )
     return term
 
@@ -295,14 +368,53 @@ def plane_table(
     distance = np.ascontiguousarray(distance, np.float32)
     LIBRARY.rim_plane_table(
         term.size,
-        distance.ctypes.data,
-        base.ctypes.data,
-        slope.ctypes.data,
+        _at(distance),
+        _at(base),
+        _at(slope),
         knots.size,
-        knots.ctypes.data,
-        bends.ctypes.data,
+        _at(knots),
+        _at(bends),
         first,
         last,
-        term.ctypes.data,
+        _at(term),
     )
     return term
+
+
+def to_image(distance: Image, amplitude: Image, *, ambiguity: float, image: Image) -> None:
+    """Write the complex image (H, 2, W) of distances [m] and amplitudes, dark where a distance is NaN."""
+    distance, amplitude = (np.ascontiguousarray(one, np.float32) for one in (distance, amplitude))
+    LIBRARY.rim_to_image(*distance.shape, _at(distance), _at(amplitude), ambiguity, _at(image))
+
+
+def from_image(
+    image: Image,
+    distance: Image,
+    before: Image,
+    *,
+    ambiguity: float,
+    wraps: bool,
+    direct: float,
+    along: Image | None,
+    square: float,
+) -> tuple[Image, Image]:
+    """Overwrite the delivered distances (H, W) [m] by those of an image; return its amplitudes and the gains.
+
+    As `rim_camera_ros.pipeline.optics.OpticsUndo` does; ``before`` are the amplitudes before.
+    """
+    image, before = (np.ascontiguousarray(one, np.float32) for one in (image, before))
+    amplitude, gain = np.empty_like(before), np.empty_like(before)
+    LIBRARY.rim_from_image(
+        *distance.shape,
+        _at(image),
+        _at(before),
+        ambiguity,
+        int(wraps),
+        direct,
+        None if along is None else _at(along),
+        square,
+        _at(distance),
+        _at(amplitude),
+        _at(gain),
+    )
+    return amplitude, gain

@@ -7,24 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.pipeline import kernels
-
 #: A step counts from this many metres ...
 LEAST_STEP = 0.05
 #: ... and from this many standard deviations of one distance.
 LEAST_SIGMAS = 6.0
 #: The pixel must keep this share of the step from both of its sides.
 LEAST_SHARE = 0.15
-
-
-def mark_mixed(flags: NDArray[np.uint8], distance: NDArray[Any], sigma: NDArray[Any], *, bit: int) -> None:
-    """Set a bit in flags (H, W) where `mixed_pixels` is true."""
-    if kernels.LIBRARY is None or distance.dtype != np.float32:
-        flags |= mixed_pixels(distance, sigma).view(np.uint8) * np.uint8(bit)
-        return
-    kernels.mark_mixed(
-        flags, distance, sigma, bit=bit, least=LEAST_STEP, sigmas=LEAST_SIGMAS, share=LEAST_SHARE
-    )
 
 
 def mixed_pixels(distance: NDArray[Any], sigma: NDArray[Any] | float = 0.0) -> NDArray[np.bool_]:

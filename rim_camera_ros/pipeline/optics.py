@@ -13,6 +13,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.chain import Chain
 from rim_camera_ros.effects import EmitterPath, InternalReference, StrayLight
 from rim_camera_ros.effects.base import Context, Signal, effect_of
+from rim_camera_ros.pipeline import kernels
 
 Image = NDArray[Any]
 
@@ -50,6 +51,7 @@ class OpticsUndo:
         self._wraps = camera.sensor.wraps
         self._spreading = scattering.operator(camera.shape, self._dtype) if scattering is not None else None
         self._emitter = emitter
+        self._square = number(0)
         if emitter is not None:
             ray_dot_emitter = camera.rays @ np.array(emitter.position)
             self._along = (-2 * ray_dot_emitter).astype(self._dtype)
@@ -81,6 +83,9 @@ class OpticsUndo:
             found = one.correct(Signal(delivered, amplitude), context)
             delivered[...], amplitude = found.distance, found.amplitude.astype(amplitude.dtype, copy=False)
         light = Light(delivered, amplitude)
+        if self._spreading is not None and self._dtype == np.float32 and kernels.LIBRARY is not None:
+            self._undo_all(light, guess, quick=quick)
+            return light
         if self._spreading is not None:
             self._undo_spreading(light, guess, quick=quick)
         if self._wraps:
@@ -101,6 +106,31 @@ class OpticsUndo:
             beyond[(beyond >= self._ambiguity) | (beyond < 0)] = 0
             distance[outside] = beyond
 
+    def _solved(self, guess: Image | None, *, quick: bool) -> Image:
+        """Return `_image` without stray light, a new array."""
+        assert self._spreading is not None
+        if quick:
+            return self._spreading.first_order(self._image)
+        return self._spreading.solve(self._image, guess=guess)
+
+    def _undo_all(self, light: Light, guess: Image | None, *, quick: bool) -> None:
+        """Do what `undo` does, in two passes over the pixels."""
+        assert self._spreading is not None
+        ambiguity = float(self._ambiguity)
+        before = light.amplitude
+        kernels.to_image(light.distance, before, ambiguity=ambiguity, image=self._image)
+        light.image = self._solved(guess, quick=quick)
+        light.amplitude, light.gain = kernels.from_image(
+            light.image,
+            light.distance,
+            before,
+            ambiguity=ambiguity,
+            wraps=self._wraps,
+            direct=self._spreading.direct,
+            along=None if self._emitter is None else self._along,
+            square=float(self._square),
+        )
+
     def _undo_spreading(self, light: Light, guess: Image | None, *, quick: bool) -> None:
         assert self._spreading is not None
         amplitude = light.amplitude
@@ -113,11 +143,7 @@ class OpticsUndo:
             amplitude = amplitude.copy()
             amplitude[dark] = 0
         cv2.polarToCart(amplitude, phase, self._image[:, 0], self._image[:, 1])
-        if quick:
-            solved = self._spreading.first_order(self._image)
-        else:
-            solved = self._spreading.solve(self._image, guess=guess)
-        light.image = solved
+        light.image = solved = self._solved(guess, quick=quick)
         real, imaginary = solved[:, 0], solved[:, 1]
         direct = np.arctan2(imaginary, real)
         if self._wraps:

@@ -257,7 +257,6 @@ class ReferenceReader:
     ) -> None:
         self._effect = effect
         self._linearity = linearity if linearity is not None and linearity.harmonics else None
-        self._region = effect.region()
         # not below the rounding to counts, so that a noise-free camera has a gain as well
         self._noise = max(camera.noise.floor, camera.sensor.lsb / math.sqrt(12))
         if self._linearity is not None:
@@ -265,31 +264,27 @@ class ReferenceReader:
         self._key = f"{effect.name}:{effect.pixels}"
 
     def take(
-        self, metres: NDArray[Any], settings: Settings, *, stamp: int, memory: MutableMapping[str, Any]
+        self, pixels: NDArray[Any] | None, settings: Settings, *, stamp: int, memory: MutableMapping[str, Any]
     ) -> Settings:
-        """Put the filtered reading into the place of the frame's own and return the settings with it.
+        """Return the settings with the filtered reading in the place of the frame's own.
 
-        ``metres`` (H, W): measured distances, whose reference pixels are overwritten. Without a reading
-        nothing changes. ``memory`` keeps the filter from frame to frame.
+        ``pixels``: measured distances [m], or NaN, of the reference pixels; None where there are none.
+        ``memory`` keeps the filter from frame to frame.
         """
-        reading, pixels = settings.reference_distance, 1
-        if self._region is not None:
-            values = metres[self._region]
-            reading, pixels = mean_reading(values), int(np.count_nonzero(np.isfinite(values)))
+        reading, count = settings.reference_distance, 1
+        if pixels is not None:
+            reading, count = mean_reading(pixels), int(np.count_nonzero(np.isfinite(pixels)))
         if reading is None or not math.isfinite(reading):
-            return settings
+            return replace(settings, reference_distance=None)
         before: FilterState | None = memory.get(self._key)
         given: dict[str, Any] = {
             "stamp": stamp,
             "uptime": settings.uptime,
-            "sigma": self._noise / math.sqrt(pixels),
+            "sigma": self._noise / math.sqrt(count),
         }
         state = start_filter(reading, **given) if before is None else advance_filter(before, reading, **given)
         memory[self._key] = state
         level = state.level
         if self._linearity is not None:
             level = self._effect.nominal + self._linearity.distance(level) - self._start
-        if self._region is not None:
-            metres[self._region] = level
-            return settings
         return replace(settings, reference_distance=level)

@@ -137,6 +137,12 @@ class AmplitudeModel:
         return level if raw.dtype.kind == "f" else int(np.ceil(level))
 
     @cached_property
+    def entries(self) -> NDArray[np.float32]:
+        """Term, sigma, flags and amplitude of each of the 65,536 counts, for the compiled reader."""
+        one = self.table
+        return np.stack([one.term, one.sigma, one.flags.astype(np.float32), one.amplitude], axis=1)
+
+    @cached_property
     def table(self) -> ByAmplitude:
         """Everything for each of the 65,536 counts, in float32."""
         return self.evaluate(np.arange(FULL_SCALE, dtype=float)).astype(np.float32)
@@ -210,6 +216,8 @@ class DistanceSolver:
         self._ambiguity = camera.sensor.ambiguity
         self._wraps = camera.sensor.wraps
         self._exact = exact
+        #: where it was compiled, and there are terms to tabulate
+        self.compiled: kernels.CompiledSolver | None = None
         self._cyclic = next((one for one in self.terms if isinstance(one, HarmonicError)), None)
         if not exact and self.terms:
             self._tabulate(camera)
@@ -248,11 +256,25 @@ class DistanceSolver:
         table *= -1
         # 16 bytes an entry: one access per pixel fetches all of it
         self._entries = table.view(np.complex128).ravel()
+        self._slope = np.zeros(camera.shape, np.float32)
+        if kernels.LIBRARY is not None:
+            self.compiled = kernels.CompiledSolver(
+                shift=self._shift,
+                row=self._row,
+                beside=self._beside,
+                entries=self._entries,
+                scale=float(self._scale),
+                length=length,
+                wraps=self._wraps,
+                slope=self._slope,
+            )
+            return
         self._at, self._edge = (np.empty(camera.shape, np.float32) for _ in range(2))
         self._entry = np.empty(camera.shape, np.int32)
         self._index = np.empty(camera.shape, np.intp)
         self._fetched = np.empty(camera.shape, np.complex128)
-        self._planes = [np.empty(camera.shape, np.float32) for _ in range(4)]
+        others = [np.empty(camera.shape, np.float32) for _ in range(3)]
+        self._planes = [others[0], self._slope, *others[1:]]
 
     def _phases(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], float, float]:
         """Return phases (H, W) [rad], what one shifts the strongest harmonic by [m/rad], their step [rad]."""
@@ -293,19 +315,8 @@ class DistanceSolver:
             terms, context = self.terms, self._context
             found = solve_terms(y, lambda d: sum(one.term(d, d, context) for one in terms), context)
             return _copied(found, out)
-        if kernels.LIBRARY is not None:
-            return kernels.solve(
-                y,
-                shift=self._shift[rows],
-                row=self._row[rows],
-                beside=None if self._beside is None else self._beside[rows],
-                entries=self._entries,
-                scale=float(self._scale),
-                length=self._last + 1,
-                wraps=self._wraps,
-                slope=self._planes[1][rows],
-                out=out,
-            )
+        if self.compiled is not None:
+            return self.compiled.solve(y, first=self._slope[: rows.start or 0].size, out=out)
         # what is only needed here lies where the rows before had it, in the processor's cache
         first = slice(len(y))
         at, edge, entry = self._at[first], self._edge[first], self._entry[first]
@@ -330,12 +341,17 @@ class DistanceSolver:
             cv2.accumulateProduct(by_phase, self._beside[rows], value)
         return np.add(y, value, out=out)
 
+    @property
+    def slope(self) -> tuple[Image, float] | None:
+        """(H, W) and a factor: their product and 1 are `gain` in real time; None where noise stays."""
+        return (self._slope, float(self._scale)) if self.terms else None
+
     def gain(self, distance: Image) -> Image | None:
         """Return dd / dy (H, W) where ``distance`` was solved last; None where nothing changes noise."""
         if not self.terms:
             return None
         if not self._exact:
-            gain = self._planes[1] * self._scale
+            gain = self._slope * self._scale
             gain += np.float32(1.0)
             return gain
         context, step = self._context, 1e-4

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import runpy
 from pathlib import Path
 
 import pytest
@@ -13,23 +12,7 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import PointCloud2
 
 from test.ros.harness import BEST_EFFORT, LATCHED, RELIABLE, World
-from test.test_launch_files import (
-    LAUNCH,
-    LaunchContext,
-    Node,
-    OpaqueFunction,
-    launch_stand_ins,  # noqa: F401 -- a fixture
-)
-from test.test_launch_files import launched as launched_one
-
-
-def launched(**arguments: str) -> list[Node]:
-    description = runpy.run_path(str(LAUNCH / "cameras.launch.py"))["generate_launch_description"]()
-    declared = {one.name: one.default_value for one in description.entities if hasattr(one, "default_value")}
-    assert set(arguments) <= set(declared)
-    context = LaunchContext(declared | arguments)
-    (start,) = [one for one in description.entities if isinstance(one, OpaqueFunction)]
-    return list(start.function(context))
+from test.test_launch_files import launch_stand_ins, launched, nodes_of  # noqa: F401 -- one is a fixture
 
 
 @pytest.mark.usefixtures("launch_stand_ins")
@@ -37,7 +20,7 @@ def test_each_camera_has_its_namespace_frame_and_file(tmp_path: Path) -> None:
     for name in ("left", "right"):
         (tmp_path / f"{name}.yaml").write_text("/**: {ros__parameters: {serial_number: 7}}\n")
     arguments = {"cameras": "left, right", "parameters": str(tmp_path), "source": "sr3000"}
-    nodes = launched(**arguments)
+    nodes = nodes_of("cameras.launch.py", **arguments)
     assert [(one.namespace, one.executable) for one in nodes] == [
         ("left", "camera_node"),
         ("right", "camera_node"),
@@ -46,7 +29,7 @@ def test_each_camera_has_its_namespace_frame_and_file(tmp_path: Path) -> None:
         "/**/driver": {"frame_id": "right_optical_frame", "source": "sr3000"},
         "/**": {"serial_number": 7},
     }
-    nodes = launched(**arguments, separate="true")
+    nodes = nodes_of("cameras.launch.py", **arguments, separate="true")
     assert [(one.namespace, one.executable) for one in nodes] == [
         ("left", "driver_node"),
         ("left", "correction_node"),
@@ -67,7 +50,7 @@ def test_each_camera_has_its_namespace_frame_and_file(tmp_path: Path) -> None:
 )
 def test_wrong_arguments_are_refused(arguments: dict[str, str], problem: str) -> None:
     with pytest.raises(ValueError, match=problem):
-        launched(**arguments)
+        nodes_of("cameras.launch.py", **arguments)
 
 
 @pytest.mark.usefixtures("launch_stand_ins")
@@ -78,7 +61,7 @@ def test_one_camera_with_the_nodes_that_follow_people_and_calibrate(tmp_path: Pa
         files[name].write_text(
             f"/**: {{ros__parameters: {{{'trail' if name == 'people' else 'niceness'}: 3}}}}\n"
         )
-    nodes = launched_one(
+    nodes = launched(
         namespace="front",
         correction_camera="mine.yaml",
         people="true",
