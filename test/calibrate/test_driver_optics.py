@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.candidate import Facts
 from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.effects.base import Context, Signal
+from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.distance_scale import DistanceScale
 
 from .helpers import camera, record, scene
