@@ -227,6 +227,12 @@ class Scene:
     format: str = SCENE_FORMAT
     camera_motion: CameraMotion = field(default_factory=CameraMotion)
     schedule: tuple[Station, ...] = quantity("-", "stations, one after the other", default=(), most=10_000)
+    stray_light: float = quantity(
+        "counts",
+        "1-sigma of light by way of what is not in the scene, one phasor for all pixels of a pose",
+        default=0.0,
+        minimum=0.0,
+    )
 
     def __post_init__(self) -> None:
         if self.format != SCENE_FORMAT:

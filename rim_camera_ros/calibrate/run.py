@@ -177,6 +177,7 @@ def calibrate(
         dataset,
         scene,
         geometry=tuple(OPTICS) if request.geometry else (),
+        stray_light=scene.stray_light,
         tick=watch.tick,
         threads=request.threads,
     )

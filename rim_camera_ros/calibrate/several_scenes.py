@@ -47,7 +47,9 @@ def joined(scenes: Sequence[Scene], datasets: Sequence[Dataset]) -> tuple[Scene,
             for one in dataset.stations
         ]
         placed.append(replace(dataset, stations=stations))
-    return JoinedScene(tuple(surfaces.values()), camera_motion=first.camera_motion), placed
+    light = max(one.stray_light for one in scenes)
+    joint = JoinedScene(tuple(surfaces.values()), camera_motion=first.camera_motion, stray_light=light)
+    return joint, placed
 
 
 def _require_joinable(scene: Scene, first: Scene) -> None:

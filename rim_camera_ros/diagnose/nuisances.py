@@ -60,9 +60,11 @@ def nuisances_of(fitted: Fit, camera: Camera) -> list[Nuisance]:
                 if kind.endswith("offset")
                 else "pose_tilt"
             )
-            if kind == "gain" or kind.startswith("pose."):
+            if kind.startswith("light."):
+                name = "stray_light"
+            if kind == "gain" or kind.startswith(("pose.", "light.")):
                 pairs.setdefault(name, []).append((at + fitted.nuisances.get(label, 0.0), prior))
-    units = {"emitted_power": "-", "pose_offset": "m", "pose_tilt": "rad"}
+    units = {"emitted_power": "-", "pose_offset": "m", "pose_tilt": "rad", "stray_light": "counts"}
     result += [_of(name, values, units[name]) for name, values in pairs.items()]
     pixels = fitted.forward.amplitude_model.pixels
     if pixels is not None:

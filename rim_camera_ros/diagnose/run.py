@@ -126,6 +126,7 @@ def _diagnose(
         problem = Problem(dataset, scene, threads=threads)
         return with_setups(_hopeless(problem, camera, variance, seed, reason=moving(variance)), setups)
     light = _COMMON_LIGHT * facts.amplitude if variance.pixels_vary_together else 0.0
+    light = max(light, scene.stray_light)
     problem = Problem(dataset, scene, shifts=shifts, stray_light=light, threads=threads)
     if other is not None:
         return with_setups(_of_another_setup(other, problem, camera, variance, seed), setups)

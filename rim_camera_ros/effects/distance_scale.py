@@ -1,4 +1,4 @@
-"""Error of the modulation clock (Kahlmann 2007, secs. 3.3.7, 4.1)."""
+"""Scale of distances: the modulation clock (Kahlmann 2007, secs. 3.3.7, 4.1), depth made by other optics."""
 
 from __future__ import annotations
 
@@ -12,41 +12,91 @@ from rim_camera_ros.effects.candidate import Candidate, Facts, linear
 from rim_camera_ros.effects.graph import Graph, over_distance
 from rim_camera_ros.parameters import quantity
 
+#: No distance is longer [m]: between it and 0 the term is linear.
+_FARTHEST = 1000.0
+#: Prior of the principal point of a driver [px], by path.
+_OTHER_AXIS = {"principal_point.0": 20.0, "principal_point.1": 20.0}
+
 
 @dataclass(frozen=True)
 class DistanceScale(DistanceTerm):
-    """+ scale * d."""
+    """+ scale * d + d (c' / c - 1), with the cosines of a ray with the optical axis by two principal points.
+
+    Many drivers deliver depth along the axis, distance times cosine, by optics of their own. Where it is
+    made distance again by the optics of the camera file, distances are too long by c' / c, c' with the
+    principal point of the driver, which is ``principal_point`` beside that of the camera file: nearly
+    (du x / fx + dv y / fy) / (1 + x^2 + y^2) of the distance, x and y of the ray at z = 1. A plane is
+    seen turned by that angle.
+    """
 
     name = "distance_scale"
-    title = "modulation clock error"
-    observable = "known distances over a range of metres"
+    title = "modulation clock error, or depth made by other optics"
+    observable = "known distances over a range of metres; for the principal point known tilts over the array"
     refuted_by = "residuals without a trend over distance"
 
     drawn_over = ("distance",)
     scales_distance = True
+    in_pixels = frozenset({"principal_point"})
 
     scale: float = quantity("-", "relative", default=0.0, minimum=-0.5, maximum=0.5, typical=0.002)
+    principal_point: tuple[float, float] = quantity(
+        "px", "of the driver's depth along the axis, beside that of the optics", default=(0.0, 0.0)
+    )
 
     def depends_on(self) -> frozenset[Dependency]:
-        return frozenset({"distance"})
+        return frozenset({"distance", "pixel"} if any(self.principal_point) else {"distance"})
 
     def term(self, distance: Image, amplitude: Image, context: Context) -> Image | float:
-        return self.scale * distance
+        if not any(self.principal_point):
+            return self.scale * distance
+        ray, there = self._at_one_metre(context.camera)
+        ratio = np.sqrt((1 + (ray**2).sum(axis=-1)) / (1 + (there**2).sum(axis=-1)))
+        result: Image = (self.scale - 1 + ratio) * distance
+        return result
+
+    def distance_knots(self) -> tuple[float, ...]:
+        return (0.0, _FARTHEST) if any(self.principal_point) else ()
+
+    def _at_one_metre(self, camera: Camera) -> tuple[Image, Image]:
+        """Return x and y at z = 1 (H, W, 2) of the rays by the optics of the camera and of the driver."""
+        focal = np.array([camera.optics.fx, camera.optics.fy])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ray = camera.rays[..., :2] / camera.rays[..., 2:]
+        return ray, ray - np.array(self.principal_point) / focal
 
     def columns(self, signal: Signal, context: Context) -> dict[str, Column]:
-        return {"scale": (np.asarray(signal.distance), 0.0)}
+        distance = np.asarray(signal.distance)
+        ray, there = self._at_one_metre(context.camera)
+        optics = context.camera.optics
+        change = np.sqrt(1 + (ray**2).sum(axis=-1)) / (1 + (there**2).sum(axis=-1)) ** 1.5 * distance
+        return {
+            "scale": (distance, 0.0),
+            "principal_point.0": (change * there[..., 0] / optics.fx, 0.0),
+            "principal_point.1": (change * there[..., 1] / optics.fy, 0.0),
+        }
 
     def sentence(self) -> str:
         wrong = "long" if self.scale >= 0 else "short"
-        return f"distance scale: distances are too {wrong} by {abs(self.scale) * 1e3:.3g} mm per metre"
+        words = f"distance scale: distances are too {wrong} by {abs(self.scale) * 1e3:.3g} mm per metre"
+        if any(self.principal_point):
+            u, v = self.principal_point
+            words += (
+                f"; they were made of depth along an axis through a point {u:.3g} columns and {v:.3g} rows "
+                "beside the principal point"
+            )
+        return words
 
     @classmethod
     def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
-        return [linear(cls(scale=0.0), {"scale": 0.02})]
+        base, priors = cls(), {"scale": 0.02}
+        return [linear(base, priors), linear(base, priors | _OTHER_AXIS, "principal point")]
+
+    def priors(self) -> dict[str, float]:
+        return dict(super().priors()) | (_OTHER_AXIS if any(self.principal_point) else {})
 
     def graph(self, camera: Camera) -> Graph:
         return replace(over_distance(self, camera), title="distance scale")
 
     @classmethod
     def example(cls, camera: Camera) -> DistanceScale:
-        return cls(scale=-0.0011)
+        return cls(scale=-0.0011, principal_point=(0.7, -1.1))

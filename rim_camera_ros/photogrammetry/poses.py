@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +28,7 @@ from rim_camera_ros.photogrammetry.projection import (
     projection_derivatives,
 )
 from rim_camera_ros.photogrammetry.report import OpticsCovariance
-from rim_camera_ros.photogrammetry.targets import Observations
+from rim_camera_ros.photogrammetry.targets import ImagePoint, Observations
 from rim_camera_ros.scene import quaternion, rotation_matrix
 
 Array = NDArray[np.float64]
@@ -161,18 +161,55 @@ def _optics_matrix(covariance: OpticsCovariance | None) -> Array:
 
 
 def _adjusted(observations: Observations, optics: Optics) -> tuple[Adjusted, Bundle, int]:
-    """Adjust one station; the number of targets that were rejected."""
+    """Adjust one station; the number of targets that were rejected.
+
+    A plane that is seen small looks nearly the same mirrored at the line of sight (Schweighofer & Pinz 2006):
+    the adjustment begins on either side, and the one with the smaller residuals is it.
+    """
+    _require_targets(observations.points)
+    block = block_from(observations, observations.points, optics, "known", (), correct_ellipses=True)
+    start = start_poses(observations, block, optics)
+    found = _adjusted_from(observations, optics, start)
+    targets = found[1].targets
+    mirrored = {
+        station: _mirrored(rotation, shift, targets.mean(axis=0))
+        for station, (rotation, shift) in start.items()
+    }
+    try:
+        other = _adjusted_from(observations, optics, mirrored)
+    except RimError:
+        return found
+    return min(found, other, key=lambda one: (one[2], float(np.mean(one[0].residuals ** 2))))
+
+
+def _require_targets(points: Sequence[ImagePoint]) -> None:
+    if len(points) < LEAST_TARGETS:
+        raise RimError(f"{len(points)} targets found, at least {LEAST_TARGETS} are needed")
+
+
+def _mirrored(rotation: Array, shift: Array, centre: Array) -> tuple[Array, Array]:
+    """Return the pose whose normal is mirrored at the line of sight to a point of the target."""
+    seen = rotation @ centre + shift
+    sight = seen / np.linalg.norm(seen)
+    normal = rotation[:, 2] * np.sign(rotation[:, 2] @ sight)
+    # two reflections turn the normal by twice its angle with the line of sight
+    half_turn = 2 * np.outer(sight, sight) - np.eye(3)
+    back = 2 * np.outer(normal, normal) - np.eye(3)
+    turned = half_turn @ back @ rotation
+    return turned, seen - turned @ centre
+
+
+def _adjusted_from(
+    observations: Observations, optics: Optics, start: Mapping[int, tuple[Array, Array]]
+) -> tuple[Adjusted, Bundle, int]:
+    """Adjust one station from approximate poses, without gross errors."""
     points, rejected = observations.points, 0
-    start = None
     while True:
-        if len(points) < LEAST_TARGETS:
-            raise RimError(f"{len(points)} targets found, at least {LEAST_TARGETS} are needed")
+        _require_targets(points)
         block = block_from(observations, points, optics, "known", (), correct_ellipses=True)
-        poses = start_poses(observations, block, optics) if start is None else start
-        start = poses
         try:
             adjusted = adjust(
-                block.bundle, state_from(block, poses, optics_vector(optics)), estimated=(), loss="huber"
+                block.bundle, state_from(block, start, optics_vector(optics)), estimated=(), loss="huber"
             )
             gross = outliers(adjusted, block.bundle, limit=GROSS)
             if not gross.any():
