@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +20,7 @@ from rim_camera_ros.nodes.common import messages
 
 from .helpers_cli import nothing_left, process, run
 from .ros.conftest import world  # noqa: F401 -- a fixture
+from .ros.harness import LATCHED
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -139,6 +141,48 @@ def test_a_driver_without_settings_is_recorded_as_it_is(world: World, tmp_path: 
     assert (running.returncode, text) == (0, f"4 frames recorded: {out}\n"), err
     with Recording(out) as recording:
         assert {one.settings.integration_time for one in recording.frames()} == {None}
+
+
+def test_what_is_covered_is_said_and_published(world: World, tmp_path: Path) -> None:  # noqa: F811
+    """On the terminal, as a topic and as a picture; the recording is the same as without."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    from sensor_msgs.msg import Image
+
+    out = tmp_path / "bag"
+    states = world.collect(DiagnosticArray, "coverage", LATCHED)
+    pictures = world.collect(Image, "coverage/image", LATCHED)
+    coverage = ("--scene", "wall", "--camera", "pmd3ks")
+    running = process("record", "--out", out, *coverage, env=world.environment)
+    world.start("driver_node", wait_for_subscribers=1, **(DRIVER | {"frame_rate": 10.0}))
+    assert world.until(lambda: len(states) > 0 and len(pictures) > 0, 120.0), world.output()
+    running.send_signal(signal.SIGINT)
+    text, err = running.communicate(timeout=60)
+    assert running.returncode == 0, err
+    assert "Traceback" not in err
+    assert text.endswith(f" frames recorded: {out}\n")
+    (status,) = states.messages[0].status
+    values = {one.key: one.value for one in status.values}
+    # a wall at one place, seen once: no sinusoid over the distance, nor a warm-up
+    assert float(values["factor.cyclic_error"]) < 5
+    assert "cyclic_error" in values["open"].split(",")
+    assert values["at_rest"] == "true"
+    assert values["next"] in err
+    assert re.search(r"^station 1: 2\.\d\d m, .* frames, at rest$", err, flags=re.MULTILINE)
+    assert (pictures.last.encoding, pictures.last.step) == ("rgb8", 3 * pictures.last.width)
+    with Recording(out) as recording:
+        assert len(list(recording.frames())) > 10
+        assert not any(recording.skipped.values())
+
+
+def test_coverage_needs_scene_and_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = ("record", "--out", tmp_path / "bag")
+    for given, missing in (("--scene", "--camera"), ("--camera", "--scene")):
+        status, _, err = run(capsys, *bag, given, "wall")
+        assert (status, len(err.splitlines())) == (2, 1)
+        assert f"{missing} is missing" in err
+    status, _, err = run(capsys, *bag, "--scene", "wal", "--camera", "sr3000")
+    assert (status, len(err.splitlines())) == (2, 1)
+    assert "wal" in err
 
 
 class Driver:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, groupby
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.blocks import gain_block, present_blocks
+from rim_camera_ros.calibrate.blocks import Block, gain_block, present_blocks
 from rim_camera_ros.calibrate.coarser import coarser_camera
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import candidates
@@ -22,7 +22,7 @@ from rim_camera_ros.devices.timeline import Timeline
 from rim_camera_ros.effects import vocabulary
 from rim_camera_ros.effects.candidate import Candidate, Facts, Regressor
 from rim_camera_ros.files import find_scene, shipped
-from rim_camera_ros.frame import NANOSECONDS
+from rim_camera_ros.frame import NANOSECONDS, Pose, Settings
 from rim_camera_ros.scene import Scene, load_scene
 
 Array = NDArray[Any]
@@ -73,47 +73,73 @@ def plan(
     All effects are unknown at once: those of the camera file about their values, the others about zero.
     Errors of poses and powers and an offset per pixel are unknown in every experiment.
     """
-    step = max(1, round(camera.sensor.width / _COLUMNS))
-    physics = {name: one for name, one in camera.effects.items() if not one.stated_by_pixels}
-    camera = with_effects(camera, physics)
-    small = coarser_camera(camera, step) if step > 1 else camera
+    small, step = planning_camera(camera)
     built = {name: planned_dataset(scene, small, decimation=step) for name, scene in scenes.items()}
     regressors, experiments = _equations(small, scenes, built, progress)
-    known = vocabulary()
-    owners = [one.owner for one in regressors]
-    prior = np.array([one.prior for one in regressors])
-    effects = [name for name in dict.fromkeys(owners) if name in known and known[name].planned]
 
-    def told(chosen: Iterable[Experiment]) -> dict[str, float]:
-        gram = sum((one.gram for one in chosen), np.zeros((len(prior), len(prior))))
-        matrix = gram * prior[:, None] * prior[None, :] + np.eye(len(prior))
-        covariance = np.linalg.inv(matrix)
-        result = {}
-        for name in effects:
-            own = [i for i, owner in enumerate(owners) if owner == name]
-            log_det = np.linalg.slogdet(covariance[np.ix_(own, own)])[1]
-            result[name] = float(np.exp(-0.5 * log_det / len(own)))
-        return result
+    def narrowed(chosen: Iterable[Experiment]) -> dict[str, float]:
+        return narrowing(regressors, np.sum([one.gram for one in chosen], axis=0))
 
-    everything = told(experiments)
+    everything = narrowed(experiments)
     wanted = {name for name, factor in everything.items() if factor >= NARROWED}
     best: tuple[int, float, tuple[Experiment, ...]] | None = None
     for size in range(1, _MOST_EXPERIMENTS + 1):
         for subset in combinations(experiments, size):
-            got = {name for name, factor in told(subset).items() if factor >= NARROWED}
+            got = {name for name, factor in narrowed(subset).items() if factor >= NARROWED}
             entry = (len(got & wanted), -sum(one.minutes for one in subset), subset)
             if best is None or entry[:2] > best[:2]:
                 best = entry
     assert best is not None
     chosen = best[2]
-    final = told(chosen)
+    final = narrowed(chosen)
     return Plan(
-        alone={one.name: told([one]) for one in experiments},
+        alone={one.name: narrowed([one]) for one in experiments},
         minutes={one.name: one.minutes for one in experiments},
         chosen=tuple(one.name for one in chosen),
         determined={name: f for name, f in final.items() if f >= NARROWED},
         open=tuple(name for name, f in final.items() if f < NARROWED),
     )
+
+
+def narrowing(regressors: Sequence[Regressor], gram: Array) -> dict[str, float]:
+    """Return by effect the factor by which data narrow its parameters (geometric mean of their sigmas).
+
+    ``gram`` (K, K): the normal matrix of the ``regressors``, from which nuisances are eliminated. All effects
+    are unknown at once, within their priors.
+    """
+    prior = np.array([one.prior for one in regressors])
+    covariance = np.linalg.inv(gram * prior[:, None] * prior[None, :] + np.eye(len(prior)))
+    owners = [one.owner for one in regressors]
+    known = vocabulary()
+    result = {}
+    for name in (one for one in dict.fromkeys(owners) if one in known and known[one].planned):
+        own = [i for i, owner in enumerate(owners) if owner == name]
+        log_det = np.linalg.slogdet(covariance[np.ix_(own, own)])[1]
+        result[name] = float(np.exp(-0.5 * log_det / len(own)))
+    return result
+
+
+def blocks_of(camera: Camera, dataset: Dataset) -> list[Block]:
+    """Return the regressors of the camera file's effects, the power, and the effects that it may lack.
+
+    The middle of each family of variants stands for it.
+    """
+    facts = Facts.of(dataset, moves=False, surfaces=1, camera=camera)
+    variants: dict[str, list[Candidate]] = {}
+    known = vocabulary()
+    for one in candidates(camera, facts):
+        if known[one.effect].planned:
+            variants.setdefault(one.effect, []).append(one)
+    middle = [found[len(found) // 2].block for found in variants.values()]
+    return [*present_blocks(camera), gain_block(), *middle]
+
+
+def planning_camera(camera: Camera) -> tuple[Camera, int]:
+    """Return the camera on the coarse grid of plans, without tables, and the step of the grid [px]."""
+    step = max(1, round(camera.sensor.width / _COLUMNS))
+    physics = {name: one for name, one in camera.effects.items() if not one.stated_by_pixels}
+    camera = with_effects(camera, physics)
+    return (coarser_camera(camera, step) if step > 1 else camera), step
 
 
 def _equations(
@@ -123,15 +149,7 @@ def _equations(
     progress: Callable[[str], None] | None,
 ) -> tuple[list[Regressor], list[Experiment]]:
     stations = [one for dataset, _ in built.values() for one in dataset.stations]
-    facts = Facts.of(Dataset(stations), moves=False, surfaces=1, camera=camera)
-    variants: dict[str, list[Candidate]] = {}
-    known = vocabulary()
-    for one in candidates(camera, facts):
-        if known[one.effect].planned:
-            variants.setdefault(one.effect, []).append(one)
-    # the middle of each family of variants stands for it
-    blocks = [*present_blocks(camera), gain_block()]
-    blocks += [found[len(found) // 2].block for found in variants.values()]
+    blocks = blocks_of(camera, Dataset(stations))
     experiments = []
     regressors: list[Regressor] = []
     for name, (dataset, minutes) in built.items():
@@ -158,31 +176,59 @@ def planned_dataset(
     stations = []
     for number, group in enumerate(groups[::thinned]):
         middle = group[len(group) // 2]
-        frames = len(group) * thinned
-        shape = camera.shape
         stations.append(
-            Station(
-                recording=0,
+            planned_station(
+                camera,
                 pose=number,
-                frames=frames,
+                frames=len(group) * thinned,
                 stamp=middle.stamp,
                 time=(middle.stamp - start) / NANOSECONDS,
                 settings=middle.settings,
                 truth=middle.poses,
-                distance=np.ones(shape),
-                amplitude=np.ones(shape, np.float32),
-                distance_variance=np.full(shape, np.nan, np.float32),
-                amplitude_variance=np.full(shape, np.nan, np.float32),
-                count=np.full(shape, frames, np.int32),
-                saturated=np.zeros(shape, np.uint16),
             )
         )
-    predictions = Forward(Dataset(stations, decimation=decimation), scene, camera).predictions(slopes=False)
+    expected = with_expected_light(Dataset(stations, decimation=decimation), scene, camera)
+    return expected, (end - start) / NANOSECONDS / 60
+
+
+def planned_station(
+    camera: Camera,
+    *,
+    pose: int,
+    frames: int,
+    stamp: int,
+    time: float,
+    settings: Settings,
+    truth: Mapping[str, Pose],
+    recording: int = 0,
+) -> Station:
+    """Return a station that was not recorded: every pixel measures; ``stamp`` in ns, ``time`` in s."""
+    shape = camera.shape
+    return Station(
+        recording=recording,
+        pose=pose,
+        frames=frames,
+        stamp=stamp,
+        time=time,
+        settings=settings,
+        truth=truth,
+        distance=np.ones(shape),
+        amplitude=np.ones(shape, np.float32),
+        distance_variance=np.full(shape, np.nan, np.float32),
+        amplitude_variance=np.full(shape, np.nan, np.float32),
+        count=np.full(shape, frames, np.int32),
+        saturated=np.zeros(shape, np.uint16),
+    )
+
+
+def with_expected_light(dataset: Dataset, scene: Scene, camera: Camera) -> Dataset:
+    """Return planned stations with the amplitudes that are expected of them."""
+    predictions = Forward(dataset, scene, camera).predictions(slopes=False)
     expected = [
         replace(one.station, amplitude=np.nan_to_num(one.model_reading).astype(np.float32))
         for one in predictions
     ]
-    return Dataset(expected, decimation=decimation), (end - start) / NANOSECONDS / 60
+    return replace(dataset, stations=expected)
 
 
 def table(result: Plan) -> str:

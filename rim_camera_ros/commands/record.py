@@ -14,11 +14,14 @@ from rim_camera_ros.commands.common import (
     add_command,
     add_output,
     add_topics,
+    camera_of,
     check_outputs,
     positive,
+    scene_of,
     topics_of,
 )
-from rim_camera_ros.errors import RimError
+from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.info.text import several
 
 #: Signals that end the recording, which is complete then.
@@ -28,6 +31,7 @@ _EXAMPLES = """
 rim record --out bag                              # until Ctrl-C
 rim record --out bag --frames 200
 rim record --out bag --namespace /left --duration 60
+rim record --out bag --scene board.yaml --camera camera.yaml     # says what to record next
 """
 
 
@@ -37,12 +41,20 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         commands,
         "record",
         "Record running nodes. Raw images, settings, temperatures, true poses and, if there are any, "
-        "corrected images and clouds. Ctrl-C ends the recording, which is complete then.",
+        "corrected images and clouds. Ctrl-C ends the recording, which is complete then. With a scene, what "
+        "the stations determine so far and which one is missing next.",
         _EXAMPLES,
     )
     parser.add_argument("--out", required=True, type=Path, metavar="BAG", help="recording to write (mcap)")
     parser.add_argument("--frames", type=positive(int), help="end after so many distance images")
     parser.add_argument("--duration", type=positive(float), metavar="S", help="end after so many seconds")
+    parser.add_argument(
+        "--scene",
+        help="scene file, or a shipped one's name: says after every station which effects are determined so "
+        "far and what to record next, also as topics coverage and coverage/image; poses as they are "
+        "published, or of the scene's board in the images",
+    )
+    parser.add_argument("--camera", help="camera file, or a shipped one's name, for --scene")
     add_topics(parser)
     add_output(parser)
     parser.set_defaults(run=run)
@@ -51,7 +63,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(given: argparse.Namespace) -> int:
     """Record; 1 if no frame came."""
     check_outputs({"--out": given.out}, [])
+    known = _known(given)
     try:
+        from rim_camera_ros.coverage.picture import print_report
         from rim_camera_ros.nodes.common.recorder import record
     except ImportError as error:
         raise RimError(
@@ -84,6 +98,8 @@ def run(given: argparse.Namespace) -> int:
                 duration=given.duration,
                 show=progress.show,
                 stopped=lambda: bool(stop),
+                known=known,
+                report=None if given.quiet else print_report,
             )
             if frames == 0:
                 raise RimError(
@@ -96,3 +112,16 @@ def run(given: argparse.Namespace) -> int:
     if not given.quiet:
         print(f"{several(frames, 'frame')} recorded: {given.out}")
     return 0
+
+
+def _known(given: argparse.Namespace) -> tuple[Path, Path] | None:
+    """Return the files of scene and camera of which the coverage is said, None where it is not asked for."""
+    if given.scene is None and given.camera is None:
+        return None
+    if given.scene is None or given.camera is None:
+        missing = "--scene" if given.scene is None else "--camera"
+        raise InputError(
+            f"{missing} is missing", place="record", remedy="the coverage needs both --scene and --camera"
+        )
+    scene_of(given.scene), camera_of(given.camera)  # what is wrong with them is said before the work
+    return find_scene(given.scene), find_camera(given.camera)

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar, nnls
 
 from rim_camera_ros.calibrate.common_variation import Movement, together
 from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.stations import KEPT_FRAMES
+from rim_camera_ros.calibrate.stations import KEPT_FRAMES, Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import ForeignLight
 from rim_camera_ros.effects.base import effect_of
@@ -93,16 +93,31 @@ class Variance:
         A second camera adds the same light to all pixels, with a phase that is another in each frame; a
         surface that moves tilts the phase over the array, and goes on moving.
         """
-        if self.movement is None or not self._common_variation:
-            return False
-        one = self.movement
-        return one.by_tilt > one.by_light or one.persistence > _DRIFTS * one.persistence_sigma
+        return self._common_variation and self.movement is not None and drifts_or_tilts(self.movement)
 
     @property
     def _common_variation(self) -> bool:
-        if self.common is None or self.common_share < LEAST_COMMON_SHARE:
-            return False
-        return self.common > 1 + max(6 * self.common_sigma, 1.0)
+        return self.common is not None and is_common(self.common, self.common_share, self.common_sigma)
+
+
+def drifts_or_tilts(one: Movement) -> bool:
+    """Return whether what pixels have in common is a movement rather than the light of a second camera."""
+    return one.by_tilt > one.by_light or one.persistence > _DRIFTS * one.persistence_sigma
+
+
+def is_common(common: float, share: float, sigma: float) -> bool:
+    """Return whether pixels vary together; `Variance.common`, its ``sigma`` and `Variance.common_share`."""
+    return share >= LEAST_COMMON_SHARE and common > 1 + max(6 * sigma, 1.0)
+
+
+def movement_of(station: Station) -> float | None:
+    """Return how far [m] distances tilt from frame to frame at the rim of the array, None where it rests."""
+    pixels = int((station.count == station.frames).sum())
+    if station.common is None or station.movement is None or not pixels:
+        return None
+    sigma = 1.0 / np.sqrt(max(min(station.frames, KEPT_FRAMES) - 1, 1))
+    moves = is_common(station.common, (station.common - 1) / pixels, float(sigma))
+    return station.movement.rim if moves and drifts_or_tilts(station.movement) else None
 
 
 def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:

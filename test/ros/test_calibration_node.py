@@ -78,6 +78,7 @@ class Node:
         self.process = world.start("calibration_node", **(given | parameters))
         self.progress = Diagnosed(world.collect(DiagnosticArray, "calibration/progress"))
         self.result = Diagnosed(world.collect(DiagnosticArray, "calibration/result", LATCHED))
+        self.coverage = Diagnosed(world.collect(DiagnosticArray, "coverage", LATCHED))
         self.diagnostics = world.diagnostics()
 
     def call(self, service: str) -> str:
@@ -299,6 +300,9 @@ def test_a_recording_is_finished_or_cancelled(world: World, laboratory: Path, tm
     # what the first one told may still be on its way
     node.wait(lambda: node.progress.values(PROGRESS)["pid"] != before)
     node.wait(lambda: int(node.progress.values(PROGRESS).get("done", "0")) > 3)
+    # the driver shows a wall, the scene is of a board
+    node.wait(lambda: node.coverage.level("coverage") == 2)
+    assert "no frame has the pose of 'board' so far" in node.coverage.message("coverage")
     # with the node ends the recording, which keeps what has come
     node.process.send(signal.SIGINT)
     assert node.process.wait() == 0, node.process.text

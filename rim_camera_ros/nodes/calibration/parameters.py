@@ -148,12 +148,17 @@ def calibration_of(values: Values, folders: Folders) -> dict[str, Any]:
 def recording_of(values: Values, folders: Folders, *, namespace: str) -> dict[str, Any]:
     """Return the request to the process that records, for `calibration_recording`.
 
-    Raises `InputError` where the recording cannot have the name that is given.
+    With a scene, what the recording covers of it is published meanwhile. Raises `InputError` where the
+    recording cannot have the name that is given, or scene or camera are no files.
     """
     output = _new(values, "record_as", folders).with_suffix("")
     if output.exists() or output.is_symlink():
         raise InputError("exists already", file=output, place="record_as", remedy="give another name")
-    return {"output": str(output), "namespace": namespace, "frames": values["record_frames"]}
+    found = {"output": str(output), "namespace": namespace, "frames": values["record_frames"]}
+    scenes = files_of(values, "scene")
+    # what is recorded is added to the recordings: its scene is the last
+    known = [str(find_scene(scenes[-1])), str(find_camera(values["camera"]))] if scenes else None
+    return found | {"known": known}
 
 
 def with_recording(values: Values, path: str) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rim_camera_ros.bags import RecordingWriter, Topics
+from rim_camera_ros.coverage.picture import print_report
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.nodes.calibration.link import Link, serve
 from rim_camera_ros.nodes.common.recorder import record
@@ -31,6 +32,9 @@ def work(link: Link) -> Mapping[str, Any]:
             duration=None,
             show=lambda done: link.progress("frames", done, frames),
             stopped=lambda: link.finishing or link.cancelled,
+            known=None if given["known"] is None else (Path(given["known"][0]), Path(given["known"][1])),
+            report=print_report,
+            hurried=lambda: link.cancelled,
         )
         if link.cancelled:
             raise RimError("cancelled; nothing was written")

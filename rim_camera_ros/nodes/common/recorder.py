@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import queue
 import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -17,7 +19,11 @@ from rclpy.signals import SignalHandlerOptions
 
 from rim_camera_ros.bags import ROLES, RecordingWriter, Topics
 from rim_camera_ros.bags.topics import CAMERA_INFO, POSE_ROLES
+from rim_camera_ros.coverage.frames import Message
+from rim_camera_ros.coverage.live import LAST_WORDS, LiveCoverage
+from rim_camera_ros.coverage.picture import Report
 from rim_camera_ros.frame import NANOSECONDS
+from rim_camera_ros.nodes.common.coverage import CoveragePublisher
 from rim_camera_ros.nodes.common.messages import ros_class
 
 #: Messages of a topic that may wait to be written.
@@ -55,8 +61,16 @@ class Recorder:
     is left out; where there is none within `_BEGINNING` seconds (a driver without frame_info), all is kept.
     """
 
-    def __init__(self, topics: Topics, writer: RecordingWriter, *, frames: int | None = None) -> None:
+    def __init__(
+        self,
+        topics: Topics,
+        writer: RecordingWriter,
+        *,
+        frames: int | None = None,
+        watch: Callable[[Message], None] | None = None,
+    ) -> None:
         self._topics = topics
+        self._watch = watch
         self._writer = writer
         self._wanted = frames
         self._last: int | None = None
@@ -137,6 +151,9 @@ class Recorder:
         if self._last is not None and message.stamp > self._last:
             return
         self._writer.write_serialised(message.role, message.topic, message.kind, message.stamp, message.data)
+        if self._watch is not None:
+            surface = self._topics.surface_of(message.topic, role=message.role) or ""
+            self._watch(Message(message.role, surface, message.kind, message.data))
         if message.role == "distance":
             self.frames += 1
             if self.frames == self._wanted:
@@ -174,13 +191,29 @@ def record(
     duration: float | None,
     show: Callable[[int], Any],
     stopped: Callable[[], bool],
+    known: tuple[Path, Path] | None = None,
+    report: Callable[[Report], None] | None = None,
+    hurried: Callable[[], bool] = lambda: False,
 ) -> int:
     """Record until so many frames, so many seconds, or ``stopped()``; return the number of frames.
 
-    ``show`` is called with the number of frames so far.
+    ``show`` is called with the number of frames so far. With the files of a ``known`` scene and camera, what
+    the recording covers is published meanwhile (`CoveragePublisher`) and given to ``report``; at the end the
+    last report is waited for unless ``hurried()``.
     """
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    recorder = Recorder(topics, writer, frames=frames)
+    reports: queue.SimpleQueue[Report] = queue.SimpleQueue()
+    live = None if known is None else LiveCoverage(*known, reports.put)
+    recorder = Recorder(topics, writer, frames=frames, watch=None if live is None else live.take)
+    publisher = None if live is None else CoveragePublisher(recorder.node, topics.namespace)
+
+    def tell() -> None:
+        while publisher is not None and not reports.empty():
+            found = reports.get()
+            publisher.publish(found)
+            if report is not None:
+                report(found)
+
     start = time.monotonic()
     looked, ended = 0.0, None
     try:
@@ -199,8 +232,12 @@ def record(
                 rclpy.spin_once(recorder.node, timeout_sec=0.05)
                 recorder.wait_no_longer()
                 show(recorder.frames)
+                tell()
         recorder.wait_no_longer(at_once=True)
     finally:
+        if live is not None:
+            live.close(patience=0.0 if hurried() else LAST_WORDS)
+            tell()
         recorder.node.destroy_node()
         rclpy.utilities.try_shutdown()
     return recorder.frames

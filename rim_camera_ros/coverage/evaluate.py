@@ -1,0 +1,242 @@
+"""What stations determine so far, by the equations of a plan, and which would add the most."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.calibrate.blocks import Block
+from rim_camera_ros.calibrate.coarser import coarser_dataset
+from rim_camera_ros.calibrate.fold_sums import Fold
+from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.normal_equations import accumulate, reduce_folds
+from rim_camera_ros.calibrate.plan import (
+    NARROWED,
+    blocks_of,
+    narrowing,
+    planned_station,
+    planning_camera,
+    with_expected_light,
+)
+from rim_camera_ros.calibrate.stations import Dataset, Station
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.coverage.proposals import Proposal, proposals
+from rim_camera_ros.effects import registry
+from rim_camera_ros.frame import NANOSECONDS
+from rim_camera_ros.scene import Scene
+
+Array = NDArray[Any]
+
+#: Recording that proposed stations are of: the next after the one that is being made.
+_PROPOSED = 1
+#: Classes of distance (to the ambiguity range) and of amplitude (powers of two counts) of the picture.
+DISTANCE_CLASSES, AMPLITUDE_CLASSES = 24, 16
+
+
+@dataclass(frozen=True)
+class Next:
+    """The station that would add the most: in words, and the factors of the effects that it would raise."""
+
+    words: str
+    raised: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What the stations determine.
+
+    ``factors`` by effect: by how much the data narrow its parameters; determined from `NARROWED` on.
+    ``seen`` (H, W): stations in which each pixel of the coarse grid was used; ``readings``
+    (`DISTANCE_CLASSES`, `AMPLITUDE_CLASSES`): pixels by distance and amplitude. ``next`` is None where
+    no station of this scene would determine more. ``moved`` [m]: how far distances of the last station
+    tilted at the rim of the array from frame to frame where it was not at rest, None: it rested.
+    """
+
+    stations: int
+    frames: int
+    factors: Mapping[str, float]
+    seen: Array
+    readings: Array
+    last: str
+    moved: float | None
+    next: Next | None
+
+    @property
+    def determined(self) -> dict[str, float]:
+        """The effects that are determined, with their factors."""
+        return {name: one for name, one in self.factors.items() if one >= NARROWED}
+
+    @property
+    def open(self) -> dict[str, float]:
+        """The others."""
+        return {name: one for name, one in self.factors.items() if one < NARROWED}
+
+    def lines(self) -> list[str]:
+        """Return the state in words, a line each."""
+        rest = "at rest" if self.moved is None else f"NOT at rest: {self.moved * 1e3:.2g} mm; repeat it"
+        lines = [f"station {self.stations}: {self.last}, {rest}"]
+        lines.append(f"  determined: {_list(self.determined) or 'nothing yet'}")
+        if self.open:
+            lines.append(f"  not yet (below x{NARROWED:g}): {_list(self.open)}")
+        if self.next is not None:
+            raised = ", ".join(f"{name} x{a:.2g} to x{b:.2g}" for name, (a, b) in self.next.raised.items())
+            lines.append(f"  next: {self.next.words} ({raised})")
+        elif self.open:
+            name = min(self.open, key=lambda one: self.open[one])
+            lines.append("  next: nothing in this scene adds more" + _elsewhere(name))
+        return lines
+
+
+def _list(factors: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} x{one:.2g}" for name, one in sorted(factors.items(), key=lambda i: -i[1]))
+
+
+def _elsewhere(name: str) -> str:
+    effect = registry().get(name)
+    return "" if effect is None else f"; {name} needs another recording: {effect.observable}"
+
+
+class Evaluator:
+    """Keeps the stations of a recording on the coarse grid of plans and evaluates them."""
+
+    def __init__(self, scene: Scene, camera: Camera) -> None:
+        self.scene = scene
+        self.camera, self.step = planning_camera(camera)
+        self._stations: list[Station] = []
+        self._seen: dict[int, Array] = {}
+        self._readings = np.zeros((DISTANCE_CLASSES, AMPLITUDE_CLASSES), np.int64)
+        self._drawn = 0
+        self._kinds: Any = None
+        self._blocks: list[Block] = []
+        self._offered: dict[str, Fold] = {}
+
+    def add(self, station: Station) -> bool:
+        """Take a station, on all pixels; False where it lacks the pose of a surface."""
+        if any(name not in station.truth for name in self.scene.needs_truth):
+            return False
+        small = coarser_dataset(Dataset([station]), self.step).stations[0] if self.step > 1 else station
+        self._stations.append(replace(small, recording=0))
+        return True
+
+    def evaluate(self, *, moved: float | None = None) -> Coverage:
+        """Return what the stations so far determine; one at least.
+
+        ``moved`` [m] is what is said of the last station's rest.
+        """
+        stations = list(self._stations)
+        last = stations[-1]
+        offered = proposals(self.scene, self.camera, last)
+        real = Dataset(stations, decimation=self.step)
+        self._choose_blocks(stations, offered)
+        equations = accumulate(Forward(real, self.scene, self.camera), self._blocks)
+        count = len(equations.regressors)
+
+        def factors(*folds: Fold) -> dict[str, float]:
+            kept = [*equations.folds, *folds]
+            return narrowing(equations.regressors, reduce_folds(kept, count, equations.pixels).gram)
+
+        now = factors()
+        self._draw(stations)
+        return Coverage(
+            stations=len({one.pose for one in stations}),
+            frames=sum(one.frames for one in stations),
+            factors=now,
+            seen=np.sum(list(self._seen.values()), axis=0),
+            readings=self._readings.copy(),
+            last=self._words(last),
+            moved=moved,
+            next=_best(now, offered, [factors(self._fold(one, last)) for one in offered]),
+        )
+
+    def _choose_blocks(self, stations: Sequence[Station], offered: Sequence[Proposal]) -> None:
+        """Choose the regressors anew where there is another setting or another temperature than before."""
+        settings = [one.settings for one in stations] + [one.settings for one in offered]
+        kinds = {
+            (self.camera.integration_time(one), one.uptime is None, one.ambient_temperature)
+            for one in settings
+        }
+        if kinds == self._kinds:
+            return
+        last = stations[-1]
+        planned = [
+            # settings alone: how bright it is, the recorded stations say
+            replace(self._planned(one, last, number), count=np.zeros_like(last.count))
+            for number, one in enumerate(offered)
+        ]
+        self._blocks = blocks_of(self.camera, Dataset([*stations, *planned], decimation=self.step))
+        self._kinds, self._offered = kinds, {}
+
+    def _fold(self, one: Proposal, last: Station) -> Fold:
+        """Return the sums of a proposed station; those of other poses stay the same while one records."""
+        if one.lasting and one.words in self._offered:
+            return self._offered[one.words]
+        planned = Dataset([self._planned(one, last, 0)], decimation=self.step)
+        expected = with_expected_light(planned, self.scene, self.camera)
+        fold = accumulate(Forward(expected, self.scene, self.camera), self._blocks).folds[0]
+        self._offered[one.words] = fold
+        return fold
+
+    def _planned(self, one: Proposal, last: Station, number: int) -> Station:
+        return planned_station(
+            self.camera,
+            recording=_PROPOSED,
+            pose=number,
+            frames=last.frames,
+            stamp=last.stamp + round((one.wait + 10.0) * NANOSECONDS),
+            time=last.time + one.wait + 10.0,
+            settings=one.settings,
+            truth=one.truth,
+        )
+
+    def _draw(self, stations: Sequence[Station]) -> None:
+        """Count which pixels the new stations used, and how many of them had which distance and amplitude."""
+        new = Dataset(list(stations[self._drawn :]), decimation=self.step)
+        self._drawn = len(stations)
+        for one in Forward(new, self.scene, self.camera).predictions(slopes=False):
+            used = one.used
+            self._seen[one.station.pose] = used | self._seen.get(one.station.pose, np.zeros_like(used))
+            distance = one.station.distance[used] / self.camera.sensor.ambiguity * DISTANCE_CLASSES
+            amplitude = np.log2(np.maximum(one.station.amplitude[used], 1.0))
+            at = [
+                np.clip(values.astype(int), 0, number - 1)
+                for values, number in ((distance, DISTANCE_CLASSES), (amplitude, AMPLITUDE_CLASSES))
+            ]
+            np.add.at(self._readings, (at[0], at[1]), 1)
+
+    def _words(self, station: Station) -> str:
+        lit = station.count > 0
+        if not lit.any():
+            return f"{station.frames} frames without a distance"
+        low, middle, high = np.percentile(station.amplitude[lit], [5, 50, 95])
+        distance = float(np.median(station.distance[lit]))
+        return (
+            f"{distance:.2f} m, {low:.0f} to {high:.0f} counts (median {middle:.0f}), "
+            f"integration time {self.camera.integration_time(station.settings):g}, {station.frames} frames"
+        )
+
+
+def _best(
+    now: Mapping[str, float], offered: Sequence[Proposal], after: Sequence[dict[str, float]]
+) -> Next | None:
+    """Return the proposal after which the most is determined: logarithms of factors up to `NARROWED`."""
+
+    def worth(factors: Mapping[str, float]) -> float:
+        return sum(float(np.log(min(one, NARROWED))) for one in factors.values())
+
+    if not offered:
+        return None
+    best = max(range(len(offered)), key=lambda number: worth(after[number]))
+    raised = {
+        name: (one, after[best][name])
+        for name, one in now.items()
+        if one < NARROWED and after[best][name] >= one * _WORTH_WHILE
+    }
+    return Next(offered[best].words, raised) if raised else None
+
+
+#: Factor by which a station must narrow an effect's parameters to be worth its while.
+_WORTH_WHILE = 1.1

@@ -1,0 +1,89 @@
+"""The coverage of a recording that is being made, evaluated in a process of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import pickle
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from rim_camera_ros.bags.stamp_pairing import IMAGES
+from rim_camera_ros.coverage.frames import Message
+from rim_camera_ros.coverage.picture import Report
+from rim_camera_ros.errors import RimError
+
+#: Messages that wait to be evaluated; beyond them images are passed over here, not in the recording.
+_WAITING = 128
+#: Seconds that the last report may take at the end of a recording.
+LAST_WORDS = 4.0
+
+
+class LiveCoverage:
+    """Takes the messages of a recording and calls ``report`` with what they cover so far.
+
+    ``scene`` and ``camera`` are their files. ``report`` is called in a thread of its own; nothing here waits
+    for the evaluation but `close`.
+    """
+
+    def __init__(self, scene: Path, camera: Path, report: Callable[[Report], None]) -> None:
+        self._report = report
+        self._queue: queue.SimpleQueue[Message | None] = queue.SimpleQueue()
+        self.passed_over = 0
+        self._gone = False
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "rim_camera_ros.coverage.worker"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                start_new_session=True,  # Ctrl-C ends the recording, and that ends the process
+            )
+        except OSError as error:
+            problem = f"cannot start a process for the coverage: {error.strerror or error}"
+            raise RimError(problem, remedy="check the limits of memory and processes") from None
+        self._threads = [threading.Thread(target=self._write, args=(str(scene), str(camera)), daemon=True)]
+        self._threads.append(threading.Thread(target=self._read, daemon=True))
+        for one in self._threads:
+            one.start()
+
+    def take(self, message: Message) -> None:
+        """Take a message; images are passed over where the evaluation is behind."""
+        if message.role in IMAGES and self._queue.qsize() >= _WAITING:
+            self.passed_over += 1
+        elif not self._gone:
+            self._queue.put(message)
+
+    def close(self, *, patience: float = LAST_WORDS) -> None:
+        """Wait for the last report for so many seconds, and end the process."""
+        self._queue.put(None)
+        try:
+            self._process.wait(patience)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        for one in self._threads:
+            one.join(patience)
+
+    def _write(self, scene: str, camera: str) -> None:
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError):
+            with self._process.stdin as sink:
+                pickle.dump((scene, camera), sink)
+                while (message := self._queue.get()) is not None:
+                    pickle.dump(message, sink)
+                    sink.flush()
+            return
+        self._gone = True
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        with self._process.stdout as source:
+            while True:
+                try:
+                    report: Report = pickle.load(source)
+                except (EOFError, pickle.UnpicklingError):
+                    return
+                self._report(report)

@@ -1,0 +1,128 @@
+"""The process that evaluates the coverage while another records, which must not lose a message.
+
+Started by `rim_camera_ros.coverage.live` as ``python -m``; not meant to be run by hand. Both sides send
+pickles: to this process the files of scene and camera, then `Message`; from it `Report`. The end of the input
+ends it, after a last report.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import sys
+import threading
+from collections.abc import Iterator
+from typing import IO
+
+from rim_camera_ros.calibrate.reduction import of_known_exposure, reduce_frames
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import load_camera
+from rim_camera_ros.coverage.evaluate import Evaluator
+from rim_camera_ros.coverage.frames import Message, live_frames, posed_frames
+from rim_camera_ros.coverage.picture import Report, coverage_picture
+from rim_camera_ros.diagnose.variance import movement_of
+from rim_camera_ros.errors import RimError
+from rim_camera_ros.frame import RawFrame
+from rim_camera_ros.scene import Scene, load_scene
+
+#: Seconds after which frames of one pose are evaluated though it goes on.
+_BLOCK_SECONDS = 3.0
+#: Seconds without any station after which it is said why.
+_PATIENCE = 8.0
+_NICENESS = 10
+
+
+class _Stations:
+    """Reduces frames to stations in a thread of its own, while the main one evaluates."""
+
+    def __init__(self, source: IO[bytes], scene: Scene, camera: Camera) -> None:
+        self.evaluator = Evaluator(scene, camera)
+        self.news = threading.Event()
+        self.ended = False
+        self.problem = ""
+        self.moved: float | None = None
+        self.count = self.frames = 0
+        self._source, self._scene, self._camera = source, scene, camera
+        threading.Thread(target=self._run, name="stations", daemon=True).start()
+
+    def _run(self) -> None:
+        try:
+            frames = posed_frames(self._counted(), self._scene, self._camera)
+            known = of_known_exposure(frames)
+            for station in reduce_frames(known, self._camera, block_seconds=_BLOCK_SECONDS):
+                if self.evaluator.add(station):
+                    self.moved, self.count = movement_of(station), self.count + 1
+                    self.news.set()
+        except RimError as error:
+            self.problem = str(error)
+        finally:
+            self.ended = True
+            self.news.set()
+
+    def _counted(self) -> Iterator[RawFrame]:
+        for frame in live_frames(self._messages()):
+            self.frames += 1
+            yield frame
+
+    def _messages(self) -> Iterator[Message]:
+        while True:
+            try:
+                yield pickle.load(self._source)
+            except (EOFError, pickle.UnpicklingError):
+                return
+
+
+def serve(source: IO[bytes], sink: IO[bytes]) -> None:
+    """Evaluate the messages of ``source`` until it ends, and report to ``sink``."""
+    files = pickle.load(source)
+    scene, camera = load_scene(files[0]), load_camera(files[1])
+    stations = _Stations(source, scene, camera)
+
+    def send(report: Report) -> None:
+        pickle.dump(report, sink)
+        sink.flush()
+
+    evaluated, warned = 0, False
+    while True:
+        if not stations.news.wait(None if evaluated or warned else _PATIENCE):
+            warned = stations.frames > 0
+            if warned:
+                send(Report(None, problem=_without_poses(scene)))
+            continue
+        stations.news.clear()
+        ended, count = stations.ended, stations.count
+        if count > evaluated:
+            evaluated = count
+            coverage = stations.evaluator.evaluate(moved=stations.moved)
+            picture = coverage_picture(coverage, ambiguity=camera.sensor.ambiguity)
+            send(Report(coverage, picture))
+        if ended:
+            if stations.problem:
+                send(Report(None, problem=stations.problem))
+            return
+
+
+def _without_poses(scene: Scene) -> str:
+    names = " and ".join(f"'{one}'" for one in scene.needs_truth)
+    return (
+        f"no frame has the pose of {names} so far: neither is it published nor found in the images "
+        "(the whole board must be in view, its squares 5 px and more)"
+        if names
+        else "no station is complete so far"
+    )
+
+
+def main() -> int:
+    """Evaluate what comes on standard input; what libraries print goes to standard error."""
+    os.nice(_NICENESS)
+    source, sink = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    try:
+        serve(source, sink)
+    except BrokenPipeError:
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
