@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.blocks import Block, gain_block, present_blocks
+from rim_camera_ros.calibrate.blocks import gain_block, present_blocks
 from rim_camera_ros.calibrate.coarser import coarser_camera
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.library import candidates
@@ -20,7 +20,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.devices.timeline import Timeline
 from rim_camera_ros.effects import vocabulary
-from rim_camera_ros.effects.candidate import Candidate, Facts, Regressor
+from rim_camera_ros.effects.candidate import Block, Candidate, Facts, Regressor
 from rim_camera_ros.files import find_scene, shipped
 from rim_camera_ros.frame import NANOSECONDS, Pose, Settings
 from rim_camera_ros.scene import Scene, load_scene

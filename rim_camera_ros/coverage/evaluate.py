@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.blocks import Block
 from rim_camera_ros.calibrate.coarser import coarser_dataset
 from rim_camera_ros.calibrate.fold_sums import Fold
 from rim_camera_ros.calibrate.forward import Forward
@@ -26,6 +25,7 @@ from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.coverage.proposals import Proposal, proposals
 from rim_camera_ros.effects import registry
+from rim_camera_ros.effects.candidate import Block
 from rim_camera_ros.frame import NANOSECONDS
 from rim_camera_ros.scene import Scene
 
