@@ -24,6 +24,8 @@ from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]
 
+#: Stated sizes beyond which an imperfection is none, but a fault of the set-up or of the camera file.
+BEYOND = 3.0
 #: Labels of errors that all poses of a surface share, and of the optics within their covariance.
 COMMON_POSE, OPTICS = "common_pose.", "optics_covariance."
 #: Labels of the smooth field of the pixels' offsets: powers of row and column over the array.

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rim_camera_ros.calibrate.imperfections import COMMON_POSE, OPTICS
+from rim_camera_ros.calibrate.imperfections import BEYOND, COMMON_POSE, OPTICS
 from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.light_curves import PREFIX, TILES
 from rim_camera_ros.scene import Scene
 
-#: Stated sizes beyond which an imperfection is none, but a fault of the set-up.
-BEYOND = 3.0
 #: Poses that a sentence names.
 _MOST_NAMED = 5
 

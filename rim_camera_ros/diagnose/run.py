@@ -10,6 +10,7 @@ import numpy as np
 from rim_camera_ros.calibrate.coarser import coarseness, coarser_camera, coarser_dataset
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.imperfections import BEYOND
 from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.search import MOST_EFFECTS, search
@@ -24,7 +25,6 @@ from rim_camera_ros.diagnose.full_grid import on_full_grid
 from rim_camera_ros.diagnose.hypotheses import AS_GIVEN, Hypothesis, best_setup, by_gain, moved_poses
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, only_rectified_noise
 from rim_camera_ros.diagnose.nuisances import (
-    BEYOND,
     nuisances_of,
     optics_beyond,
     poses_beyond,

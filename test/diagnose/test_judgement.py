@@ -45,6 +45,7 @@ def variance(ratio: float) -> Variance:
 @pytest.mark.parametrize(
     ("verdict", "ratio", "named"),
     [
+        ("consistent", 0.95, []),  # within what a stated noise is known to
         ("consistent", 0.93, ["noise"]),
         ("missing_physics", 0.93, ["noise"]),
         ("unknown_physics", 0.93, []),  # the light that the noise goes with is not known that well
