@@ -13,7 +13,7 @@ from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.leaders import leading_variants, refused, smooth_says_more
 from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.outcome import Result
-from rim_camera_ros.calibrate.problem import Problem
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.search_steps import Search, silent
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import level_of
@@ -35,13 +35,15 @@ def search(
     most: int = MOST_EFFECTS,
     further: Sequence[Candidate] = (),
     views: Views | None = None,
+    ends_at: Callable[[Fit], bool] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Result:
     """Add effects to a camera one after the other as long as held-out poses ask for them.
 
     ``effects`` restricts the candidates. ``further`` candidates are scored with the others but never join
     (smooth terms); where one of them explains far more than any effects, none joins. ``views`` are those of
-    the same scene by the same rays, if there are any.
+    the same scene by the same rays, if there are any. ``ends_at`` says of the fit of the camera as it is that
+    nothing shall be added to it.
     """
     say = progress if progress is not None else silent
     folds = folds_of(problem.dataset)
@@ -65,7 +67,7 @@ def search(
         # masks that somebody chose may leave out pixels beside edges for good
         may_look=problem.masks is None,
     )
-    if smooth_says_more(first):
+    if smooth_says_more(first) or (ends_at is not None and ends_at(first.fit)):
         most = 0
     state.add(most)
     if len(state.found) > 1:

@@ -11,7 +11,7 @@ from rim_camera_ros.calibrate.coarser import coarseness, coarser_camera, coarser
 from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.outcome import Result
-from rim_camera_ros.calibrate.problem import Problem
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.search import MOST_EFFECTS, search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import Dataset
@@ -110,13 +110,15 @@ def _diagnose(
     threads: int,
     say: Callable[[str], None],
     again: int = _MOST_AGAIN,
+    setups: list[Hypothesis] | None = None,
 ) -> Diagnosis:
     moves = scene.camera_motion.moves
     facts = Facts.of(dataset, moves=moves, surfaces=len(scene.surfaces), camera=camera)
     shifts = None
     if against is not None:
         shifts = Forward(dataset, scene, camera).shifts_to(against)
-    setups = [] if against is not None else compare_setups(dataset, scene, camera)
+    if setups is None:
+        setups = [] if against is not None else compare_setups(dataset, scene, camera)
     other = best_setup(setups)
     say("looking at the covariates")
     forward = Forward(dataset, scene, camera)
@@ -152,17 +154,19 @@ def _diagnose(
             further=smooth,
             seed=seed,
             views=forward.views,
+            ends_at=lambda fitted: _other_lens(fitted, camera) is not None,
             progress=say,
         )
     except (RimError, np.linalg.LinAlgError):
         return with_setups(_hopeless(problem, camera, variance, seed), setups)
     baseline, final = result.explorations[0], result.explorations[-1]
-    beyond_stated = optics_beyond(baseline.fit, camera)
-    if beyond_stated is not None and camera.covariance is not None:
+    beyond_stated = _other_lens(baseline.fit, camera)
+    if beyond_stated is not None:
+        assert camera.covariance is not None
         say("once more without the stated covariance of the optics")
         free = replace(camera, covariance=camera.covariance.without(["optics."]))
         noted = replace(dataset, notes=[*dataset.notes, beyond_stated])
-        return _diagnose(noted, scene, free, against, seed, threads, say, again)
+        return _diagnose(noted, scene, free, against, seed, threads, say, again, setups)
     if alone:
         dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
     say("looking for what no named effect explains")
@@ -235,6 +239,11 @@ def _diagnose(
     if diagnosis.accuracy.hopeless:
         diagnosis = _hopeless(problem, camera, variance, seed)
     return with_setups(replace(diagnosis, nuisances=nuisances_of(result.fit, camera)), setups)
+
+
+def _other_lens(fitted: Fit, camera: Camera) -> str | None:
+    """Return in words that the optics are none that the file's covariance allows; None: they may be."""
+    return None if camera.covariance is None else optics_beyond(fitted, camera)
 
 
 def with_setups(diagnosis: Diagnosis, setups: list[Hypothesis]) -> Diagnosis:
