@@ -17,6 +17,7 @@ from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.search_steps import Search, silent
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import level_of
+from rim_camera_ros.calibrate.trials import Workers
 from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import response_of
@@ -36,6 +37,7 @@ def search(
     further: Sequence[Candidate] = (),
     views: Views | None = None,
     ends_at: Callable[[Fit], bool] | None = None,
+    workers: Workers = map,
     progress: Callable[[str], None] | None = None,
 ) -> Result:
     """Add effects to a camera one after the other as long as held-out poses ask for them.
@@ -43,7 +45,7 @@ def search(
     ``effects`` restricts the candidates. ``further`` candidates are scored with the others but never join
     (smooth terms); where one of them explains far more than any effects, none joins. ``views`` are those of
     the same scene by the same rays, if there are any. ``ends_at`` says of the fit of the camera as it is that
-    nothing shall be added to it.
+    nothing shall be added to it. ``workers`` fit candidates, as `cluster.on_workers` does.
     """
     say = progress if progress is not None else silent
     folds = folds_of(problem.dataset)
@@ -66,6 +68,7 @@ def search(
         say=say,
         # masks that somebody chose may leave out pixels beside edges for good
         may_look=problem.masks is None,
+        workers=workers,
     )
     if smooth_says_more(first) or (ends_at is not None and ends_at(first.fit)):
         most = 0
