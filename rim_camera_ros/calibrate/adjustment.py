@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from rim_camera_ros.calibrate.gauss_newton import TOLERANCE, GaussNewton
-from rim_camera_ros.calibrate.problem import Fit, Problem
+from rim_camera_ros.calibrate.problem import Fit, Point, Problem
 from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.candidate import Block
@@ -22,7 +22,7 @@ def fit(
     iterations: int = 8,
     tolerance: float = TOLERANCE,
     views: Views | None = None,
-    warm: Fit | None = None,
+    warm: Fit | Point | None = None,
     near: bool = False,
     progress: Progress | None = None,
 ) -> Fit:
@@ -30,15 +30,16 @@ def fit(
 
     Steps end when no parameter moves by more than ``tolerance`` of its sigma. ``further`` blocks of
     regressors stand beside the parameters in the final equations without being fitted (candidates).
-    ``warm`` is a fit of the same data whose pattern, errors and powers are started from; with no
-    ``iterations`` the result is its own solution with the equations of the further blocks. ``near`` says that
-    the camera is near the solution in effects that are new as well: their widths move at once, and a step
-    that makes things a little worse is followed by another before it is taken back.
+    ``warm`` is a fit of the same data, or where it stands, whose pattern, errors and powers are started from;
+    with no ``iterations`` the result is its own solution with the equations of the further blocks. ``near``
+    says that the camera is near the solution in effects that are new as well: their widths move at once, and
+    a step that makes things a little worse is followed by another before it is taken back.
 
     Raises `RimError` where it does not converge to a finite solution, `InputError` without usable data.
     """
+    begin = warm.point if isinstance(warm, Fit) else warm
     work = GaussNewton(
-        problem, camera, iterations=iterations, tolerance=tolerance, views=views, warm=warm, near=near
+        problem, camera, iterations=iterations, tolerance=tolerance, views=views, warm=begin, near=near
     )
     best: Fit | None = None
     for count in range(iterations + 2):

@@ -1,40 +1,40 @@
-"""More recordings than one machine: recordings are reduced to stations on the workers of a Dask cluster."""
+"""More work than one machine does: recordings are reduced and candidates fitted on workers of a Dask cluster.
+
+Both are pure functions: a lost worker costs time and nothing else.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rim_camera_ros.bags import Topics
 from rim_camera_ros.calibrate.reduction import reduce_recording
 from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.calibrate.trials import Workers
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.scene import Scene
 
-#: Times that a recording is given to another worker when one is lost.
+#: Times that a work is given to another worker when one is lost.
 _RETRIES = 3
 _CONNECT_SECONDS = 10
 
 
-def reduce_on_cluster(
-    paths: Sequence[Path],
-    camera: Camera,
-    scenes: Sequence[Scene],
-    *,
-    topics: Topics | None = None,
-    scheduler: str,
-) -> list[Dataset]:
-    """Return the stations of each recording, reduced on a cluster whose workers see the same files.
+@contextmanager
+def on_workers(scheduler: str | None) -> Iterator[Workers]:
+    """Give what calls a function for each of some things on a cluster, in the order of the things.
 
-    The reduction is a pure function of recording, camera and scene: a lost worker costs time and nothing
-    else.
-
-    Raises
-    `InputError` where dask.distributed is not installed or the scheduler does not answer, and what the
-    reduction raises.
+    Without a ``scheduler`` they are called here, one after the other. Raises `InputError` where
+    dask.distributed is not installed or the scheduler does not answer; calls raise what the function raises,
+    and `RimError` where the cluster fails.
     """
+    if scheduler is None:
+        yield map
+        return
     try:
         import distributed
     except ImportError:
@@ -50,29 +50,46 @@ def reduce_on_cluster(
             place=f"--scheduler {scheduler}",
             remedy="start one with dask-scheduler and give its address, tcp://HOST:8786",
         ) from None
+
+    def call(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+        futures = [client.submit(function, one, retries=_RETRIES, pure=False) for one in items]
+        for future in futures:
+            try:
+                yield future.result()
+            except RimError:
+                raise
+            except Exception as error:
+                raise RimError(
+                    f"the cluster failed: {type(error).__name__}: {error}",
+                    remedy="workers need this package and the same paths",
+                ) from None
+
     with client:
-        futures = [
-            client.submit(
-                reduce_recording,
-                Path(path).absolute(),
-                camera,
-                topics=topics,
-                recording=number,
-                scene=scene,
-                retries=_RETRIES,
-                pure=False,
-            )
-            for number, (path, scene) in enumerate(zip(paths, scenes, strict=True))
-        ]
-        try:
-            parts = client.gather(futures)
-        except RimError:
-            raise
-        except Exception as error:
-            raise RimError(
-                f"the cluster failed: {type(error).__name__}: {error}",
-                remedy="workers need this package and the same paths",
-            ) from None
+        yield call
+
+
+def reduce_on_cluster(
+    paths: Sequence[Path],
+    camera: Camera,
+    scenes: Sequence[Scene],
+    *,
+    topics: Topics | None = None,
+    scheduler: str,
+) -> list[Dataset]:
+    """Return the stations of each recording, reduced on a cluster whose workers see the same files.
+
+    Raises what `on_workers` and the reduction raise.
+    """
+    works = [
+        partial(reduce_recording, path.absolute(), camera, topics=topics, recording=number, scene=scene)
+        for number, (path, scene) in enumerate(zip(paths, scenes, strict=True))
+    ]
+    with on_workers(scheduler) as workers:
+        parts = list(workers(_done, works))
     for part, path in zip(parts, paths, strict=True):
         part.files = [str(path)]
-    return list(parts)
+    return parts
+
+
+def _done(work: Callable[[], Dataset]) -> Dataset:
+    return work()

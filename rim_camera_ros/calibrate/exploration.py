@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.calibrate.adjustment import fit
 from rim_camera_ros.calibrate.gauss_newton import TOLERANCE
 from rim_camera_ros.calibrate.nulls import null_scores
-from rim_camera_ros.calibrate.problem import Fit, Problem
+from rim_camera_ros.calibrate.problem import Fit, Point, Problem
 from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import in_order
@@ -136,7 +136,7 @@ def explore(
     *,
     further: Sequence[Candidate] = (),
     views: Any = None,
-    warm: Fit | None = None,
+    warm: Fit | Point | None = None,
     seed: int = 0,
     replicates: int = 200,
     iterations: int = 8,

@@ -97,19 +97,15 @@ class _Channel:
 
     def times(self, factor: Array) -> _Products:
         """Return the products of all columns with one that is ``factor`` (N,) at each pixel."""
-        scaled = factor * self.root
-        return _Products(self.pixels, self.index, self.dense * scaled, self.group, self.value * scaled)
+        return _Products(self, factor * self.root)
 
 
 @dataclass(frozen=True)
 class _Products:
-    """Products of all columns with a column of each pixel's own, as in `_Channel`."""
+    """Products of the columns of a ``channel`` with one of each pixel's own: they times ``factor`` (N,)."""
 
-    pixels: Array
-    index: Array
-    dense: Array
-    group: Array
-    value: Array
+    channel: _Channel
+    factor: Array
 
 
 @dataclass(frozen=True)
@@ -235,62 +231,40 @@ class FoldSums:
 
     def __init__(self, count: int, pixels: int, *, pattern: bool, gains: bool = False) -> None:
         self._count = count
-        self._with_pattern = pattern
         self._nuisances: dict[str, tuple[float, float]] = {}
         self._gram = np.zeros((count, count))
         self._right = np.zeros(count)
         self._square = 0.0
         self._rows = 0
         self._log_sigma = 0.0
-        self._pixel: Array = np.zeros((count, pixels))
-        self._pixel_y: Array = np.zeros(pixels)
-        self._weight: Array = np.zeros(pixels)
-        self._gain: Array = np.zeros((count if gains else 0, pixels))
-        self._gain_y: Array = np.zeros(pixels)
+        self._pixel = _PixelSums(count, pixels) if pattern else None
+        self._weight: Array = np.zeros(pixels if pattern else 1)
+        self._gain = _PixelSums(count, pixels) if pattern and gains else None
         self._gain_weight: Array = np.zeros(pixels)
         self._gain_cross: Array = np.zeros(pixels)
-        self._nuisance_gain: dict[str, Array] = {}
-        self._with_gains = gains
-        # of each nuisance: products with the regressors, with y, and its sums per pixel
+        # of each nuisance: products with the regressors, and with y
         self._cross: dict[str, Array] = {}
         self._cross_y: dict[str, float] = {}
         self._inner: dict[tuple[str, str], float] = {}
-        self._nuisance_pixel: dict[str, Array] = {}
 
     def add(self, share: Share) -> None:
         """Add a station's share."""
         self._rows += share.rows
         self._log_sigma += share.log_sigma
         self._sum(share.gram, share.nuisances)
-        if not self._with_pattern:
+        if self._pixel is None:
             return
+        number = {name: self._count + i for i, name in enumerate(self._nuisances)}
+        places = [*range(self._count), *(number[name] for name, *_ in share.nuisances)]
         self._weight[share.pixels] += share.weight
-        self._add_products(share, share.offsets, self._pixel, self._nuisance_pixel, self._pixel_y)
-        if share.gain is not None:
+        self._pixel.add(share.offsets, places)
+        if share.gain is not None and self._gain is not None:
             gain = share.gain
             for part in (gain.distance, gain.light):
-                self._add_products(share, part, self._gain, self._nuisance_gain, self._gain_y)
+                self._gain.add(part, places)
             self._gain_weight[share.pixels] += gain.weight
-            self._gain_weight[gain.light.pixels] += gain.light_weight
+            self._gain_weight[gain.light.channel.pixels] += gain.light_weight
             self._gain_cross[share.pixels] += gain.cross
-
-    def _add_products(
-        self, share: Share, part: _Products, sums: Array, of_nuisances: dict[str, Array], of_values: Array
-    ) -> None:
-        """Add products with a column of each pixel's own to the sums per pixel."""
-        for number, row in zip(part.index.tolist(), part.dense, strict=True):
-            if number < self._count:
-                target = sums[number]
-            elif number < self._count + len(share.nuisances):
-                name = share.nuisances[number - self._count][0]
-                target = of_nuisances.setdefault(name, np.zeros(self._weight.size))
-            else:
-                target = of_values
-            target[part.pixels] += row
-        mine = part.group >= 0
-        if mine.any():
-            # a pixel has one of them: no place is named twice
-            sums[part.group[mine], part.pixels[mine]] += part.value[mine]
 
     def _sum(self, gram: Array, nuisances: Sequence[tuple[str, float, float]]) -> None:
         count = self._count
@@ -306,8 +280,7 @@ class FoldSums:
                 self._inner[both] = self._inner.get(both, 0.0) + float(gram[count + i, count + j])
 
     def fold(self) -> Fold:
-        """Return the sums so far."""
-        pattern = self._with_pattern
+        """Return the sums so far, which nothing is added to any more."""
         count, names = self._count, list(self._nuisances)
         size = count + len(names) + 1
         gram = np.zeros((size, size))
@@ -321,25 +294,47 @@ class FoldSums:
             gram[k, -1] = gram[-1, k] = self._cross_y[name]
         for (one, other), value in self._inner.items():
             gram[place[one], place[other]] = value
-        pixels = len(self._weight)
-        # column by column, as they were summed: turned they would take most of a pass
-        pixel = np.zeros((size, pixels if pattern else 1)).T
-        if pattern:
-            pixel[:, :count] = self._pixel.T
-            pixel[:, -1] = self._pixel_y
-            for name, sums in self._nuisance_pixel.items():
-                pixel[:, place[name]] = sums
-        weight = self._weight if pattern else np.zeros(1)
+        pixel = np.zeros((1, size)) if self._pixel is None else self._pixel.all(size)
         nuisances = [(name, *self._nuisances[name]) for name in names]
-        fold = Fold(nuisances, gram, pixel, weight, self._rows, self._log_sigma)
-        if pattern and self._with_gains:
-            fold.gain = np.zeros((size, pixels)).T
-            fold.gain[:, :count] = self._gain.T
-            fold.gain[:, -1] = self._gain_y
-            for name, sums in self._nuisance_gain.items():
-                fold.gain[:, place[name]] = sums
+        fold = Fold(nuisances, gram, pixel, self._weight, self._rows, self._log_sigma)
+        if self._gain is not None:
+            fold.gain = self._gain.all(size)
             fold.gain_weight, fold.cross = self._gain_weight, self._gain_cross
         return fold
+
+
+class _PixelSums:
+    """Sums per pixel of the products of all columns with one of the pixel's own.
+
+    They are the largest arrays of an adjustment, which grow in their place and are never copied.
+    """
+
+    def __init__(self, count: int, pixels: int) -> None:
+        self._sums: Array = np.zeros((count, pixels))
+        self._y: Array = np.zeros(pixels)
+
+    def add(self, part: _Products, places: Sequence[int]) -> None:
+        """Add products; ``places`` are the rows here of all columns but the last, the observations."""
+        self._grow(max(places, default=-1) + 1)
+        channel = part.channel
+        buffer = np.empty(channel.pixels.size)
+        for number, row in zip(channel.index.tolist(), channel.dense, strict=True):
+            target = self._sums[places[number]] if number < len(places) else self._y
+            target[channel.pixels] += np.multiply(row, part.factor, out=buffer)
+        mine = np.flatnonzero(channel.group >= 0)
+        # a pixel has one of them: no place is named twice
+        self._sums[channel.group[mine], channel.pixels[mine]] += channel.value[mine] * part.factor[mine]
+
+    def all(self, size: int) -> Array:
+        """Return the sums (P, ``size``), the observations last; column by column, as they were summed."""
+        self._grow(size)
+        self._sums[-1] = self._y
+        return self._sums.T
+
+    def _grow(self, size: int) -> None:
+        if size > len(self._sums):
+            # nothing else refers to them
+            self._sums.resize((size, self._sums.shape[1]), refcheck=False)
 
 
 #: Name, 1-sigma of the prior, value at the linearisation, derivatives of both channels.

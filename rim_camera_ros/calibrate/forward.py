@@ -88,6 +88,13 @@ class Forward:
         self._order = {name: i for i, name in enumerate(registry())}
         self._of_geometry = [name for name, one in registry().items() if one.remembers_geometry]
 
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"views": None, "tick": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.views = Views(self.camera, self.scene, decimation=self.dataset.decimation)
+
     def estimate_amplitudes(self, gains: Mapping[tuple[int, int], float] | None = None) -> AmplitudeModel:
         """Estimate the gain of every pose and the relative error of predicted amplitudes (robustly).
 

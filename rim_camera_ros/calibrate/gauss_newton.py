@@ -14,7 +14,7 @@ from rim_camera_ros.calibrate.blocks import GAIN
 from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
 from rim_camera_ros.calibrate.imperfections import is_linear
 from rim_camera_ros.calibrate.normal_equations import NormalEquations, Reduced, accumulate
-from rim_camera_ros.calibrate.problem import Fit, Problem, blocks_of, forward_of, light_groups
+from rim_camera_ros.calibrate.problem import Fit, Point, Problem, blocks_of, forward_of, light_groups
 from rim_camera_ros.calibrate.residuals import amplitude_error, huber
 from rim_camera_ros.calibrate.steps import (
     Solved,
@@ -104,7 +104,7 @@ class GaussNewton:
         iterations: int,
         tolerance: float,
         views: Views | None,
-        warm: Fit | None,
+        warm: Point | None,
         near: bool = False,
     ) -> None:
         self._problem, self._start = problem, start
@@ -129,7 +129,7 @@ class GaussNewton:
         if warm is not None:
             if not near:
                 self._new = frozenset(start.effects.keys() - warm.camera.effects.keys())
-            if warm.forward.amplitude_model.gains:
+            if warm.amplitude_model.gains:
                 self._begin_at(warm)
         # the way
         self._solved: Solved | None = None
@@ -139,8 +139,8 @@ class GaussNewton:
         self._last_step: dict[str, float] = {}
         self._converged = self._exhausted = self._stuck = False
 
-    def _begin_at(self, warm: Fit) -> None:
-        model = warm.forward.amplitude_model
+    def _begin_at(self, warm: Point) -> None:
+        model = warm.amplitude_model
         self._tau, self._pattern, self._pixels = model.tau, warm.pattern, model.pixels
         self._settled = settled_after(warm.camera, self._start)
         self._gains = {
@@ -148,7 +148,7 @@ class GaussNewton:
             for key, g in model.gains.items()
         }
         self._nuisances = {name: e for name, e in warm.nuisances.items() if not name.endswith(".gain")}
-        curves = warm.forward.light_curves
+        curves = warm.light_curves
         if curves is not None:
             groups = light_groups(self._problem, self._start)
             allowed = {label for labels in groups for label in labels}

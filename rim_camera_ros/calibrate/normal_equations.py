@@ -30,7 +30,7 @@ Array = NDArray[Any]
 #: which no camera's is: effects that are smooth over the array would gain what it costs.
 PATTERN_PRIOR = 5.0
 #: Pixels of which the sums are put together at once.
-_BLOCK = 4096
+_BLOCK = 2048
 _ROUNDING = 1e-10
 #: Share of what regressors tell by themselves below which what elimination leaves of it is rounding: some
 #: hundred times the relative error of a double, as errors of thousands of products add up.
@@ -112,40 +112,38 @@ class PixelElimination:
             self.log_norm += 0.5 * float(np.sum(np.log(self._c * priors.gain**2)))
             self.square = 0.0 if at is None else float(np.sum((at / priors.gain) ** 2))
 
-    def rows(self) -> Iterator[Array]:
-        """Yield the rows (N, M), in the order of `_stacked`, block by block."""
-        gains = _blocks(self._folds, self._count, gain=True) if self.with_gains else None
-        for rows, block in _blocks(self._folds, self._count):
-            if gains is not None:
-                _, second = next(gains)
-                second[:, -1] -= self._pull[rows]
-                second -= block * (self._b[rows] / self._a[rows])[:, None]
-                second /= np.sqrt(self._c[rows])[:, None]
-                yield second
-            block /= np.sqrt(self._a[rows])[:, None]
-            yield block
-
-    def whitened(self, offset: Array, gain: Array | None) -> Iterator[Array]:
-        """Yield sums per pixel (P, R) as `rows` does with those of the columns, block by block."""
+    def blocks(self) -> Iterator[slice]:
+        """Yield the pixels, some at once: the sums of all of them would be the largest array of all."""
         for first in range(0, len(self._a), _BLOCK):
-            rows = slice(first, min(first + _BLOCK, len(self._a)))
-            a = self._a[rows, None]
-            if self.with_gains:
-                assert gain is not None
-                second = gain[rows] - offset[rows] * (self._b[rows, None] / a)
-                yield second / np.sqrt(self._c[rows, None])
-            yield offset[rows] / np.sqrt(a)
+            yield slice(first, min(first + _BLOCK, len(self._a)))
 
-    def draw(self, replicates: int, rng: np.random.Generator) -> tuple[Array, Array | None]:
-        """Return sums per pixel (P, R) of noise alone, whose covariance is that of the equations."""
-        first = rng.standard_normal((len(self._a), replicates), dtype=np.float32)
-        root = np.sqrt(self._a)[:, None].astype(np.float32)
-        offset = root * first
+    def rows(self, block: slice) -> list[Array]:
+        """Return the rows (N, M) of a block's pixels, ordered as by `_stacked`: of offsets, and of gains."""
+        offset = _sums(self._folds, self._count, block)
+        if not self.with_gains:
+            return self.whitened(block, offset, None)
+        gain = _sums(self._folds, self._count, block, gain=True)
+        gain[:, -1] -= self._pull[block]
+        return self.whitened(block, offset, gain)
+
+    def whitened(self, block: slice, offset: Array, gain: Array | None) -> list[Array]:
+        """Return sums of a block's pixels (N, R), which are written over, in units of independent noise."""
+        result = [offset]
+        if self.with_gains:
+            assert gain is not None
+            gain -= offset * (self._b[block] / self._a[block])[:, None]
+            gain /= np.sqrt(self._c[block])[:, None]
+            result.append(gain)
+        offset /= np.sqrt(self._a[block])[:, None]
+        return result
+
+    def sums_of(self, block: slice, noise: Sequence[Array]) -> tuple[Array, Array | None]:
+        """Return sums of a block's pixels (N, R) from independent noise, as `whitened` takes them."""
+        offset = np.sqrt(self._a[block])[:, None] * noise[0]
         if not self.with_gains:
             return offset, None
-        second = rng.standard_normal((len(self._a), replicates), dtype=np.float32)
-        gain = (self._b[:, None] / self._a[:, None]) * offset + np.sqrt(self._c)[:, None] * second
-        return offset, gain.astype(np.float32)
+        share = (self._b[block] / self._a[block])[:, None]
+        return offset, share * offset + np.sqrt(self._c[block])[:, None] * noise[1]
 
     def solve(self, values: Array) -> tuple[Array, Array | None]:
         """Return offsets [m] and changes of the gains (P,) for values of all else, as `_stacked` orders."""
@@ -168,8 +166,9 @@ class Reduced:
 
     ``gram`` (K, K) and ``right`` (K,) or (K, R); ``square`` y' V^-1 y; ``log_norm`` half the log
     determinant of V; ``rows`` observations. ``recover`` gives nuisances, pattern [m] and changes of the
-    gains of pixels (None: known) for given regressor values; ``sides`` the right-hand sides (K, R) of
-    replicates of each fold in the place of its observations: `Draw`.
+    gains of pixels (None: known) for given regressor values; ``without_errors`` eliminates the nuisances
+    from right-hand sides (M - 1, R) from which offsets and gains of ``pixels`` are eliminated, as `_stacked`
+    orders them: (K, R).
     """
 
     gram: Array
@@ -178,16 +177,8 @@ class Reduced:
     rows: int
     log_norm: float
     recover: Callable[[Array], tuple[dict[str, float], Array, Array | None]]
-    sides: Callable[[Sequence[Draw]], Array]
-
-
-@dataclass(frozen=True)
-class Draw:
-    """Replicates of a fold: right-hand sides (M - 1, R), sums per pixel (P, R) for offsets and gains."""
-
-    right: Array
-    pixel: Array
-    gain: Array | None = None
+    pixels: PixelElimination
+    without_errors: Callable[[Array], Array]
 
 
 def _stacked(folds: Sequence[Fold], count: int) -> tuple[Array, list[tuple[str, float, float]]]:
@@ -203,24 +194,18 @@ def _stacked(folds: Sequence[Fold], count: int) -> tuple[Array, list[tuple[str, 
     return gram, nuisances
 
 
-def _blocks(folds: Sequence[Fold], count: int, *, gain: bool = False) -> Iterator[tuple[slice, Array]]:
-    """Yield rows of pixels and their sums (N, M) in the order of `_stacked`, block by block.
-
-    The sums of all pixels at once would be the largest array of an adjustment.
-    """
-    pixels = len(folds[0].weight)
+def _sums(folds: Sequence[Fold], count: int, block: slice, *, gain: bool = False) -> Array:
+    """Return the sums of a block's pixels (N, M) in the order of `_stacked`."""
     size = count + sum(len(fold.nuisances) for fold in folds) + 1
-    for first in range(0, pixels, _BLOCK):
-        rows = slice(first, min(first + _BLOCK, pixels))
-        block = np.zeros((size, rows.stop - first)).T
-        start = count
-        for fold in folds:
-            own = (_given(fold.gain) if gain else fold.pixel)[rows]
-            block[:, :count] += own[:, :count]
-            block[:, start : start + len(fold.nuisances)] = own[:, count:-1]
-            block[:, -1] += own[:, -1]
-            start += len(fold.nuisances)
-        yield rows, block
+    result = np.zeros((size, block.stop - block.start)).T
+    start = count
+    for fold in folds:
+        own = (_given(fold.gain) if gain else fold.pixel)[block]
+        result[:, :count] += own[:, :count]
+        result[:, start : start + len(fold.nuisances)] = own[:, count:-1]
+        result[:, -1] += own[:, -1]
+        start += len(fold.nuisances)
+    return result
 
 
 def _times(folds: Sequence[Fold], count: int, values: Array, *, gain: bool = False) -> Array:
@@ -234,17 +219,10 @@ def _times(folds: Sequence[Fold], count: int, values: Array, *, gain: bool = Fal
     return total
 
 
-def _stacked_replicates(folds: Sequence[Fold], count: int, draws: Sequence[Draw]) -> Draw:
-    """Put the replicates of folds together as `_stacked` does with the observations."""
-    own = [count + len(fold.nuisances) for fold in folds]
-    right = np.zeros((count + sum(n - count for n in own), draws[0].right.shape[1]))
-    start = count
-    for n, one in zip(own, draws, strict=True):
-        right[:count] += one.right[:count]
-        right[start : start + n - count] = one.right[count:]
-        start += n - count
-    gains = [one.gain for one in draws if one.gain is not None]
-    return Draw(right, np.sum([one.pixel for one in draws], axis=0), np.sum(gains, axis=0) if gains else None)
+def stacked_sides(count: int, sides: Sequence[Array]) -> Array:
+    """Put right-hand sides (M - 1, R) of folds together as `_stacked` does with the observations."""
+    shared = np.sum([one[:count] for one in sides], axis=0)
+    return np.concatenate([shared, *(one[count:] for one in sides)])
 
 
 def reduce_folds(folds: Sequence[Fold], count: int, priors: PixelPriors) -> Reduced:
@@ -252,8 +230,9 @@ def reduce_folds(folds: Sequence[Fold], count: int, priors: PixelPriors) -> Redu
     full, nuisances = _stacked(folds, count)
     unit = np.sqrt(np.diag(full)[:count])
     pixels = PixelElimination(folds, count, priors)
-    for block in pixels.rows():
-        full -= block.T @ block
+    for block in pixels.blocks():
+        for rows in pixels.rows(block):
+            full -= rows.T @ rows
     inner = slice(count, count + len(nuisances))
     keep = np.r_[np.arange(count), full.shape[0] - 1]
     errors = full[inner, inner] + np.diag([p**-2 for _, p, _ in nuisances])
@@ -278,15 +257,11 @@ def reduce_folds(folds: Sequence[Fold], count: int, priors: PixelPriors) -> Redu
         offsets, gains = pixels.solve(np.concatenate([values, found, [-1.0]]))
         return {name: float(e) for (name, _, _), e in zip(nuisances, found, strict=True)}, offsets, gains
 
-    def sides(replicates: Sequence[Draw]) -> Array:
-        draw = _stacked_replicates(folds, count, replicates)
-        drawn = draw.right
-        for block, summed in zip(pixels.rows(), pixels.whitened(draw.pixel, draw.gain), strict=True):
-            drawn -= block[:, :-1].T @ summed
+    def without_errors(sides: Array) -> Array:
         if not nuisances:
-            return directions(drawn[:count])
-        errors = linalg.cho_solve(factor, drawn[count:], check_finite=False)
-        return directions(drawn[:count] - cross[:, :-1].T @ errors)
+            return directions(sides)
+        errors = linalg.cho_solve(factor, sides[count:], check_finite=False)
+        return directions(sides[:count] - cross[:, :-1].T @ errors)
 
     return Reduced(
         gram=gram,
@@ -295,7 +270,8 @@ def reduce_folds(folds: Sequence[Fold], count: int, priors: PixelPriors) -> Redu
         rows=sum(fold.rows for fold in folds),
         log_norm=log_norm,
         recover=recover,
-        sides=sides,
+        pixels=pixels,
+        without_errors=without_errors,
     )
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.blocks import gain_block, pose_block, present_blocks
 from rim_camera_ros.calibrate.empirical_fit import empirical_block
-from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
 from rim_camera_ros.calibrate.imperfections import imperfection_blocks, linear_blocks
 from rim_camera_ros.calibrate.normal_equations import PATTERN_PRIOR, NormalEquations, Reduced
 from rim_camera_ros.calibrate.prediction import Shift
@@ -22,7 +22,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import OPTICS, CovariateTable
 from rim_camera_ros.effects.base import effect_of, response_of
 from rim_camera_ros.effects.candidate import Block
-from rim_camera_ros.effects.light_curves import RESPONSE, RIPPLES, SURFACES
+from rim_camera_ros.effects.light_curves import RESPONSE, RIPPLES, SURFACES, LightCurves
 from rim_camera_ros.effects.sections import light_block
 from rim_camera_ros.scene import Scene, ScenePose
 
@@ -72,6 +72,18 @@ class Problem:
         return self.pattern and self.pattern_prior < PATTERN_PRIOR
 
 
+@dataclass(frozen=True)
+class Point:
+    """Where a fit stands, as another needs it that begins there: what is not data, small beside them."""
+
+    camera: Camera
+    parameters: Mapping[str, float]
+    nuisances: Mapping[str, float]
+    pattern: Array
+    amplitude_model: AmplitudeModel
+    light_curves: LightCurves | None
+
+
 @dataclass
 class Fit:
     """The result of an adjustment, from the camera ``start`` to ``camera``.
@@ -100,6 +112,12 @@ class Fit:
     priors: Array
     notes: list[str] = field(default_factory=list)
     moving: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def point(self) -> Point:
+        """Where the fit stands."""
+        model, curves = self.forward.amplitude_model, self.forward.light_curves
+        return Point(self.camera, self.parameters, self.nuisances, self.pattern, model, curves)
 
     @property
     def sigma(self) -> dict[str, float]:

@@ -13,10 +13,11 @@ from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.leaders import leading_variants, refused, smooth_says_more
 from rim_camera_ros.calibrate.library import candidates
 from rim_camera_ros.calibrate.outcome import Result
-from rim_camera_ros.calibrate.problem import Problem
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.search_steps import Search, silent
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import level_of
+from rim_camera_ros.calibrate.trials import Workers
 from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import response_of
@@ -35,13 +36,16 @@ def search(
     most: int = MOST_EFFECTS,
     further: Sequence[Candidate] = (),
     views: Views | None = None,
+    ends_at: Callable[[Fit], bool] | None = None,
+    workers: Workers = map,
     progress: Callable[[str], None] | None = None,
 ) -> Result:
     """Add effects to a camera one after the other as long as held-out poses ask for them.
 
     ``effects`` restricts the candidates. ``further`` candidates are scored with the others but never join
     (smooth terms); where one of them explains far more than any effects, none joins. ``views`` are those of
-    the same scene by the same rays, if there are any.
+    the same scene by the same rays, if there are any. ``ends_at`` says of the fit of the camera as it is that
+    nothing shall be added to it. ``workers`` fit candidates, as `cluster.on_workers` does.
     """
     say = progress if progress is not None else silent
     folds = folds_of(problem.dataset)
@@ -64,8 +68,9 @@ def search(
         say=say,
         # masks that somebody chose may leave out pixels beside edges for good
         may_look=problem.masks is None,
+        workers=workers,
     )
-    if smooth_says_more(first):
+    if smooth_says_more(first) or (ends_at is not None and ends_at(first.fit)):
         most = 0
     state.add(most)
     if len(state.found) > 1:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -28,7 +28,7 @@ from rim_camera_ros.calibrate.leaders import (
 from rim_camera_ros.calibrate.outcome import Trial, as_good
 from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.sizes import effect_size
-from rim_camera_ros.calibrate.stations import level_of
+from rim_camera_ros.calibrate.trials import ITERATIONS, TOLERANCE, TrialFit, Workers, fit_trial
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import lean_camera, with_effects
 from rim_camera_ros.effects import OF_SURFACES, OPTICS, Physics, vocabulary
@@ -38,9 +38,6 @@ from rim_camera_ros.effects.candidate import Candidate
 _MOST_FAILURES = 2
 #: Fits that are tried for one effect.
 _MOST_TRIALS = 3
-#: Iterations of fits that add an effect, and shares of the sigmas at which they end.
-_ITERATIONS = 12
-_TOLERANCE = 0.15
 #: Share of what the best gains within which others may be as good.
 _NEARLY = 0.15
 #: Gain of a fit over its linear forecast above which it is looked at what gained it.
@@ -60,7 +57,8 @@ class Search:
     candidates, ``variants`` those worth their columns at first. ``failed`` are leaders that proved wrong
     since then, and why; ``settled`` the numbers of effects found at which the fit was repeated. ``may_look``
     allows pixels beside edges; explorations from number ``beside_edges`` on take them in. ``curves`` are
-    those of the smooth ``further`` candidates that entered as discrepancies of effects found.
+    those of the smooth ``further`` candidates that entered as discrepancies of effects found. ``workers``
+    fit what needs nothing of one another.
     """
 
     problem: Problem
@@ -78,6 +76,7 @@ class Search:
     may_look: bool = True
     beside_edges: int | None = None
     curves: list[Candidate] = field(default_factory=list)
+    workers: Workers = map
 
     @property
     def step(self) -> Exploration:
@@ -284,20 +283,19 @@ class Search:
         """
         beside = near_rivals(self.step, numbers, leader, self.failed.keys())
         choices, starts = self._ahead([numbers, *beside][:_MOST_TRIALS])
-        best: Trial | None = None
-        alone: dict[str, Trial] = {}
-        for choice in choices:
-            trial = self._trial(choice, start=starts.get(choice))
-            other = what_it_became(trial.fitted, choice, self.step, self.camera)
-            if other is not None:
-                if other not in choices:
+        trials: dict[tuple[int, ...], Trial] = {}
+        became: dict[tuple[int, ...], tuple[int, ...] | None] = {}
+        while len(trials) < len(choices):
+            new = [choice for choice in choices if choice not in trials]
+            trials |= self._trials(new, starts=starts)
+            for choice in new:
+                other = what_it_became(trials[choice].fitted, choice, self.step, self.camera)
+                became[choice] = other
+                if other is not None and other not in choices:
                     choices.append(other)
-                continue
-            if len(choice) == 1:
-                alone[trial.effects[0]] = trial
-            if best is None or trial.likelihood > best.likelihood:
-                best = trial
-        assert best is not None
+        stay = {choice: trial for choice, trial in trials.items() if became[choice] is None}
+        alone = {trial.effects[0]: trial for choice, trial in stay.items() if len(choice) == 1}
+        best = max(stay.values(), key=lambda one: one.likelihood)
         return best, as_good(alone, best)
 
     def _ahead(
@@ -315,7 +313,7 @@ class Search:
             for choice in choices
             if not any(self._physics(k).moves_rays or self._physics(k).in_time for k in choice)
         ]
-        trials = {choice: self._trial(choice, few=few) for choice in able}
+        trials = self._trials(able, few=few)
         lost: set[tuple[int, ...]] = set()
         if all(len(choice) == 1 for choice in choices):
             # beside effects found before, those nearly as good as the best are told
@@ -323,39 +321,60 @@ class Search:
             least = _NEARLY * gain * len(few) / len(self.problem.dataset.stations)
             by_fold = {choice: one.fitted.scores.log_likelihoods() for choice, one in trials.items()}
             lost = left_behind(by_fold, least=least)
-        starts = {
-            # they cost little: the nearer they come to their end, the fewer steps remain with all poses
-            choice: self._fitted(one.problem, one.fitted.fit.camera, one.fitted, near=True).fit.camera
-            for choice, one in trials.items()
-            if choice not in lost
-        }
+        # they cost little: the nearer they come to their end, the fewer steps remain with all poses
+        left = [choice for choice in able if choice not in lost]
+        ends = self.workers(fit_trial, [self._onwards(trials[choice]) for choice in left])
+        starts = {choice: one.fit.camera for choice, one in zip(left, ends, strict=True)}
         return [choice for choice in choices if choice not in lost], starts
 
-    def _trial(
-        self, choice: tuple[int, ...], *, few: Sequence[int] | None = None, start: Camera | None = None
-    ) -> Trial:
-        """Fit candidates from a guess or a better start, to the stations ``few`` alone if they are given."""
-        step = self.step
-        names = [self._effect(k) for k in choice]
-        self.say("fitting " + " and ".join(names) + (" to a few poses" if few is not None else ""))
+    def _onwards(self, trial: Trial) -> TrialFit:
+        fitted = trial.fitted.fit
+        views, folds = fitted.forward.views, self.folds
+        return TrialFit(
+            (), trial.problem, fitted.camera, fitted.point, folds, self.seed, near=True, views=views
+        )
+
+    def _request(self, choice: tuple[int, ...], few: Sequence[int] | None, start: Camera | None) -> TrialFit:
+        """Return the fit of candidates from a guess or a better start, to the stations ``few`` if given."""
+        fitted = self.step.fit
+        names = tuple(self._effect(k) for k in choice)
         geometry = tuple(dict.fromkeys([*self.problem.geometry, *(n for n in names if n in OPTICS)]))
         reflectance = self.problem.reflectance or not OF_SURFACES.isdisjoint(names)
         problem = replace(self.problem, geometry=geometry, reflectance=reflectance)
         if few is not None:
             problem = at_stations(problem, few)
-        # first by itself: what loses need not be explored; rays from where they are, as a linear guess of
-        # them may put a texture's edges on other pixels
-        guess = step.camera_with([k for k in choice if self._effect(k) not in OPTICS])
-        fitted = self._fitted(problem, guess if start is None else start, step, near=start is not None)
-        if any(vocabulary()[name].is_response for name in names):
-            # its one parameter first: together with a free response it would not find the way
-            problem = replace(problem, response=level_of(problem.dataset))
-            views, camera = step.fit.forward.views, fitted.fit.camera
-            fitted = explore(problem, camera, [], self.folds, views=views, warm=fitted.fit, replicates=0)
-        likelihood = fitted.scores.log_likelihood()
-        if len(choice) == 2:
-            likelihood -= self._threshold(choice)
-        return Trial(names, problem, fitted, likelihood)
+        near, views = start is not None, fitted.forward.views
+        if start is None:
+            # first by itself: what loses need not be explored; rays from where they are, as a linear guess of
+            # them may put a texture's edges on other pixels
+            start = self.step.camera_with([k for k in choice if self._effect(k) not in OPTICS])
+        return TrialFit(names, problem, start, fitted.point, self.folds, self.seed, near=near, views=views)
+
+    def _trials(
+        self,
+        choices: Sequence[tuple[int, ...]],
+        *,
+        few: Sequence[int] | None = None,
+        starts: Mapping[tuple[int, ...], Camera] | None = None,
+    ) -> dict[tuple[int, ...], Trial]:
+        """Fit candidates, each by itself."""
+        requests = [self._request(choice, few, (starts or {}).get(choice)) for choice in choices]
+
+        def told() -> Iterator[TrialFit]:
+            for number, one in enumerate(requests, 1):
+                where = "" if few is None else " to a few poses"
+                self.say(f"fitting {' and '.join(one.effects)}{where}, fit {number} of {len(requests)}")
+                yield one
+
+        result = {}
+        for choice, one, fitted in zip(choices, requests, self.workers(fit_trial, told()), strict=True):
+            # what comes from elsewhere brings its own data
+            fitted.fit.forward.dataset, fitted.fit.forward.masks = one.problem.dataset, one.problem.masks
+            likelihood = fitted.scores.log_likelihood()
+            if len(choice) == 2:
+                likelihood -= self._threshold(choice)
+            result[choice] = Trial([*one.effects], one.response, fitted, likelihood)
+        return result
 
     def _without(self, effects: Sequence[str], after: Exploration, gain: float) -> Exploration | None:
         """Return the fit without further effects from where that with them ended, where it gained much.
@@ -375,7 +394,7 @@ class Search:
         step: Exploration,
         wanted: Sequence[Candidate] = (),
         replicates: int = 0,
-        iterations: int = _ITERATIONS,
+        iterations: int = ITERATIONS,
         *,
         near: bool = False,
     ) -> Exploration:
@@ -390,7 +409,7 @@ class Search:
             seed=self.seed,
             replicates=replicates,
             iterations=iterations,
-            tolerance=_TOLERANCE,
+            tolerance=TOLERANCE,
             near=near,
         )
 

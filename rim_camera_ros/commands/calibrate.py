@@ -20,6 +20,7 @@ from rim_camera_ros.commands.common import (
     add_command,
     add_output,
     add_profile,
+    add_scheduler,
     add_threads,
     add_topics,
     camera_of,
@@ -82,11 +83,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--geometry", action="store_true", help="fit camera constant, principal point and distortion, too"
     )
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Dask scheduler on whose workers the recordings are read, e.g. tcp://host:8786",
-    )
+    add_scheduler(parser, "the recordings are read")
     parser.add_argument(
         "--force-result",
         action="store_true",

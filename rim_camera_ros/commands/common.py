@@ -88,6 +88,15 @@ def add_threads(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_scheduler(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add the option that names a cluster, on whose workers ``what`` is done."""
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help=f"Dask scheduler on whose workers {what}, e.g. tcp://host:8786",
+    )
+
+
 def topics_of(given: argparse.Namespace) -> Topics:
     """Return the topics that the options name. Raises `InputError` for an unknown role or profile."""
     topics = Topics.parse(given.topic, namespace=given.namespace)

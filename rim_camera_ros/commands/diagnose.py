@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rim_camera_ros.bags import Topics
 from rim_camera_ros.calibrate.checks import require_fixed_poses
+from rim_camera_ros.calibrate.cluster import on_workers, reduce_on_cluster
 from rim_camera_ros.calibrate.reduction import reduce_recording
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
@@ -16,6 +17,7 @@ from rim_camera_ros.commands.common import (
     add_command,
     add_output,
     add_profile,
+    add_scheduler,
     add_threads,
     add_topics,
     camera_of,
@@ -73,6 +75,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="poses to leave out, by the numbers that a report of an inconsistent setup names",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the simulated nulls (0)")
+    add_scheduler(parser, "the recordings are read and candidates are fitted")
     add_threads(parser)
     add_topics(parser)
     add_profile(parser)
@@ -116,7 +119,7 @@ def run(given: argparse.Namespace) -> int:
         with posed_recordings(given, (given.bag,), scene, camera, topics_of(given)) as (posed,):
             dataset = _stations(given, posed, camera, scene, topics=Topics())
     against = None if given.against is None else _stations(given, given.against, camera, scene)
-    with Stages(quiet=given.quiet) as stages:
+    with Stages(quiet=given.quiet) as stages, on_workers(given.scheduler) as workers:
         try:
             result = diagnose(
                 dataset,
@@ -125,6 +128,7 @@ def run(given: argparse.Namespace) -> int:
                 against=against,
                 seed=given.seed,
                 threads=given.threads,
+                workers=workers,
                 progress=stages.show,
             )
         except InputError as error:
@@ -156,8 +160,11 @@ def _stations(
 ) -> Dataset:
     """Read a recording and keep the stations that have all poses."""
     names = topics_of(given) if topics is None else topics
-    with Progress("read", None, quiet=given.quiet) as progress:
-        dataset = reduce_recording(path, camera, topics=names, scene=scene, progress=progress.over)
+    if given.scheduler is None:
+        with Progress("read", None, quiet=given.quiet) as progress:
+            dataset = reduce_recording(path, camera, topics=names, scene=scene, progress=progress.over)
+    else:
+        (dataset,) = reduce_on_cluster([path], camera, [scene], topics=names, scheduler=given.scheduler)
     dataset.with_poses(scene, path)
     require_fixed_poses(dataset, scene, path)
     poses = {one.pose for one in dataset.stations}

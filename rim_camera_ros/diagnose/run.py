@@ -12,10 +12,11 @@ from rim_camera_ros.calibrate.exploration import explore
 from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.imperfections import BEYOND
 from rim_camera_ros.calibrate.outcome import Result
-from rim_camera_ros.calibrate.problem import Problem
+from rim_camera_ros.calibrate.problem import Fit, Problem
 from rim_camera_ros.calibrate.search import MOST_EFFECTS, search
 from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.calibrate.trials import Workers
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import accuracy
 from rim_camera_ros.diagnose.codes import missing_codes, note_on_grid
@@ -73,19 +74,21 @@ def diagnose(
     against: Dataset | None = None,
     seed: int = 0,
     threads: int = 1,
+    workers: Workers = map,
     progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
     """Compare a recording with what the camera and scene files say of it.
 
     ``against`` is a recording of the simulation, with the same stations, which is then compared with. Of a
-    large sensor every k-th pixel is looked at. The result is the same with any number of ``threads``.
+    large sensor every k-th pixel is looked at. The result is the same with any number of ``threads``, and
+    wherever ``workers`` fit candidates.
 
     Raises `InputError` where no pixel can be compared.
     """
     say = progress if progress is not None else _silent
     step = coarseness(camera)
     if step == 1:
-        return _diagnose(dataset, scene, camera, against, seed, threads, say)
+        return _diagnose(dataset, scene, camera, against, seed, threads, workers, say)
     small = coarser_camera(camera, step)
     result = _diagnose(
         coarser_dataset(dataset, step),
@@ -94,6 +97,7 @@ def diagnose(
         None if against is None else coarser_dataset(against, step),
         seed,
         threads,
+        workers,
         say,
     )
     if any(one.saturated.any() for one in dataset.stations):
@@ -108,15 +112,18 @@ def _diagnose(
     against: Dataset | None,
     seed: int,
     threads: int,
+    workers: Workers,
     say: Callable[[str], None],
     again: int = _MOST_AGAIN,
+    setups: list[Hypothesis] | None = None,
 ) -> Diagnosis:
     moves = scene.camera_motion.moves
     facts = Facts.of(dataset, moves=moves, surfaces=len(scene.surfaces), camera=camera)
     shifts = None
     if against is not None:
         shifts = Forward(dataset, scene, camera).shifts_to(against)
-    setups = [] if against is not None else compare_setups(dataset, scene, camera)
+    if setups is None:
+        setups = [] if against is not None else compare_setups(dataset, scene, camera)
     other = best_setup(setups)
     say("looking at the covariates")
     forward = Forward(dataset, scene, camera)
@@ -152,17 +159,20 @@ def _diagnose(
             further=smooth,
             seed=seed,
             views=forward.views,
+            ends_at=lambda fitted: _other_lens(fitted, camera) is not None,
+            workers=workers,
             progress=say,
         )
     except (RimError, np.linalg.LinAlgError):
         return with_setups(_hopeless(problem, camera, variance, seed), setups)
     baseline, final = result.explorations[0], result.explorations[-1]
-    beyond_stated = optics_beyond(baseline.fit, camera)
-    if beyond_stated is not None and camera.covariance is not None:
+    beyond_stated = _other_lens(baseline.fit, camera)
+    if beyond_stated is not None:
+        assert camera.covariance is not None
         say("once more without the stated covariance of the optics")
         free = replace(camera, covariance=camera.covariance.without(["optics."]))
         noted = replace(dataset, notes=[*dataset.notes, beyond_stated])
-        return _diagnose(noted, scene, free, against, seed, threads, say, again)
+        return _diagnose(noted, scene, free, against, seed, threads, workers, say, again, setups)
     if alone:
         dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
     say("looking for what no named effect explains")
@@ -212,7 +222,8 @@ def _diagnose(
     reason = None if variance.pixels_vary_together or codes is not None else reason
     if reason is not None and setup.may_do_without and against is None and again > 0:
         say("once more without what does not agree")
-        return _diagnose(_without(problem.dataset, setup), scene, camera, None, seed, threads, say, again - 1)
+        kept = _without(problem.dataset, setup)
+        return _diagnose(kept, scene, camera, None, seed, threads, workers, say, again - 1)
     by_background = only_background(result, unknown, variance, camera)
     if by_background or only_rectified_noise(result, variance):
         described = None
@@ -235,6 +246,11 @@ def _diagnose(
     if diagnosis.accuracy.hopeless:
         diagnosis = _hopeless(problem, camera, variance, seed)
     return with_setups(replace(diagnosis, nuisances=nuisances_of(result.fit, camera)), setups)
+
+
+def _other_lens(fitted: Fit, camera: Camera) -> str | None:
+    """Return in words that the optics are none that the file's covariance allows; None: they may be."""
+    return None if camera.covariance is None else optics_beyond(fitted, camera)
 
 
 def with_setups(diagnosis: Diagnosis, setups: list[Hypothesis]) -> Diagnosis:

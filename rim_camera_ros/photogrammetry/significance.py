@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from rim_camera_ros.optics import Optics
 from rim_camera_ros.photogrammetry.adjustment import Adjusted, State
@@ -48,7 +48,7 @@ def least_significant(adjusted: Adjusted, start: Optics, significance: float) ->
         value = np.array([values[name] for name in group])
         weight = np.linalg.solve(covariance[np.ix_(where, where)], value)
         statistic = float(value @ weight) / len(group)
-        probability = float(fisher.sf(statistic, len(group), max(adjusted.redundancy, 1)))
+        probability = float(fdtrc(len(group), max(adjusted.redundancy, 1), statistic))
         if probability > significance and (worst is None or probability > worst.probability):
             worst = LeftOut(group, statistic, probability)
     return worst

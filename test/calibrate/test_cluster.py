@@ -1,25 +1,38 @@
-"""Reduction on a Dask cluster: the same stations, also when a worker is lost."""
+"""Reductions and fits on a Dask cluster: the same results, also when a worker is lost."""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.cluster import reduce_on_cluster
+from rim_camera_ros.calibrate.cluster import on_workers, reduce_on_cluster
+from rim_camera_ros.calibrate.exploration import explore
+from rim_camera_ros.calibrate.library import candidates
+from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.reduction import reduce_recording
+from rim_camera_ros.calibrate.search_steps import Search
+from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.cli import main
+from rim_camera_ros.effects.candidate import Facts
+from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.scene import Scene, load_scene
 
-from .helpers import CAMERA
+from .helpers import CAMERA, camera, record, scene
+
+#: What the simulated camera has and its file has not.
+CYCLIC = CyclicError((Harmonic(4, 0.011, 0.7),), (0.0, 0.0))
 
 SCENE = """
 format: rim_scene/1
@@ -92,6 +105,63 @@ def test_a_lost_worker_costs_time_and_nothing_else(
         assert part.files == [str(path)]
         for one, other in zip(part.stations, own.stations, strict=True):
             assert np.array_equal(one.distance, other.distance, equal_nan=True)
+
+
+def called_by_a_worker_that_dies_once(marker: Path, function: Callable[[Any], Any], item: Any) -> Any:
+    """Call a function; the first worker that begins is killed."""
+    if not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return function(item)
+
+
+@pytest.mark.slow
+def test_candidates_are_fitted_as_on_one_machine_though_a_worker_is_lost(tmp_path: Path) -> None:
+    """A cyclic error and a wrong scale, each fitted beside the camera as it is, to the last bit."""
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is an optional extra")
+    board = scene(tmp_path)
+    data = record(camera(tmp_path, CYCLIC), board, poses=12, seed=3)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=camera(tmp_path))
+    problem, folds = Problem(data, board), folds_of(data)
+    pool = candidates(camera(tmp_path), facts, effects=["cyclic_error", "distance_scale"])
+    first = explore(problem, camera(tmp_path), pool, folds, replicates=0)
+    choices = [(number,) for number in first.best().values()]
+    here = Search(problem, camera(tmp_path), [first], folds)._trials(choices)
+    marker = tmp_path / "a_worker_was_lost"
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        on_workers(cluster.scheduler_address) as workers,
+    ):
+
+        def dying(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+            return workers(partial(called_by_a_worker_that_dies_once, marker, function), items)
+
+        there = Search(problem, camera(tmp_path), [first], folds, workers=dying)._trials(choices)
+    assert marker.exists()
+    assert {one.effects[0] for one in there.values()} == {"cyclic_error", "distance_scale"}
+    for choice, one in there.items():
+        assert one.fitted.fit.parameters == here[choice].fitted.fit.parameters
+        assert one.likelihood == here[choice].likelihood
+        assert one.fitted.fit.forward.dataset is data
+
+
+@pytest.mark.slow
+def test_a_diagnosis_on_a_cluster_is_that_of_one_machine(bags: tuple[Path, list[Path]]) -> None:
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is an optional extra")
+    folder, bag = bags[0].parent, bags[1][0]
+    board = folder / "moved.yaml"
+    board.write_text(SCENE.replace("pose: {position: [0, 0, 2.5]}", "pose: truth"))
+    given = ["diagnose", str(bag), "--camera", str(bags[0]), "--scene", str(board), "--quiet"]
+    assert main([*given, "--out", str(folder / "here")]) == 0
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        scheduler = cluster.scheduler_address
+        assert main([*given, "--out", str(folder / "there"), "--scheduler", scheduler]) == 0
+    here, there = (json.loads((folder / name / "report.json").read_text()) for name in ("here", "there"))
+    assert here == there
 
 
 def test_without_a_scheduler_the_error_names_the_address(

@@ -286,7 +286,11 @@ def test_what_became_another_effect_is_no_rival_of_it(
     monkeypatch.setattr(
         search_steps, "what_it_became", lambda _, choice, *__: became if choice == (0,) else None
     )
-    monkeypatch.setattr(Search, "_trial", lambda _, one, **__: trial([names[one[0]]], by_fold[one[0]]))
+    monkeypatch.setattr(
+        Search,
+        "_trials",
+        lambda _, choices, **__: {one: trial([names[one[0]]], by_fold[one[0]]) for one in choices},
+    )
     monkeypatch.setattr(search_steps, "few_stations", lambda *_, **__: None)
     best, others = Search(nothing, nothing, [step], {})._best_trial((0,), 0)
     assert (best.effects, others) == (["mixed_pixels"], close)
