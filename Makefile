@@ -14,7 +14,7 @@ PIP_INSTALL := -m pip install --quiet --disable-pip-version-check --no-input --n
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-large-data test-all test-blind test-oldest lint docs bench proof soak lock clean
+.PHONY: help venv demo test test-tcp test-all test-blind test-oldest lint docs bench proof soak lock clean
 
 help: ## print this list of targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
@@ -34,7 +34,7 @@ else
 	@$(RUN) -m pytest -m "not slow" $(PYTEST_ARGS)
 endif
 
-test-large-data: $(VENV)/.installed ## run the ROS tests without shared memory, over UDP and TCP
+test-tcp: $(VENV)/.installed ## run the ROS tests with Fast DDS' LARGE_DATA in the place of the shipped profile
 	@FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA $(RUN) -m pytest -m "not slow" $(PYTEST_ARGS) test/ros
 
 test-all: $(VENV)/.installed ## run all tests

@@ -111,6 +111,28 @@ LINES = {
 }
 
 
+@pytest.mark.parametrize("executable", [*NODES, "rim"])
+def test_while_a_library_is_imported(tmp_path: Path, executable: str) -> None:
+    """Libraries that take for ever to import stand in for slow ones: the signal comes in the midst of it."""
+    for library in ("numpy", "rclpy"):
+        (tmp_path / f"{library}.py").write_text(
+            "import time\nprint('importing', flush=True)\ntime.sleep(60)\n"
+        )
+    module = "rim_camera_ros.cli" if executable == "rim" else module_of(executable)
+    with subprocess.Popen(
+        [sys.executable, "-m", module, *(["plan", "--camera", "sr3000"] if executable == "rim" else [])],
+        env=os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as running:
+        assert running.stdout is not None
+        assert running.stdout.readline() == "importing\n"
+        running.send_signal(signal.SIGINT)
+        _, errors = running.communicate(timeout=30.0)
+    assert (running.returncode, errors) == ((130, "rim: interrupted\n") if executable == "rim" else (0, ""))
+
+
 @pytest.mark.parametrize("after", MOMENTS)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_ends_with_status_130_and_one_line(tmp_path: Path, command: str, after: float) -> None:
