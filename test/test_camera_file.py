@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.coarser import coarser_camera
 from rim_camera_ros.camera import Camera, Covariance, Noise, Optics, Radiometry, Sensor, Validity
 from rim_camera_ros.camera_file import (
     camera_numbers,
@@ -30,6 +29,7 @@ from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
 from rim_camera_ros.effects.warm_up_drift import WarmUpDrift
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.files import find_camera, find_scene, share_folder, shipped
+from rim_camera_ros.fit.decimation import decimated_camera
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.parameters import ArrayFile
 from rim_camera_ros.scene import load_scene, see
@@ -416,8 +416,8 @@ def test_pixel_pitch_need_not_be_known(tmp_path: Path) -> None:
     assert without != TEXT
     camera = load(tmp_path, without)
     assert camera.sensor.pixel_pitch is None
-    assert coarser_camera(camera, 2).sensor.pixel_pitch is None
-    assert coarser_camera(load(tmp_path, TEXT), 2).sensor.pixel_pitch == pytest.approx((80e-6, 100e-6))
+    assert decimated_camera(camera, 2).sensor.pixel_pitch is None
+    assert decimated_camera(load(tmp_path, TEXT), 2).sensor.pixel_pitch == pytest.approx((80e-6, 100e-6))
     save_camera(camera, tmp_path / "again.yaml")
     assert "pixel_pitch" not in (tmp_path / "again.yaml").read_text()
     assert load_camera(tmp_path / "again.yaml") == camera

@@ -11,20 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.blocks import gain_block, present_blocks
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.library import candidates
-from rim_camera_ros.calibrate.normal_equations import NormalEquations, accumulate
-from rim_camera_ros.calibrate.nulls import null_scores
-from rim_camera_ros.calibrate.residuals import amplitude_error, huber
-from rim_camera_ros.calibrate.selection import Scores, folds_of
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.candidate import Block, Facts
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.scattering import Kernel, Scattering
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.design import gain_block, present_blocks
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.normal_equations import NormalEquations, accumulate
+from rim_camera_ros.fit.residuals import amplitude_error, huber
 from rim_camera_ros.scene import Scene
+from rim_camera_ros.select.candidates import candidates
+from rim_camera_ros.select.evidence import Scores, folds_of
+from rim_camera_ros.select.null_replicates import null_scores
 from rim_camera_ros.threads import available, in_order
 
 from .calibrate.helpers import camera, record, scene

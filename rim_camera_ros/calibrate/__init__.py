@@ -1,1 +1,1 @@
-"""Calibration: recordings -> stations -> normal equations -> parameters with their uncertainty."""
+"""Calibration: the command over `fit` and `select`, what it checks before and states afterwards."""

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.bags import Recording, Topics
-from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.held_out import wrapped
-from rim_camera_ros.calibrate.reduction import check_frame, of_known_exposure
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import without_poses
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.reduction import check_frame, of_known_exposure
 from rim_camera_ros.frame import Intrinsics, RawFrame
 from rim_camera_ros.scene import Scene, ScenePose, rotation_matrix, see
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.stations import Dataset, Station
-from rim_camera_ros.calibrate.views import View, Views
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.fit.data import Dataset, Station
+from rim_camera_ros.fit.views import View, Views
 from rim_camera_ros.frame import INVALID, RawFrame
 from rim_camera_ros.phasor import wrap_residual
 from rim_camera_ros.pipeline.correct import Correction

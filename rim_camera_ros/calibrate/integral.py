@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.interpolate import BSpline
 
-from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
-from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.solution import with_pattern
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects import PositionTable
 from rim_camera_ros.effects.tables import interpolate
+from rim_camera_ros.fit.forward import AmplitudeModel, Forward
+from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.parameters import ArrayFile
 
 Array = NDArray[Any]

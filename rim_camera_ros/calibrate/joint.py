@@ -5,25 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.blocks import gain_block, present_blocks
-from rim_camera_ros.calibrate.clusters import widening
-from rim_camera_ros.calibrate.determined import (
+from rim_camera_ros.calibrate.effect_status import (
     EffectStatus,
     statuses,
     undeterminable,
     undetermined_effects,
 )
-from rim_camera_ros.calibrate.empirical_fit import empirical_block, empirical_covariates, empirical_start
-from rim_camera_ros.calibrate.exploration import LEAST_THRESHOLD, explore
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.library import candidates
-from rim_camera_ros.calibrate.problem import Fit, Problem
-from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT
-from rim_camera_ros.calibrate.search import search
-from rim_camera_ros.calibrate.selection import Scores, folds_of
+from rim_camera_ros.calibrate.sandwich_covariance import widening
 from rim_camera_ros.calibrate.solution import Solution, count_outliers
-from rim_camera_ros.calibrate.views import Views
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import added, with_effects
 from rim_camera_ros.effects import (
@@ -40,6 +29,17 @@ from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.light_curves import SURFACES
 from rim_camera_ros.effects.sections import light_block
 from rim_camera_ros.errors import InputError, nearest_name
+from rim_camera_ros.fit.covariate_table import empirical_block, empirical_covariates, empirical_start
+from rim_camera_ros.fit.design import gain_block, present_blocks
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.problem import Fit, Problem
+from rim_camera_ros.fit.residuals import ROBUST_LIMIT
+from rim_camera_ros.fit.solver import fit
+from rim_camera_ros.fit.views import Views
+from rim_camera_ros.select.candidates import candidates
+from rim_camera_ros.select.evidence import Scores, folds_of
+from rim_camera_ros.select.exploration import LEAST_THRESHOLD, explore
+from rim_camera_ros.select.search import search
 
 Say = Callable[[str], None]
 Key = tuple[int, int]

@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.coarser import coarser_camera, coarser_dataset, finer_camera, finer_number
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.imperfections import pattern_field
-from rim_camera_ros.calibrate.pixels import BESIDE, WIDEST, usable_pixels
-from rim_camera_ros.calibrate.prediction import Prediction
-from rim_camera_ros.calibrate.residuals import ROBUST_LIMIT, after_nuisances
 from rim_camera_ros.calibrate.solution import Solution, with_pattern
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera, Validity
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects import PixelMap
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.decimation import decimated_camera, decimated_dataset, full_camera, full_number
+from rim_camera_ros.fit.design import pattern_field
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.pixels import BESIDE, WIDEST, usable_pixels
+from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.residuals import ROBUST_LIMIT, after_nuisances
 from rim_camera_ros.scene import Scene, beside_edges, see
 
 Array = NDArray[Any]
@@ -42,7 +42,7 @@ class LargeSensor:
     @property
     def coarse(self) -> tuple[Camera, Dataset]:
         """Camera and stations on the coarser grid."""
-        return coarser_camera(self.camera, self.step), coarser_dataset(self.dataset, self.step)
+        return decimated_camera(self.camera, self.step), decimated_dataset(self.dataset, self.step)
 
     @property
     def note(self) -> str:
@@ -80,7 +80,7 @@ class LargeSensor:
         fitted = solution.fit
         small = fitted.camera
         without = {name: one for name, one in small.effects.items() if name != PixelMap.name}
-        camera = finer_camera(with_effects(small, without), self.camera, self.step)
+        camera = full_camera(with_effects(small, without), self.camera, self.step)
         if PixelMap.name in self.camera.effects:
             camera = with_effects(
                 camera, {**camera.effects, PixelMap.name: self.camera.effects[PixelMap.name]}
@@ -111,7 +111,7 @@ class LargeSensor:
 
     def covariance(self, paths: Sequence[str], matrix: Array) -> Array:
         """Return a covariance of parameters of the coarser grid's camera as that of the full one's."""
-        scale = np.array([finer_number(path, 1.0, self.step) for path in paths])
+        scale = np.array([full_number(path, 1.0, self.step) for path in paths])
         return np.asarray(matrix * scale[:, None] * scale[None, :])
 
     def validity(self, coarse: Validity) -> Validity:

@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.blocks import gain_block, present_blocks
-from rim_camera_ros.calibrate.coarser import coarser_camera
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.library import candidates
-from rim_camera_ros.calibrate.normal_equations import accumulate
-from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.devices.timeline import Timeline
 from rim_camera_ros.effects import vocabulary
 from rim_camera_ros.effects.candidate import Block, Candidate, Facts, Regressor
 from rim_camera_ros.files import find_scene, shipped
+from rim_camera_ros.fit.data import Dataset, Station
+from rim_camera_ros.fit.decimation import decimated_camera
+from rim_camera_ros.fit.design import gain_block, present_blocks
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.normal_equations import accumulate
 from rim_camera_ros.frame import NANOSECONDS, Pose, Settings
 from rim_camera_ros.scene import Scene, load_scene
+from rim_camera_ros.select.candidates import candidates
 
 Array = NDArray[Any]
 
@@ -139,7 +139,7 @@ def planning_camera(camera: Camera) -> tuple[Camera, int]:
     step = max(1, round(camera.sensor.width / _COLUMNS))
     physics = {name: one for name, one in camera.effects.items() if not one.stated_by_pixels}
     camera = with_effects(camera, physics)
-    return (coarser_camera(camera, step) if step > 1 else camera), step
+    return (decimated_camera(camera, step) if step > 1 else camera), step
 
 
 def _equations(

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.determined import EffectStatus
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.residuals import after_nuisances
+from rim_camera_ros.calibrate.effect_status import EffectStatus
 from rim_camera_ros.calibrate.solution import Solution
-from rim_camera_ros.calibrate.stations import Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects import InternalReference, ReferenceScale, estimate_reference_scale, mean_reading
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.data import Station
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.residuals import after_nuisances
 
 Array = NDArray[Any]
 

@@ -8,16 +8,18 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.normal_equations import PATTERN_PRIOR
-from rim_camera_ros.calibrate.pattern_prior import (
+from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR
+from rim_camera_ros.fit.pixels import Beside, beside_in_view, without_edges
+from rim_camera_ros.fit.problem import Fit, Problem
+from rim_camera_ros.fit.variance_components import (
     first_pattern_prior,
     likely_pattern_prior,
     pattern_prior_note,
+    pose_variance_factors,
+    pose_variance_note,
+    settled_poses,
+    wider_poses_note,
 )
-from rim_camera_ros.calibrate.pixels import Beside, beside_in_view, without_edges
-from rim_camera_ros.calibrate.pose_errors import settled_poses, wider_poses_note
-from rim_camera_ros.calibrate.problem import Fit, Problem
-from rim_camera_ros.calibrate.uneven_poses import uneven_note, uneven_poses
 
 Array = NDArray[Any]
 
@@ -62,7 +64,7 @@ class Refinement:
             return replace(problem, scene=wider), "wider errors of poses"
         # where pixels have many looks, weights would hide from chi-square an effect that is missing
         uneven = self._first_size != PATTERN_PRIOR and not problem.variance_factors
-        factors = uneven_poses(problem, fitted) if uneven else None
+        factors = pose_variance_factors(problem, fitted) if uneven else None
         if factors is not None:
             return replace(problem, variance_factors=factors), "weights of poses"
         if self._unsized:
@@ -78,7 +80,7 @@ class Refinement:
         if problem.pattern_prior != PATTERN_PRIOR:
             result.append(pattern_prior_note(problem.pattern_prior))
         if problem.variance_factors:
-            result.append(uneven_note(problem.variance_factors))
+            result.append(pose_variance_note(problem.variance_factors))
         if problem.scene is not self._stated:
             result.append(wider_poses_note(self._stated, problem.scene))
         return result

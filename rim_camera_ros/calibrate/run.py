@@ -14,31 +14,29 @@ from scipy.linalg import block_diag
 
 from rim_camera_ros.bags import Topics
 from rim_camera_ros.calibrate import checks
-from rim_camera_ros.calibrate.beyond_form import beyond_form
-from rim_camera_ros.calibrate.coarser import coarseness, coarseness_of, coarser_camera
-from rim_camera_ros.calibrate.determined import EffectStatus
-from rim_camera_ros.calibrate.forward import Forward
+from rim_camera_ros.calibrate.acceptance import beyond_form, refusals
+from rim_camera_ros.calibrate.effect_status import EffectStatus
 from rim_camera_ros.calibrate.held_out import Accuracy, evaluate
 from rim_camera_ros.calibrate.integral import IntegralFit
 from rim_camera_ros.calibrate.joint import Outcome, by_search, exactly
 from rim_camera_ros.calibrate.large_sensor import LargeSensor
-from rim_camera_ros.calibrate.noise_fit import POOR, NoiseFit, fit_noise
-from rim_camera_ros.calibrate.pixels import beside_in_view, usable_pixels
-from rim_camera_ros.calibrate.problem import Problem
 from rim_camera_ros.calibrate.provenance import Source, checksum, provenance
+from rim_camera_ros.calibrate.recordings import Progress, Reducer, Watch, joined
 from rim_camera_ros.calibrate.reference_scale import NAME as REFERENCE
 from rim_camera_ros.calibrate.reference_scale import PATHS, FittedReference, fit_reference, with_reference
 from rim_camera_ros.calibrate.refinement import Refinement
-from rim_camera_ros.calibrate.refusal import refusals
-from rim_camera_ros.calibrate.several_scenes import joined
 from rim_camera_ros.calibrate.solution import Solution, high_correlations, stated
-from rim_camera_ros.calibrate.stations import Dataset, merged
 from rim_camera_ros.calibrate.validity import supported
-from rim_camera_ros.calibrate.watch import Progress, Reducer, Watch
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import OPTICS, PositionTable
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.data import Dataset, merged
+from rim_camera_ros.fit.decimation import decimated_camera, decimation_for, decimation_of
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.noise import POOR, NoiseFit, fit_noise
+from rim_camera_ros.fit.pixels import beside_in_view, usable_pixels
+from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]
@@ -162,7 +160,7 @@ def calibrate(
     large: LargeSensor | None = None
     step = 1
     if not request.geometry:
-        step = coarseness(camera) if request.effects is None else coarseness_of(camera, request.effects)
+        step = decimation_of(camera) if request.effects is None else decimation_for(camera, request.effects)
     if step > 1:
         large = LargeSensor(camera, dataset, scene, step)
         camera, dataset = large.coarse
@@ -262,7 +260,7 @@ def _finished(
     }
     arguments = (dataset, forward.views)
     split = solution.folds if numbers else {}
-    before = request.camera if large is None else coarser_camera(request.camera, large.step)
+    before = request.camera if large is None else decimated_camera(request.camera, large.step)
     accuracy = evaluate(*arguments, cameras, split, before, masks, held_out=bool(numbers), tick=watch.tick)
     table, by_table = None, None
     if integral or only_integral:

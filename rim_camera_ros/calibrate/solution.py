@@ -10,19 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from rim_camera_ros.calibrate.blocks import GAIN
-from rim_camera_ros.calibrate.empirical_fit import with_empirical_changes
-from rim_camera_ros.calibrate.imperfections import is_linear, pattern_field
-from rim_camera_ros.calibrate.problem import Fit
-from rim_camera_ros.calibrate.residuals import after_nuisances
-from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera, Covariance
 from rim_camera_ros.camera_file import added, camera_numbers, with_numbers
 from rim_camera_ros.effects import PixelMap
 from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.effects.light_curves import of_light
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.covariate_table import with_empirical_changes
+from rim_camera_ros.fit.design import GAIN, is_linear, pattern_field
+from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.parameters import ArrayFile
+from rim_camera_ros.select.evidence import Scores
 
 Array = NDArray[Any]
 Key = tuple[int, int]

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.camera import Validity
+from rim_camera_ros.fit.forward import Forward
 
 Array = NDArray[Any]
 

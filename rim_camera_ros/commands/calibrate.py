@@ -12,9 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from rim_camera_ros.bags import DEFAULT_NAMESPACE, Topics
+from rim_camera_ros.calibrate.recordings import Reducer
 from rim_camera_ros.calibrate.run import Calibration, Request, calibrate
-from rim_camera_ros.calibrate.stations import Dataset
-from rim_camera_ros.calibrate.watch import Reducer
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.commands.common import (
     add_command,
@@ -33,6 +32,7 @@ from rim_camera_ros.commands.common import (
 from rim_camera_ros.commands.from_images import posed_recordings
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
+from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.reports.calibration_files import page_of, require_a_good_one, write_calibration
 from rim_camera_ros.reports.calibration_text import calibration_text
 from rim_camera_ros.scene import Scene
@@ -143,7 +143,7 @@ def _require_a_good_one(given: argparse.Namespace, result: Calibration) -> None:
 def _reducer(scheduler: str | None) -> Reducer | None:
     if scheduler is None:
         return None
-    from rim_camera_ros.calibrate.cluster import reduce_on_cluster
+    from rim_camera_ros.calibrate.recordings import reduce_on_cluster
 
     def reduce_all(
         paths: Sequence[Path], camera: Camera, topics: Topics | None, scenes: Sequence[Scene]

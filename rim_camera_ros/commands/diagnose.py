@@ -7,9 +7,7 @@ from pathlib import Path
 
 from rim_camera_ros.bags import Topics
 from rim_camera_ros.calibrate.checks import require_fixed_poses
-from rim_camera_ros.calibrate.cluster import on_workers, reduce_on_cluster
-from rim_camera_ros.calibrate.reduction import reduce_recording
-from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.calibrate.recordings import on_workers, reduce_on_cluster
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.commands.common import (
     Progress,
@@ -31,6 +29,8 @@ from rim_camera_ros.commands.output_folder import OutputFolder
 from rim_camera_ros.diagnose.files import MODEL, PAGE, REPORT, WHERE
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.reduction import reduce_recording
 from rim_camera_ros.scene import Scene
 
 _EXAMPLES = """

@@ -9,10 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.coarser import coarser_dataset
-from rim_camera_ros.calibrate.fold_sums import Fold
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.normal_equations import accumulate, reduce_folds
 from rim_camera_ros.calibrate.plan import (
     NARROWED,
     blocks_of,
@@ -21,11 +17,15 @@ from rim_camera_ros.calibrate.plan import (
     planning_camera,
     with_expected_light,
 )
-from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.coverage.proposals import Proposal, proposals
 from rim_camera_ros.effects import registry
 from rim_camera_ros.effects.candidate import Block
+from rim_camera_ros.fit.data import Dataset, Station
+from rim_camera_ros.fit.decimation import decimated_dataset
+from rim_camera_ros.fit.fold_sums import Fold
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.normal_equations import accumulate, reduce_folds
 from rim_camera_ros.frame import NANOSECONDS
 from rim_camera_ros.scene import Scene
 
@@ -118,7 +118,7 @@ class Evaluator:
         """Take a station, on all pixels; False where it lacks the pose of a surface."""
         if any(name not in station.truth for name in self.scene.needs_truth):
             return False
-        small = coarser_dataset(Dataset([station]), self.step).stations[0] if self.step > 1 else station
+        small = decimated_dataset(Dataset([station]), self.step).stations[0] if self.step > 1 else station
         self._stations.append(replace(small, recording=0))
         return True
 

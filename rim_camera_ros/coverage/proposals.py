@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from rim_camera_ros.calibrate.stations import Station
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.fit.data import Station
 from rim_camera_ros.frame import Pose, Settings
 from rim_camera_ros.scene import Scene, Surface, quaternion, rotation_matrix
 

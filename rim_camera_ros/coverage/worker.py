@@ -14,7 +14,6 @@ import threading
 from collections.abc import Iterator
 from typing import IO
 
-from rim_camera_ros.calibrate.reduction import of_known_exposure, reduce_frames
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.coverage.evaluate import Evaluator
@@ -22,6 +21,7 @@ from rim_camera_ros.coverage.frames import Message, live_frames, posed_frames
 from rim_camera_ros.coverage.picture import Report, coverage_picture
 from rim_camera_ros.diagnose.variance import movement_of
 from rim_camera_ros.errors import RimError
+from rim_camera_ros.fit.reduction import of_known_exposure, reduce_frames
 from rim_camera_ros.frame import RawFrame
 from rim_camera_ros.scene import Scene, load_scene
 

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.outcome import Result
-from rim_camera_ros.calibrate.problem import Fit, Problem, blocks_of
-from rim_camera_ros.calibrate.residuals import after_nuisances
-from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.fit.problem import Fit, Problem, blocks_of
+from rim_camera_ros.fit.residuals import after_nuisances
+from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.parameters import NestedList
+from rim_camera_ros.select.compare import Result
+from rim_camera_ros.select.evidence import Scores
 
 Array = NDArray[Any]
 #: Changes of parameters, errors of poses and powers, fixed pattern (H, W) in m.

@@ -10,18 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from rim_camera_ros.calibrate.blocks import GAIN
-from rim_camera_ros.calibrate.entry import LEAST_SIZE, PAIRED_ERRORS, paired_error
-from rim_camera_ros.calibrate.exploration import explore
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.outcome import Result
-from rim_camera_ros.calibrate.prediction import Prediction
-from rim_camera_ros.calibrate.problem import Fit
-from rim_camera_ros.calibrate.selection import folds_of
-from rim_camera_ros.calibrate.sizes import contribution
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.effects.sections import Radiometry
+from rim_camera_ros.fit.design import GAIN
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.select.compare import LEAST_SIZE, PAIRED_ERRORS, Result, paired_error
+from rim_camera_ros.select.effect_sizes import contribution
+from rim_camera_ros.select.evidence import folds_of
+from rim_camera_ros.select.exploration import explore
 
 #: A term has moved where chance would do so once in this many times.
 _CHANCE = 1e-4

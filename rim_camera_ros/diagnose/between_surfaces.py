@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.prediction import Prediction
-from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.effects.covariates import EDGE_STEP
+from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.residuals import after_nuisances
 
 Array = NDArray[Any]
 

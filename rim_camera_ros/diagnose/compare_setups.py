@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.coarser import coarser_camera, coarser_dataset
-from rim_camera_ros.calibrate.stations import Dataset, Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.hypotheses import AS_GIVEN, Files, Hypothesis, Trial, by_gain
 from rim_camera_ros.diagnose.setup_trials import CAMERA_AMPLITUDE, coarse_forward, other_boards, trials_of
 from rim_camera_ros.errors import RimError
+from rim_camera_ros.fit.data import Dataset, Station
+from rim_camera_ros.fit.decimation import decimated_camera, decimated_dataset
 from rim_camera_ros.scene import Scene
 
 #: Hypotheses about the tiles of a surface.
@@ -40,7 +40,7 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
     chosen = _some_poses(dataset)
     step = round(np.sqrt(camera.sensor.width * camera.sensor.height / _ENOUGH_PIXELS))
     if step > 1:
-        chosen, camera = coarser_dataset(chosen, step), coarser_camera(camera, step)
+        chosen, camera = decimated_dataset(chosen, step), decimated_camera(camera, step)
     files = (chosen, scene, camera)
     given = _score(files)
     poses = len({(one.recording, one.pose) for one in dataset.stations})

@@ -9,10 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.entry import curve_of_forms
-from rim_camera_ros.calibrate.exploration import Exploration, explore
-from rim_camera_ros.calibrate.outcome import Result
-from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import added, in_order
 from rim_camera_ros.diagnose.formula import closed_form
@@ -29,6 +25,9 @@ from rim_camera_ros.diagnose.unknown import (
 from rim_camera_ros.diagnose.where import Where, of_residuals, of_terms, of_values
 from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.select.compare import Result, curve_of_forms
+from rim_camera_ros.select.exploration import Exploration, explore
 
 Array = NDArray[Any]
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from rim_camera_ros.calibrate.coarser import finer_camera, finer_image, finer_number
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.adjusted import Adjusted
 from rim_camera_ros.diagnose.formula import closed_form, formula_curve
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.fit.decimation import full_camera, full_image, full_number
 
 #: Points of a closed form that it is restated from.
 _POINTS = 32
@@ -20,11 +20,11 @@ _POINTS = 32
 
 def on_full_grid(result: Diagnosis, camera: Camera, step: int) -> Diagnosis:
     """Restate a diagnosis of every ``step``-th pixel for the ``camera`` of all of them; in place."""
-    small, full = result.camera, finer_camera(result.camera, camera, step)
+    small, full = result.camera, full_camera(result.camera, camera, step)
     result.missing = [restated(one, small, full, step) for one in result.missing]
     result.adjusted = [_adjusted(one, step) for one in result.adjusted]
     result.looked_at, result.camera = small, full
-    result.where = replace(result.where, pixels=finer_image(result.where.pixels, camera.shape, step))
+    result.where = replace(result.where, pixels=full_image(result.where.pixels, camera.shape, step))
     result.notes.append(f"of every {step} x {step} pixels one was looked at")
     return result
 
@@ -33,10 +33,10 @@ def restated(one: Missing, small: Camera, full: Camera, step: int) -> Missing:
     """Return what the ``small`` camera of every ``step``-th pixel found in pixels of the ``full`` one."""
     prefix = _prefix(one.effect, small)
     low_and_high = {
-        path: (finer_number(prefix + path, low, step), finer_number(prefix + path, high, step))
+        path: (full_number(prefix + path, low, step), full_number(prefix + path, high, step))
         for path, (low, high) in one.interval.items()
     }
-    values = {path: finer_number(prefix + path, value, step) for path, value in one.parameters.items()}
+    values = {path: full_number(prefix + path, value, step) for path, value in one.parameters.items()}
     sentence, formula = one.sentence, _formula(one, small, full)
     if one.effect in small.effects:
         sentence = sentence.replace(small.effects[one.effect].sentence(), full.effects[one.effect].sentence())
@@ -66,7 +66,7 @@ def _formula(one: Missing, small: Camera, full: Camera) -> str | None:
 
 def _adjusted(one: Adjusted, step: int) -> Adjusted:
     def told(values: dict[str, float]) -> dict[str, float]:
-        return {path: finer_number(f"effects.{one.effect}.{path}", v, step) for path, v in values.items()}
+        return {path: full_number(f"effects.{one.effect}.{path}", v, step) for path, v in values.items()}
 
     return Adjusted(one.effect, told(dict(one.before)), told(dict(one.after)))
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.scene import Scene
 
 AS_GIVEN = "as_given"

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.blocks import GAIN
-from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.nulls import null_scores
-from rim_camera_ros.calibrate.problem import Fit, Problem
-from rim_camera_ros.calibrate.selection import Scores
-from rim_camera_ros.calibrate.steps import bounds_of
+from rim_camera_ros.fit.design import GAIN
+from rim_camera_ros.fit.problem import Fit, Problem
+from rim_camera_ros.fit.solver import fit
+from rim_camera_ros.fit.steps import bounds_of
+from rim_camera_ros.select.evidence import Scores
+from rim_camera_ros.select.exploration import Exploration
+from rim_camera_ros.select.null_replicates import null_scores
 
 Array = NDArray[Any]
 

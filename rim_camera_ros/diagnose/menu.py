@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.blocks import gain_block, present_blocks
-from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.normal_equations import accumulate
 from rim_camera_ros.calibrate.plan import SUFFIX, planned_dataset
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.errors import RimError
+from rim_camera_ros.fit.design import gain_block, present_blocks
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.normal_equations import accumulate
 from rim_camera_ros.scene import Scene
+from rim_camera_ros.select.exploration import Exploration
 
 Array = NDArray[Any]
 

@@ -9,9 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.outcome import Result
-from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.diagnose.codes import MissingCodes
@@ -21,7 +18,10 @@ from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.effects import OF_SURFACES, SECTIONS, registry, vocabulary
 from rim_camera_ros.effects.base import Effect, ResponseEffect
 from rim_camera_ros.effects.light_curves import PREFIX, SURFACES, LightCurves
+from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.info.text import several
+from rim_camera_ros.select.compare import Result
+from rim_camera_ros.select.exploration import Exploration
 
 Array = NDArray[Any]
 
@@ -97,7 +97,7 @@ def _response_sentence(effect: Effect, fitted: Fit) -> str | None:
 
 
 def _size(fitted: Fit, name: str, origin: Camera) -> float | None:
-    from rim_camera_ros.calibrate.sizes import contribution
+    from rim_camera_ros.select.effect_sizes import contribution
 
     values = []
     for one in fitted.forward.predictions():

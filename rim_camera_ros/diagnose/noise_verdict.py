@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence, Set
 from dataclasses import replace
 
-from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import added, with_effects
 from rim_camera_ros.diagnose.adjusted import Adjusted
@@ -17,6 +15,8 @@ from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.effects import CovariateTable, UnmodulatedLight, vocabulary
 from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.effects.sections import NoiseSection
+from rim_camera_ros.select.compare import Result
+from rim_camera_ros.select.exploration import Exploration
 
 _NOISE = NoiseSection.name
 #: What may be named by repeated frames alone, though no distance moves.

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rim_camera_ros.calibrate.imperfections import BEYOND, COMMON_POSE, OPTICS
-from rim_camera_ros.calibrate.problem import Fit
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.light_curves import PREFIX, TILES
+from rim_camera_ros.fit.design import BEYOND, COMMON_POSE, OPTICS
+from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.scene import Scene
 
 #: Poses that a sentence names.

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from rim_camera_ros.calibrate.entry import Found
-from rim_camera_ros.calibrate.exploration import Exploration
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import Accuracy
 from rim_camera_ros.diagnose.adjusted import Adjusted
@@ -14,6 +12,8 @@ from rim_camera_ros.diagnose.hypotheses import Hypothesis
 from rim_camera_ros.diagnose.nuisances import Nuisance
 from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.diagnose.where import Where
+from rim_camera_ros.select.compare import Found
+from rim_camera_ros.select.exploration import Exploration
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from rim_camera_ros.calibrate.coarser import coarseness, coarser_camera, coarser_dataset
-from rim_camera_ros.calibrate.exploration import explore
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.imperfections import BEYOND
-from rim_camera_ros.calibrate.outcome import Result
-from rim_camera_ros.calibrate.problem import Fit, Problem
-from rim_camera_ros.calibrate.search import MOST_EFFECTS, search
-from rim_camera_ros.calibrate.selection import folds_of
-from rim_camera_ros.calibrate.stations import Dataset
-from rim_camera_ros.calibrate.trials import Workers
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import accuracy
 from rim_camera_ros.diagnose.codes import missing_codes, note_on_grid
@@ -41,7 +31,17 @@ from rim_camera_ros.effects import OF_SURFACES, CovariateTable, without_poses
 from rim_camera_ros.effects.base import response_of
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.decimation import decimated_camera, decimated_dataset, decimation_of
+from rim_camera_ros.fit.design import BEYOND
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.scene import Scene
+from rim_camera_ros.select.compare import Result
+from rim_camera_ros.select.evidence import folds_of
+from rim_camera_ros.select.exploration import explore
+from rim_camera_ros.select.search import MOST_EFFECTS, search
+from rim_camera_ros.select.trials import Workers
 
 #: A term outside the vocabulary must gain this share more than the named ones to take their place.
 _BEYOND_NAMED = 1.2
@@ -86,15 +86,15 @@ def diagnose(
     Raises `InputError` where no pixel can be compared.
     """
     say = progress if progress is not None else _silent
-    step = coarseness(camera)
+    step = decimation_of(camera)
     if step == 1:
         return _diagnose(dataset, scene, camera, against, seed, threads, workers, say)
-    small = coarser_camera(camera, step)
+    small = decimated_camera(camera, step)
     result = _diagnose(
-        coarser_dataset(dataset, step),
+        decimated_dataset(dataset, step),
         scene,
         small,
-        None if against is None else coarser_dataset(against, step),
+        None if against is None else decimated_dataset(against, step),
         seed,
         threads,
         workers,

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import stdtrit
 
-from rim_camera_ros.calibrate.problem import Fit
-from rim_camera_ros.calibrate.stations import KEPT_FRAMES, Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import added
 from rim_camera_ros.diagnose.adjusted import Adjusted
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.effects import ForeignLight
+from rim_camera_ros.fit.data import KEPT_FRAMES, Station
+from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.phasor import selectivity_envelope
 
 Array = NDArray[Any]

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.prediction import Prediction
-from rim_camera_ros.calibrate.problem import Fit
-from rim_camera_ros.calibrate.residuals import after_nuisances
-from rim_camera_ros.calibrate.sizes import change_by
 from rim_camera_ros.effects import registry
+from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.fit.residuals import after_nuisances
+from rim_camera_ros.select.effect_sizes import change_by
 
 Array = NDArray[Any]
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.hypotheses import Change, Files, Trial
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.forward import AmplitudeModel, Forward
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.parameters import NestedList
 from rim_camera_ros.scene import Scene, Surface, quaternion, rotation_matrix

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import added
 from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.effects.candidate import TERM_SIZE, Block, Candidate, Coefficients, Regressor
 from rim_camera_ros.effects.covariates import SCALAR, covariate
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.parameters import NestedList
 
 Array = NDArray[Any]

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.problem import Fit
-from rim_camera_ros.calibrate.residuals import after_nuisances
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import added
 from rim_camera_ros.diagnose.smooth import values_of
 from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.effects.covariates import SCALAR
+from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.parameters import NestedList
+from rim_camera_ros.select.exploration import Exploration
 
 Array = NDArray[Any]
 

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar, nnls
 
-from rim_camera_ros.calibrate.common_variation import Movement, together
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.imperfections import BEYOND
-from rim_camera_ros.calibrate.stations import KEPT_FRAMES, Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import ForeignLight
 from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.fit.common_variation import Movement, together
+from rim_camera_ros.fit.data import KEPT_FRAMES, Station
+from rim_camera_ros.fit.design import BEYOND
+from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.noise import Noise
 
 Array = NDArray[Any]

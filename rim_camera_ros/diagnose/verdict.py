@@ -7,12 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.forms import change_of_forms
-from rim_camera_ros.calibrate.outcome import Result
 from rim_camera_ros.calibrate.plan import shipped_experiments
-from rim_camera_ros.calibrate.problem import Fit
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import Accuracy, accuracy
 from rim_camera_ros.diagnose.adjusted import Adjusted, adjusted_terms, parameters_matter
@@ -43,6 +38,11 @@ from rim_camera_ros.diagnose.where import (
     of_scatter,
     of_terms,
 )
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.select.candidates import change_of_forms
+from rim_camera_ros.select.compare import Result
+from rim_camera_ros.select.exploration import Exploration
 
 #: Chi-square per value of held-out poses above which a recording that nothing explains is not consistent:
 #: where nothing is left out it was 1.02 at most.

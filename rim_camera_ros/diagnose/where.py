@@ -12,17 +12,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.prediction import Prediction
-from rim_camera_ros.calibrate.problem import Fit
-from rim_camera_ros.calibrate.residuals import after_nuisances
-from rim_camera_ros.calibrate.sizes import SAME_SIZE, contribution, moved_by_light
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.between_surfaces import measured_between
 from rim_camera_ros.diagnose.smooth import values_of
 from rim_camera_ros.effects import CovariateTable, ForeignLight, vocabulary
 from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.effects.covariates import COVARIATES
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.fit.residuals import after_nuisances
+from rim_camera_ros.select.effect_sizes import SAME_SIZE, contribution, moved_by_light
 
 Array = NDArray[Any]
 

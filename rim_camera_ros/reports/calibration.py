@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.determined import EffectStatus
+from rim_camera_ros.calibrate.effect_status import EffectStatus
 from rim_camera_ros.calibrate.run import Calibration
 from rim_camera_ros.effects import PixelMap, vocabulary
 from rim_camera_ros.effects.base import effect_of

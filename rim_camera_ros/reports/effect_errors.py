@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.coarser import coarser_camera
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.prediction import Prediction
 from rim_camera_ros.calibrate.run import Calibration
-from rim_camera_ros.calibrate.sizes import change_by, contribution
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import OPTICS
+from rim_camera_ros.fit.decimation import decimated_camera
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.select.effect_sizes import change_by, contribution
 
 Array = NDArray[Any]
 
@@ -44,7 +44,7 @@ def effect_errors(result: Calibration) -> dict[str, EffectError]:
     fitted = result.solution.fit
     new = fitted.forward
     step = max(1, round(result.before.sensor.width / fitted.camera.sensor.width))
-    start = result.before if step == 1 else coarser_camera(result.before, step)
+    start = result.before if step == 1 else decimated_camera(result.before, step)
     old = Forward(new.dataset, fitted.scene, start, views=new.views)
     old.amplitude_model, old.shifts = new.amplitude_model, new.shifts
     old.masks, old.margins, old.light_curves = new.masks, new.margins, new.light_curves

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.coarser import coarser_camera
-from rim_camera_ros.calibrate.empirical_fit import LABEL, with_empirical_changes
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_effects, with_numbers
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.covariate_table import LABEL, with_empirical_changes
+from rim_camera_ros.fit.decimation import decimated_camera
 from rim_camera_ros.frame import Pose, RawFrame, Settings
 from rim_camera_ros.phasor import wrap_residual
 from rim_camera_ros.pipeline.correct import Correction
@@ -128,7 +128,7 @@ def uncertainty(
     computed at some and interpolated.
     """
     step = _coarseness(camera)
-    small = coarser_camera(camera, step) if step > 1 else camera
+    small = decimated_camera(camera, step) if step > 1 else camera
     raw = [raw_wall(small, wall) for wall in walls]
     base = corrected_walls(small, raw)
     sigmas = np.sqrt(np.diag(covariance))
@@ -172,7 +172,7 @@ def _slopes(
             moved = _moved(camera, path, change)
         except (InputError, ValueError):
             continue
-        other = corrected_walls(coarser_camera(moved, step) if step > 1 else moved, raw)
+        other = corrected_walls(decimated_camera(moved, step) if step > 1 else moved, raw)
         shift = wrap_residual(other - base, camera.sensor.ambiguity)
         return np.asarray(np.nan_to_num(shift) * (sigma / change))
     return np.zeros_like(base)

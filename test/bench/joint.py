@@ -17,16 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.problem import Problem
-from rim_camera_ros.calibrate.reduction import reduce_frames
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera, Sensor
 from rim_camera_ros.camera_file import camera_numbers, with_effects
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.incidence_angle import IncidenceAngle
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.reduction import reduce_frames
+from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.frame import Pose, RawFrame, Settings
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.optics import Optics

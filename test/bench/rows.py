@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from rim_camera_ros.bags.images import decode_image
-from rim_camera_ros.calibrate.blocks import present_blocks
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.normal_equations import accumulate
-from rim_camera_ros.calibrate.reduction import reduce_frames
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.design import present_blocks
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.normal_equations import accumulate
+from rim_camera_ros.fit.reduction import reduce_frames
 from rim_camera_ros.frame import RawFrame
 from rim_camera_ros.phasor import demodulate, to_phasor
 from rim_camera_ros.pipeline.correct import Correction

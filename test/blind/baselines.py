@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from rim_camera_ros.calibrate.blocks import present_blocks
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.library import candidates
-from rim_camera_ros.calibrate.prediction import Prediction
-from rim_camera_ros.calibrate.reduction import reduce_recording
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.effects.candidate import Facts
+from rim_camera_ros.fit.design import present_blocks
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.reduction import reduce_recording
 from rim_camera_ros.scene import load_scene
+from rim_camera_ros.select.candidates import candidates
 
 CONSISTENT = "consistent"
 #: Chance of an alarm that the correlation's threshold would have if values were independent.

@@ -10,12 +10,12 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.problem import Problem
-from rim_camera_ros.calibrate.reduction import reduce_recording
-from rim_camera_ros.calibrate.selection import Scores, folds_of
 from rim_camera_ros.camera_file import load_camera
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.reduction import reduce_recording
+from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.scene import load_scene
+from rim_camera_ros.select.evidence import Scores, folds_of
 
 from .generator import Truth, make_case
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from rim_camera_ros.calibrate.reduction import reduce_frames
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera, with_effects
 from rim_camera_ros.effects.base import Effect
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.reduction import reduce_frames
 from rim_camera_ros.frame import Pose, RawFrame, Settings
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
 from rim_camera_ros.scene import Scene, load_scene, quaternion, rotation_matrix, see

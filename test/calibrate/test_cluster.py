@@ -13,21 +13,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.cluster import on_workers, reduce_on_cluster
-from rim_camera_ros.calibrate.exploration import explore
-from rim_camera_ros.calibrate.library import candidates
-from rim_camera_ros.calibrate.problem import Problem
-from rim_camera_ros.calibrate.reduction import reduce_recording
-from rim_camera_ros.calibrate.search_steps import Search
-from rim_camera_ros.calibrate.selection import folds_of
-from rim_camera_ros.calibrate.stations import Dataset
+from rim_camera_ros.calibrate.recordings import on_workers, reduce_on_cluster
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.cli import main
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.reduction import reduce_recording
 from rim_camera_ros.scene import Scene, load_scene
+from rim_camera_ros.select.candidates import candidates
+from rim_camera_ros.select.evidence import folds_of
+from rim_camera_ros.select.exploration import explore
+from rim_camera_ros.select.forward_search import Search
 
 from .helpers import CAMERA, camera, record, scene
 
@@ -92,7 +92,7 @@ def test_a_lost_worker_costs_time_and_nothing_else(
 ) -> None:
     distributed = pytest.importorskip("distributed", reason="dask.distributed is an optional extra")
     monkeypatch.setattr(
-        "rim_camera_ros.calibrate.cluster.reduce_recording", reduced_by_a_worker_that_dies_once
+        "rim_camera_ros.calibrate.recordings.reduce_recording", reduced_by_a_worker_that_dies_once
     )
     camera = load_camera(bags[0])
     with distributed.LocalCluster(
@@ -168,6 +168,6 @@ def test_without_a_scheduler_the_error_names_the_address(
     bags: tuple[Path, list[Path]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed", reason="dask.distributed is an optional extra")
-    monkeypatch.setattr("rim_camera_ros.calibrate.cluster._CONNECT_SECONDS", 1)
+    monkeypatch.setattr("rim_camera_ros.calibrate.recordings._CONNECT_SECONDS", 1)
     with pytest.raises(InputError, match=r"--scheduler tcp://127.0.0.1:1: no scheduler answers"):
         reduce_on_cluster(bags[1], load_camera(bags[0]), scenes(bags), scheduler="tcp://127.0.0.1:1")

@@ -10,12 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.joint import exactly
-from rim_camera_ros.calibrate.noise_fit import fit_noise
-from rim_camera_ros.calibrate.pixels import usable_pixels
-from rim_camera_ros.calibrate.problem import Problem
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_effects
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
@@ -25,6 +20,11 @@ from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.effects.warm_up_drift import Exponential, WarmUpDrift
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.noise import fit_noise
+from rim_camera_ros.fit.pixels import usable_pixels
+from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.parameters import ArrayFile, NestedList
 from rim_camera_ros.scene import Scene, quaternion, rotation_matrix

@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.exploration import explore
-from rim_camera_ros.calibrate.fold_sums import Fold
-from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
-from rim_camera_ros.calibrate.normal_equations import PixelPriors, reduce_folds
-from rim_camera_ros.calibrate.problem import Problem
-from rim_camera_ros.calibrate.reduction import reduce_recording
 from rim_camera_ros.calibrate.run import Request, calibrate
-from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.camera_file import load_camera, with_effects, with_numbers
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
+from rim_camera_ros.fit.fold_sums import Fold
+from rim_camera_ros.fit.forward import AmplitudeModel, Forward
+from rim_camera_ros.fit.normal_equations import PixelPriors, reduce_folds
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.reduction import reduce_recording
+from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.scene import load_scene
+from rim_camera_ros.select.evidence import folds_of
+from rim_camera_ros.select.exploration import explore
 
 from .floor import ONE_COLOUR, UNKNOWN, floor_camera, floor_scene, write_floor
 

@@ -9,11 +9,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate import coarser
-from rim_camera_ros.calibrate.coarser import coarseness_of
-from rim_camera_ros.calibrate.forward import Forward
 from rim_camera_ros.calibrate.large_sensor import LargeSensor
-from rim_camera_ros.calibrate.pixels import BESIDE
 from rim_camera_ros.calibrate.run import Calibration, Request, calibrate
 from rim_camera_ros.camera import Camera, Validity
 from rim_camera_ros.camera_file import with_effects
@@ -21,6 +17,10 @@ from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
 from rim_camera_ros.effects.scattering import Kernel, Scattering
+from rim_camera_ros.fit import decimation
+from rim_camera_ros.fit.decimation import decimation_for
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.pixels import BESIDE
 from rim_camera_ros.parameters import ArrayFile
 from rim_camera_ros.scene import beside_edges, see
 
@@ -39,7 +39,7 @@ def given(folder: Path, *, cyclic: float, a: float) -> Camera:
 @pytest.fixture
 def many(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the test's 44 x 36 pixels many, of which every second one in both directions is looked at."""
-    monkeypatch.setattr(coarser, "MANY_PIXELS", 500)
+    monkeypatch.setattr(decimation, "MANY_PIXELS", 500)
 
 
 @pytest.mark.usefixtures("many")
@@ -55,18 +55,18 @@ def many(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_which_effects_need_all_pixels(tmp_path: Path, words: tuple[str, ...], step: int) -> None:
-    assert coarseness_of(given(tmp_path, cyclic=0.01, a=9.0), words) == step
+    assert decimation_for(given(tmp_path, cyclic=0.01, a=9.0), words) == step
 
 
 @pytest.mark.usefixtures("many")
 def test_effects_of_the_file_that_act_on_neighbours_need_all_pixels(tmp_path: Path) -> None:
     own = given(tmp_path, cyclic=0.01, a=9.0)
     own = with_effects(own, {**own.effects, "scattering": Scattering((Kernel(0.02, (5.0, 7.0)),))})
-    assert coarseness_of(own, ("cyclic_error",)) == 1
+    assert decimation_for(own, ("cyclic_error",)) == 1
 
 
 def test_small_sensors_are_fitted_whole(tmp_path: Path) -> None:
-    assert coarseness_of(given(tmp_path, cyclic=0.01, a=9.0), ("cyclic_error",)) == 1
+    assert decimation_for(given(tmp_path, cyclic=0.01, a=9.0), ("cyclic_error",)) == 1
 
 
 @pytest.mark.usefixtures("many")
@@ -100,7 +100,7 @@ def test_a_calibration_by_every_second_pixel(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("many")
 def test_a_search_is_by_every_second_pixel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 512 x 424 pixels it did not end in twelve minutes; stray light that it finds is stated for all."""
-    monkeypatch.setattr(coarser, "_COARSE_PIXELS", 500)
+    monkeypatch.setattr(decimation, "_COARSE_PIXELS", 500)
     start = given(tmp_path, cyclic=0.009, a=15.0)
     true = given(tmp_path, cyclic=0.013, a=15.0)
     true = with_effects(true, {**true.effects, "scattering": Scattering((Kernel(0.08, (6.0, 6.0)),))})

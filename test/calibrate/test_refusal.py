@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
+from rim_camera_ros.calibrate.acceptance import refusals
 from rim_camera_ros.calibrate.held_out import Accuracy
-from rim_camera_ros.calibrate.pose_errors import WiderSurface
-from rim_camera_ros.calibrate.refusal import refusals
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
+from rim_camera_ros.fit.variance_components import WiderSurface
 from rim_camera_ros.scene import Scene, load_scene
 
 from ..helpers_cli import run

@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from rim_camera_ros.calibrate.noise_fit import fit_noise
-from rim_camera_ros.calibrate.pose_errors import pose_error_ratios, with_wider_poses
 from rim_camera_ros.calibrate.provenance import checksum
+from rim_camera_ros.calibrate.recordings import Cancelled
 from rim_camera_ros.calibrate.run import Calibration, Request, calibrate
 from rim_camera_ros.calibrate.solution import high_correlations, shrink
 from rim_camera_ros.calibrate.validity import region
-from rim_camera_ros.calibrate.watch import Cancelled
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_effects
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
@@ -24,6 +22,8 @@ from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
 from rim_camera_ros.effects.integration_time_offset import IntegrationTimeOffset
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.noise import fit_noise
+from rim_camera_ros.fit.variance_components import pose_error_ratios, with_wider_poses
 from rim_camera_ros.frame import RawFrame
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.parameters import ArrayFile

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rim_camera_ros.calibrate.recordings import JoinedScene, joined
 from rim_camera_ros.calibrate.run import Calibration, Request, calibrate
-from rim_camera_ros.calibrate.several_scenes import JoinedScene, joined
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_effects
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.reference_path import ReferencePath
 from rim_camera_ros.effects.warm_up_drift import Exponential, WarmUpDrift
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
 from rim_camera_ros.scene import CameraMotion, Scene, ScenePose, Surface

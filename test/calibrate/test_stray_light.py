@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.problem import Problem
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.scene import load_scene
 
 from .helpers import SCENE, camera, record, scene

@@ -13,8 +13,6 @@ import pytest
 from rim_camera_ros.bags import Topics, messages
 from rim_camera_ros.bags.topics import CAMERA_INFO, DIAGNOSTICS, IMAGE, POSE
 from rim_camera_ros.calibrate.plan import NARROWED, plan
-from rim_camera_ros.calibrate.reduction import reduce_frames
-from rim_camera_ros.calibrate.stations import Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.coverage.evaluate import Coverage, Evaluator
 from rim_camera_ros.coverage.frames import Message, live_frames
@@ -24,6 +22,8 @@ from rim_camera_ros.coverage.proposals import proposals
 from rim_camera_ros.devices.timeline import Timeline
 from rim_camera_ros.diagnose.variance import movement_of
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
+from rim_camera_ros.fit.data import Station
+from rim_camera_ros.fit.reduction import reduce_frames
 from rim_camera_ros.frame import Pose, RawFrame, Settings
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
 from rim_camera_ros.scene import ScenePose

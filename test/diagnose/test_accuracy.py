@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.problem import Problem
-from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.camera_file import added
 from rim_camera_ros.diagnose.accuracy import Accuracy, accuracy
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.empirical import Empirical
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.parameters import NestedList
+from rim_camera_ros.select.search import search
 
 from ..calibrate.helpers import camera, record, scene
 

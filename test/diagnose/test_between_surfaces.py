@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
-from rim_camera_ros.calibrate.sizes import contribution
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.diagnose.between_surfaces import measured_between
 from rim_camera_ros.diagnose.where import of_terms
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.forward import AmplitudeModel, Forward
 from rim_camera_ros.optics import Optics
 from rim_camera_ros.scene import Scene, load_scene, see
+from rim_camera_ros.select.effect_sizes import contribution
 
 from ..blind.score import intersection_over_union, region
 from ..calibrate.helpers import camera, record

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.diagnose.compare_setups import compare_setups
 from rim_camera_ros.diagnose.hypotheses import Hypothesis, best_setup, moved_poses
 from rim_camera_ros.diagnose.run import diagnose, with_setups
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
+from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.parameters import NestedList
 from rim_camera_ros.scene import Scene

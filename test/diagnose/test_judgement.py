@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.entry import Found
-from rim_camera_ros.calibrate.leaders import NOT_ELSEWHERE, NOT_IN_ALL_POSES, Refused
 from rim_camera_ros.diagnose import setup
 from rim_camera_ros.diagnose.accuracy import Accuracy
 from rim_camera_ros.diagnose.described import is_unknown
@@ -31,6 +29,7 @@ from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.incidence_angle import IncidenceAngle
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.noise import Noise
+from rim_camera_ros.select.compare import NOT_IN_ALL_POSES, NOT_IN_QUIET_PIXELS, Found, Refused
 
 from ..calibrate.helpers import camera
 
@@ -255,14 +254,14 @@ def test_names_are_as_certain_as_they_explain_what_does_not_fit(
 def test_a_note_for_each_reason_tells_what_was_not_added() -> None:
     refused = [
         Refused("emitter_offset", 2381.4, 54.0, NOT_IN_ALL_POSES),
-        Refused("scattering", 97.0, 16.0, NOT_ELSEWHERE),
+        Refused("scattering", 97.0, 16.0, NOT_IN_QUIET_PIXELS),
         Refused("radiometry", 60.0, 8.0, NOT_IN_ALL_POSES),
     ]
     result: Any = SimpleNamespace(refused=refused)
     assert notes_of_refused(result) == [
         f"not added, {NOT_IN_ALL_POSES}: emitter_offset (2,381 nats, its threshold 54), radiometry (60 nats, "
         "its threshold 8)",
-        f"not added, {NOT_ELSEWHERE}: scattering (97 nats, its threshold 16)",
+        f"not added, {NOT_IN_QUIET_PIXELS}: scattering (97 nats, its threshold 16)",
     ]
 
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.diagnose.variance import _fitted_noise, examine_variance
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.effects.light_curves import DIFFUSE, GLOSS, RIPPLES, SURFACES, LightCurves
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.scene import Geometry, Scene
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.fold_sums import Fold
-from rim_camera_ros.calibrate.normal_equations import NormalEquations
 from rim_camera_ros.calibrate.plan import shipped_experiments
-from rim_camera_ros.calibrate.selection import Scores
 from rim_camera_ros.diagnose.menu import Proposal, _gain, recommended
 from rim_camera_ros.diagnose.naming import next_recording
 from rim_camera_ros.effects.candidate import Regressor
+from rim_camera_ros.fit.fold_sums import Fold
+from rim_camera_ros.fit.normal_equations import NormalEquations
+from rim_camera_ros.select.evidence import Scores
 
 NARROW = np.diag([1e-12])
 WIDE = np.diag([1e12])

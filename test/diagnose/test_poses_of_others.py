@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from rim_camera_ros.bags import Recording, RecordingWriter
-from rim_camera_ros.calibrate.reduction import reduce_recording
-from rim_camera_ros.calibrate.selection import folds_of
 from rim_camera_ros.camera_file import load_camera
+from rim_camera_ros.fit.reduction import reduce_recording
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.scene import load_scene
+from rim_camera_ros.select.evidence import folds_of
 
 from .helpers import CAMERA, CYCLIC, run, scene_text
 

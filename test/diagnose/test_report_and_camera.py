@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.bags import Recording, RecordingWriter
-from rim_camera_ros.calibrate import coarser
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import added, camera_numbers, load_camera
 from rim_camera_ros.diagnose import formula as formulas
@@ -24,6 +23,7 @@ from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit import decimation
 from rim_camera_ros.parameters import NestedList
 
 from .helpers import CAMERA, CYCLIC, run, scene_text
@@ -178,8 +178,8 @@ def test_counts_left_out_hide_what_is_beside_them(tmp_path: Path) -> None:
 
 
 def test_a_large_sensor_is_told_in_its_own_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(coarser, "MANY_PIXELS", 1000)
-    monkeypatch.setattr(coarser, "_COARSE_PIXELS", 600)
+    monkeypatch.setattr(decimation, "MANY_PIXELS", 1000)
+    monkeypatch.setattr(decimation, "_COARSE_PIXELS", 600)
     known = CAMERA.replace("width: 24, height: 20", "width: 48, height: 40")
     known = known.replace("fx: 30.0, fy: 30.0, cx: 11.7, cy: 9.2", "fx: 60.0, fy: 60.0, cx: 23.9, cy: 18.9")
     found = diagnosed(tmp_path, known, known.replace("fx: 60.0, fy: 60.0", "fx: 62.0, fy: 62.0"))
@@ -197,15 +197,15 @@ def test_curves_over_angles_are_no_lists() -> None:
 
 
 def test_numbers_in_pixels_of_both_grids() -> None:
-    assert coarser.finer_number("optics.cx", 11.0, 4) == 46.0
-    assert coarser.finer_number("optics.fx", 31.0, 2) == 62.0
-    assert coarser.finer_number("optics.distortion.0", 31.0, 2) == 31.0
-    assert coarser.finer_number("effects.scattering.kernels.0.sigma.1", 3.0, 2) == 6.0
-    assert coarser.finer_number("effects.scattering.kernels.0.weight", 0.03, 2) == 0.03
-    assert coarser.finer_number("effects.mixed_pixels.blur", 0.5, 3) == 1.5
-    assert coarser.finer_number("effects.mixed_pixels.footprint", 0.3, 3) == pytest.approx(0.9)
-    assert coarser.finer_number("effects.mixed_pixels.share", 0.3, 3) == 0.3
-    assert coarser.finer_number("effects.cyclic_error.gradient.0", 0.004, 2) == 0.002
+    assert decimation.full_number("optics.cx", 11.0, 4) == 46.0
+    assert decimation.full_number("optics.fx", 31.0, 2) == 62.0
+    assert decimation.full_number("optics.distortion.0", 31.0, 2) == 31.0
+    assert decimation.full_number("effects.scattering.kernels.0.sigma.1", 3.0, 2) == 6.0
+    assert decimation.full_number("effects.scattering.kernels.0.weight", 0.03, 2) == 0.03
+    assert decimation.full_number("effects.mixed_pixels.blur", 0.5, 3) == 1.5
+    assert decimation.full_number("effects.mixed_pixels.footprint", 0.3, 3) == pytest.approx(0.9)
+    assert decimation.full_number("effects.mixed_pixels.share", 0.3, 3) == 0.3
+    assert decimation.full_number("effects.cyclic_error.gradient.0", 0.004, 2) == 0.002
 
 
 def test_a_formula_describes_all_of_its_curve() -> None:
@@ -231,10 +231,10 @@ def test_without_the_library_of_formulas_it_is_said_before_the_work(monkeypatch:
 def test_a_footprint_is_the_same_on_both_grids(tmp_path: Path) -> None:
     (tmp_path / "camera.yaml").write_text(CAMERA.replace("width: 24, height: 20", "width: 640, height: 480"))
     camera = load_camera(tmp_path / "camera.yaml")
-    small = added(coarser.coarser_camera(camera, 4), MixedPixels(0.0, 0.2, 0.3))
-    full = coarser.finer_camera(small, camera, 4)
+    small = added(decimation.decimated_camera(camera, 4), MixedPixels(0.0, 0.2, 0.3))
+    full = decimation.full_camera(small, camera, 4)
     assert full.effects["mixed_pixels"] == MixedPixels(0.0, 0.8, 0.3)
-    assert coarser.coarser_camera(full, 4).effects == small.effects
+    assert decimation.decimated_camera(full, 4).effects == small.effects
 
 
 def test_a_table_over_rows_is_one_of_the_whole_sensor(tmp_path: Path) -> None:
@@ -242,11 +242,11 @@ def test_a_table_over_rows_is_one_of_the_whole_sensor(tmp_path: Path) -> None:
     camera = load_camera(tmp_path / "camera.yaml")
     values = NestedList(np.array([[0.0, 0.0], [0.01, 0.02], [0.0, 0.0]]))
     table = Empirical(("row", "edge"), ((0.0, 60.0, 119.0), (1.0, 4.0)), values)
-    small = added(coarser.coarser_camera(camera, 4), table)
-    full = coarser.finer_camera(small, camera, 4)
+    small = added(decimation.decimated_camera(camera, 4), table)
+    full = decimation.full_camera(small, camera, 4)
     # every fourth row from the third on
     assert full.effects["empirical"].knots == ((2.0, 242.0, 478.0), (4.0, 16.0))  # type: ignore[attr-defined]
-    again = coarser.coarser_camera(full, 4)
+    again = decimation.decimated_camera(full, 4)
     assert again.effects["empirical"] == table
 
 
@@ -254,8 +254,8 @@ def test_a_formula_over_rows_is_one_of_the_whole_sensor(tmp_path: Path) -> None:
     (tmp_path / "camera.yaml").write_text(CAMERA.replace("width: 24, height: 20", "width: 640, height: 480"))
     camera = load_camera(tmp_path / "camera.yaml")
     table = Empirical(("row",), ((0.0, 60.0, 119.0),), NestedList(np.array([0.002, 0.02, 0.03])))
-    small = added(coarser.coarser_camera(camera, 4), table)
-    full = coarser.finer_camera(small, camera, 4)
+    small = added(decimation.decimated_camera(camera, 4), table)
+    full = decimation.full_camera(small, camera, 4)
     said = "0.002 +0.0004 x -1e-06 x^2 [m], x = row"
     told = full_grid.restated(Missing("unknown", 1.0, {}, {}, f"by {said}", formula=said), small, full, 4)
     assert told.formula is not None
@@ -266,7 +266,7 @@ def test_a_formula_over_rows_is_one_of_the_whole_sensor(tmp_path: Path) -> None:
     wanted = 0.002 + 0.0004 * x - 1e-6 * x**2
     assert shown == pytest.approx(wanted, abs=0.015 * np.ptp(wanted))
     of_light = replace(table, covariates=("amplitude",))
-    small, full = (added(coarser.coarser_camera(camera, 4), of_light) for _ in range(2))
+    small, full = (added(decimation.decimated_camera(camera, 4), of_light) for _ in range(2))
     said = said.replace("row", "amplitude")
     same = full_grid.restated(Missing("unknown", 1.0, {}, {}, said, formula=said), small, full, 4)
     assert same.formula == said

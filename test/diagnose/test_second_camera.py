@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.coarser import coarser_camera, coarser_dataset
-from rim_camera_ros.calibrate.reduction import reduce_recording
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.diagnose.second_camera import Light
 from rim_camera_ros.effects.interference import Interference
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.decimation import decimated_camera, decimated_dataset
+from rim_camera_ros.fit.reduction import reduce_recording
 from rim_camera_ros.phasor import selectivity_envelope
 
 from .helpers import AMBIGUITY, CAMERA, CYCLIC, run, scene_text
@@ -126,8 +126,10 @@ def test_fewer_pixels_have_less_in_common(tmp_path: Path) -> None:
     """A share of the variance that all pixels have in common is the same on a coarser grid."""
     diagnosed(tmp_path, CAMERA + CYCLIC, with_light(LIGHT))
     data = recording(tmp_path)
-    small = coarser_dataset(data, 2)
-    assert small.stations[0].distance.shape == coarser_camera(load_camera(tmp_path / "camera.yaml"), 2).shape
+    small = decimated_dataset(data, 2)
+    assert (
+        small.stations[0].distance.shape == decimated_camera(load_camera(tmp_path / "camera.yaml"), 2).shape
+    )
     for all_pixels, fewer in zip(data.stations, small.stations, strict=True):
         assert all_pixels.common is not None
         assert fewer.common is not None

@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.exploration import Exploration
-from rim_camera_ros.calibrate.outcome import Result
-from rim_camera_ros.calibrate.problem import Problem
-from rim_camera_ros.calibrate.selection import folds_of
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.cli import main
 from rim_camera_ros.diagnose import accuracy as measured
 from rim_camera_ros.diagnose import setup
 from rim_camera_ros.diagnose.accuracy import Accuracy, accuracy
 from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.diagnose.setup import PoseCheck, check_poses, check_setup
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.frame import Pose
+from rim_camera_ros.select.compare import Result
+from rim_camera_ros.select.evidence import folds_of
+from rim_camera_ros.select.exploration import Exploration
 
 from ..calibrate.helpers import camera, record, scene
 from .helpers import CAMERA, run, scene_text

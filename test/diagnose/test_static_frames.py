@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.bags import Recording, RecordingWriter
-from rim_camera_ros.calibrate.common_variation import common_variation, together
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.diagnose.codes import missing_codes
 from rim_camera_ros.effects.interference import Interference
+from rim_camera_ros.fit.common_variation import common_variation, together
 
 from ..calibrate.floor import ONE_COLOUR, TILES, floor_camera, floor_scene, write_floor
 from .helpers import run

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.reduction import reduce_recording
 from rim_camera_ros.camera_file import load_camera, with_numbers
 from rim_camera_ros.cli import main
 from rim_camera_ros.diagnose.codes import missing_codes
@@ -19,6 +18,7 @@ from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.effects.scattering import Kernel, Scattering
+from rim_camera_ros.fit.reduction import reduce_recording
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.scene import load_scene
 

@@ -10,14 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.exploration import explored, further_equations
-from rim_camera_ros.calibrate.forms import change_of_forms, form_blocks
-from rim_camera_ros.calibrate.forward import AmplitudeModel, Forward
-from rim_camera_ros.calibrate.problem import Fit, Problem
-from rim_camera_ros.calibrate.selection import folds_of
-from rim_camera_ros.calibrate.sizes import change_by
-from rim_camera_ros.calibrate.stations import Dataset
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.diagnose.formula import closed_form, formula_curve
@@ -31,8 +23,16 @@ from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.effects.light_curves import RESPONSE, LightCurves
 from rim_camera_ros.effects.saturation_bleed import SaturationBleed
 from rim_camera_ros.effects.scattering import Kernel, Scattering
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.forward import AmplitudeModel, Forward
+from rim_camera_ros.fit.problem import Fit, Problem
+from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.scene import Scene
+from rim_camera_ros.select.candidates import change_of_forms, form_blocks
+from rim_camera_ros.select.effect_sizes import change_by
+from rim_camera_ros.select.evidence import folds_of
+from rim_camera_ros.select.exploration import explored, further_equations
 
 from ..blind.score import intersection_over_union, region
 from ..calibrate.helpers import camera, record, scene

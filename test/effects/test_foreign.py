@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 
 from rim_camera_ros import effects
-from rim_camera_ros.calibrate.problem import Problem
-from rim_camera_ros.calibrate.search import search
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera, save_camera
 from rim_camera_ros.effects import ComplexEffect, DistanceTerm, Effect
 from rim_camera_ros.effects.base import Column, Context, Dependency, Image, Signal
 from rim_camera_ros.effects.candidate import Candidate, Facts, linear
 from rim_camera_ros.effects.scattering import Kernel, Scattering
+from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.pipeline.correct import Correction
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
 from rim_camera_ros.reports.curves import effect_panels
+from rim_camera_ros.select.search import search
 
 from ..calibrate.helpers import camera, record, scene
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from rim_camera_ros.calibrate.reduction import reduce_recording
 from rim_camera_ros.calibrate.run import Request, calibrate
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.cli import main
 from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.files import find_camera
+from rim_camera_ros.fit.reduction import reduce_recording
 from rim_camera_ros.reports.calibration import calibration_page
 from rim_camera_ros.reports.diagnosis.page import page
 from rim_camera_ros.reproduce.report import html_page

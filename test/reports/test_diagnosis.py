@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.reduction import reduce_recording
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.cli import main
@@ -23,6 +22,7 @@ from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.effects.scattering import Ghost, Kernel, Scattering
 from rim_camera_ros.errors import RimError
+from rim_camera_ros.fit.reduction import reduce_recording
 from rim_camera_ros.reports.diagnosis import figures as page_figures
 from rim_camera_ros.reports.diagnosis import maps as page_maps
 from rim_camera_ros.reports.diagnosis import words

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from rim_camera_ros.calibrate.exploration import ALARM_RATE, Exploration, gumbel_quantile
 from rim_camera_ros.diagnose.result import Diagnosis, Ranked
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.reports.diagnosis import words
 from rim_camera_ros.reports.page import Figure, Folded, Part
 from rim_camera_ros.reports.words import joined
+from rim_camera_ros.select.exploration import ALARM_RATE, Exploration, gumbel_quantile
 
 _MOST_SMOOTH = 3
 #: Share of an effect's energy above which it is plain to see and not stated.

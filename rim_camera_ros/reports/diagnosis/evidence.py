@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.calibrate.adjustment import fit
-from rim_camera_ros.calibrate.coarser import finer_covariate
-from rim_camera_ros.calibrate.forward import Forward
-from rim_camera_ros.calibrate.prediction import Prediction
-from rim_camera_ros.calibrate.problem import Fit, Problem
-from rim_camera_ros.calibrate.residuals import after_nuisances
-from rim_camera_ros.calibrate.sizes import contribution
-from rim_camera_ros.calibrate.stations import Station
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.smooth import values_of
 from rim_camera_ros.effects import OF_SURFACES, OPTICS, CovariateTable, vocabulary
 from rim_camera_ros.effects.covariates import AXIS, COVARIATES
+from rim_camera_ros.fit.data import Station
+from rim_camera_ros.fit.decimation import full_covariate
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.problem import Fit, Problem
+from rim_camera_ros.fit.residuals import after_nuisances
+from rim_camera_ros.fit.solver import fit
+from rim_camera_ros.select.effect_sizes import contribution
 
 Array = NDArray[Any]
 
@@ -149,7 +149,7 @@ def evidence(result: Diagnosis) -> Evidence:
             pictures.append(_as_set_up(new))
     samples = _samples(stations, kept, drawn, covariates)
     if result.step > 1:
-        told = {name: finer_covariate(name, x, result.step) for name, x in samples.covariates.items()}
+        told = {name: full_covariate(name, x, result.step) for name, x in samples.covariates.items()}
         samples = replace(samples, covariates=told)
     _centre(stations, shape)
     after = np.stack([one.after / one.sigma for one in stations])

@@ -1,0 +1,133 @@
+"""What speaks against a calibration: reasons not to use it, and a term of the amplitude of another form."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rim_camera_ros.calibrate.held_out import Accuracy
+from rim_camera_ros.calibrate.solution import Solution
+from rim_camera_ros.effects import CovariateTable
+from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.covariate_table import empirical_block, empirical_start
+from rim_camera_ros.fit.problem import Fit, Problem, freed
+from rim_camera_ros.fit.solver import fit
+from rim_camera_ros.fit.variance_components import widening_of_poses
+from rim_camera_ros.scene import Scene
+from rim_camera_ros.select.evidence import Scores
+from rim_camera_ros.select.exploration import LEAST_THRESHOLD
+
+#: Ratio of errors after to those before from which on they are worse: offsets of pixels that few poses tell
+#: add some of their noise to a file that was right.
+WORSE = 1.05
+#: Errors of the reference instrument, 1-sigma, by which distances may come to differ more from the scene.
+_REFERENCE = 3.0
+#: Ratio of the errors of poses to those stated from which on the scene is not what was recorded.
+TENFOLD = 10.0
+#: Last step of a number of the camera file, in units of its sigma, from which on it has no value yet.
+_MOVES = 1.0
+
+
+def refusals(fitted: Fit, accuracy: Accuracy, stated: Scene) -> list[str]:
+    """Return the reasons not to use a calibration, in words; none where it is a good one.
+
+    ``accuracy`` of the poses that it was not fitted to, ``stated`` the scene as its file describes it.
+    """
+    return [*_unsettled(fitted), *_worse(accuracy), *_widened(fitted, stated)]
+
+
+def _unsettled(fitted: Fit) -> list[str]:
+    own = {
+        path: ratio
+        for path, ratio in fitted.moving.items()
+        if path.startswith(("effects.", "optics.")) and ratio > _MOVES
+    }
+    if not own:
+        return []
+    worst = max(own, key=lambda path: own[path])
+    return [
+        f"it did not converge: the last step moved {worst.removeprefix('effects.')} by "
+        f"{own[worst]:.1f} times its standard deviation"
+    ]
+
+
+def _worse(one: Accuracy) -> list[str]:
+    whose = f"{one.poses} held-out poses" if one.held_out else "the poses that it was fitted to"
+    if one.rigid_after > WORSE * one.rigid_before:
+        return [
+            f"it does not improve {whose}: {one.rigid_after * 1e3:.2f} mm RMS beside offset and tilts of "
+            f"each pose, {one.rigid_before * 1e3:.2f} mm by the file before"
+        ]
+    if one.after > WORSE * one.before and one.after**2 - one.before**2 > (_REFERENCE * one.reference) ** 2:
+        return [
+            f"it does not improve {whose}: {one.after * 1e3:.2f} mm RMS against the scene, "
+            f"{one.before * 1e3:.2f} mm by the file before, of which the reference instrument explains "
+            f"{one.reference * 1e3:.2f} mm"
+        ]
+    return []
+
+
+def _widened(fitted: Fit, stated: Scene) -> list[str]:
+    result = []
+    for surface, ratio in widening_of_poses(stated, fitted.scene).items():
+        if ratio >= TENFOLD:
+            result.append(
+                f"it takes poses of '{surface}' to err {ratio:.0f} times as much as stated: distances, poses "
+                "and effects cannot be told apart here"
+            )
+    return result
+
+
+#: Range of the curve's departures from the form [m] below which it does not matter.
+_MATTERS = 0.001
+#: Steps of the fit with both: linear equations at a wrong hyperbola do not show the curve.
+_ITERATIONS = 6
+
+
+def beyond_form(problem: Problem, solution: Solution) -> str | None:
+    """Return in words by how much a smooth curve fits better than a fitted term of the amplitude.
+
+    None where it does not, where it departs by less than a millimetre, and where there are too few poses to
+    hold any out. ``problem`` is that of the solution's fit.
+    """
+    fitted = solution.fit
+    labels = list(fitted.parameters)
+    names = [
+        name
+        for name, one in fitted.camera.effects.items()
+        if "amplitude" in one.own_covariates() <= {"amplitude", "settings"}
+    ]
+    own = [i for i, label in enumerate(labels) if label.startswith(tuple(f"effects.{one}." for one in names))]
+    if not own or effect_of(fitted.camera, CovariateTable) or not solution.scores.trained:
+        return None
+    try:
+        curve = empirical_start(fitted.forward, ("amplitude",))
+    except InputError:
+        return None
+    block = empirical_block(curve)
+    wide = fit(
+        freed(problem, fitted),
+        fitted.camera,
+        fold_of=solution.folds,
+        further=[block],
+        views=fitted.forward.views,
+        warm=fitted,
+        iterations=_ITERATIONS,
+    )
+    count = len(labels)
+    base = range(count)
+    instead = [*(i for i in base if i not in own), *range(count, count + len(block.regressors))]
+    # the term stays where it is in these equations, so that the curve is what departs from it
+    by_curve = Scores(wide.equations, instead, temper=solution.factor)
+    gain = by_curve.held_out() - Scores(wide.equations, base, temper=solution.factor).held_out()
+    values = by_curve.values()
+    departure = np.array([values[one.label] for one in block.regressors])
+    if gain < LEAST_THRESHOLD or np.ptp(departure) < _MATTERS:
+        return None
+    knots = curve.knots[0]
+    low, high = int(np.argmin(departure)), int(np.argmax(departure))
+    return (
+        f"a smooth curve in amplitude fits held-out poses better than the form of {' and '.join(names)} "
+        f"({gain:.0f} nats): it departs by {np.ptp(departure) * 1e3:.1f} mm between {knots[low]:.0f} and "
+        f"{knots[high]:.0f} counts; compare with --effects {CovariateTable.name}:amplitude"
+    )

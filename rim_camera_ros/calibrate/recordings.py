@@ -1,0 +1,207 @@
+"""Recordings to stations, here or on the workers of a Dask cluster; several scenes as one; progress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rim_camera_ros.bags import Topics
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.reduction import reduce_recording
+from rim_camera_ros.frame import Pose, RawFrame
+from rim_camera_ros.scene import TRUTH, Scene, ScenePose, Surface
+from rim_camera_ros.select.trials import Workers
+
+#: What is done, how much of it, of how much (None: unknown).
+Progress = Callable[[str, int | None, int | None], None]
+#: Reduces the recordings to stations, in their order.
+Reducer = Callable[[Sequence[Path], Camera, Topics | None, Sequence[Scene]], Sequence[Dataset]]
+
+
+class Cancelled(RimError):
+    """The work was cancelled; nothing was written."""
+
+
+class Watch:
+    """Tells progress and ends the work where it is cancelled."""
+
+    def __init__(self, progress: Progress | None, cancelled: Callable[[], bool] | None) -> None:
+        self._progress = progress
+        self._cancelled = cancelled
+
+    def tick(self) -> None:
+        """Raise `Cancelled` where the work is to end."""
+        if self._cancelled is not None and self._cancelled():
+            raise Cancelled("cancelled; nothing was written")
+
+    def say(self, text: str) -> None:
+        """Tell what begins now. Raises `Cancelled`."""
+        self.tick()
+        if self._progress is not None:
+            self._progress(text, None, None)
+
+    def ticking(self, text: str) -> Callable[[], None]:
+        """Tell what begins now, and return what its loop is to call."""
+        self.say(text)
+        return self.tick
+
+    def reducer(self, total: int) -> Reducer:
+        """Return the reduction in this process, one recording after the other."""
+        done = [0]
+
+        def watched(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
+            for frame in frames:
+                self.tick()
+                yield frame
+                done[0] += 1
+                if self._progress is not None:
+                    self._progress("reading frames", done[0], total)
+
+        def reduce_all(
+            paths: Sequence[Path], camera: Camera, topics: Topics | None, scenes: Sequence[Scene]
+        ) -> list[Dataset]:
+            return [
+                reduce_recording(path, camera, topics=topics, scene=scene, progress=watched)
+                for path, scene in zip(paths, scenes, strict=True)
+            ]
+
+        return reduce_all
+
+
+#: Times that a work is given to another worker when one is lost.
+_RETRIES = 3
+_CONNECT_SECONDS = 10
+
+
+@contextmanager
+def on_workers(scheduler: str | None) -> Iterator[Workers]:
+    """Give what calls a function for each of some things on a cluster, in the order of the things.
+
+    Without a ``scheduler`` they are called here, one after the other. Raises `InputError` where
+    dask.distributed is not installed or the scheduler does not answer; calls raise what the function raises,
+    and `RimError` where the cluster fails.
+    """
+    if scheduler is None:
+        yield map
+        return
+    try:
+        import distributed
+    except ImportError:
+        raise InputError(
+            "--scheduler needs dask.distributed", remedy="pip install 'rim_camera_ros[cluster]'"
+        ) from None
+    try:
+        cluster: Any = distributed
+        client = cluster.Client(scheduler, timeout=_CONNECT_SECONDS, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise InputError(
+            f"no scheduler answers: {type(error).__name__}",
+            place=f"--scheduler {scheduler}",
+            remedy="start one with dask-scheduler and give its address, tcp://HOST:8786",
+        ) from None
+
+    def call(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+        futures = [client.submit(function, one, retries=_RETRIES, pure=False) for one in items]
+        for future in futures:
+            try:
+                yield future.result()
+            except RimError:
+                raise
+            except Exception as error:
+                raise RimError(
+                    f"the cluster failed: {type(error).__name__}: {error}",
+                    remedy="workers need this package and the same paths",
+                ) from None
+
+    with client:
+        yield call
+
+
+def reduce_on_cluster(
+    paths: Sequence[Path],
+    camera: Camera,
+    scenes: Sequence[Scene],
+    *,
+    topics: Topics | None = None,
+    scheduler: str,
+) -> list[Dataset]:
+    """Return the stations of each recording, reduced on a cluster whose workers see the same files.
+
+    Raises what `on_workers` and the reduction raise.
+    """
+    works = [
+        partial(reduce_recording, path.absolute(), camera, topics=topics, recording=number, scene=scene)
+        for number, (path, scene) in enumerate(zip(paths, scenes, strict=True))
+    ]
+    with on_workers(scheduler) as workers:
+        parts = list(workers(_done, works))
+    for part, path in zip(parts, paths, strict=True):
+        part.files = [str(path)]
+    return parts
+
+
+def _done(work: Callable[[], Dataset]) -> Dataset:
+    return work()
+
+
+class JoinedScene(Scene):
+    """The surfaces of several scenes. A surface without a known pose is not there."""
+
+    def poses_for(self, truth: Mapping[str, Pose]) -> dict[str, Pose]:
+        """Return the poses of those surfaces that the recording sees."""
+        return {name: truth[name] for name in self.needs_truth if name in truth}
+
+
+def joined(scenes: Sequence[Scene], datasets: Sequence[Dataset]) -> tuple[Scene, list[Dataset]]:
+    """Return one scene for recordings of one scene each, and the recordings with poses of its surfaces.
+
+    A surface that several scenes describe alike is one; a name that means another surface in another scene
+    gets the scene's number: ``wall (2)``. Raises `InputError` where scenes differ in the camera's motion, or
+    one estimates a pose (``free``).
+    """
+    first = scenes[0]
+    if all(one == first for one in scenes):
+        return first, list(datasets)
+    surfaces: dict[str, Surface] = {}
+    placed = []
+    for scene, dataset in zip(scenes, datasets, strict=True):
+        _require_joinable(scene, first)
+        names = {}
+        for surface in scene.surfaces:
+            there = replace(surface, pose=TRUTH)
+            name = surface.name
+            if name in surfaces and surfaces[name] != there:
+                name = f"{name} ({list(scenes).index(scene) + 1})"
+                there = replace(there, name=name)
+            surfaces[name] = there
+            names[surface.name] = name
+        stations = [
+            replace(one, truth={names[k]: pose for k, pose in scene.poses_for(one.truth).items()})
+            for one in dataset.stations
+        ]
+        placed.append(replace(dataset, stations=stations))
+    light = max(one.stray_light for one in scenes)
+    joint = JoinedScene(tuple(surfaces.values()), camera_motion=first.camera_motion, stray_light=light)
+    return joint, placed
+
+
+def _require_joinable(scene: Scene, first: Scene) -> None:
+    if scene.camera_motion != first.camera_motion:
+        raise InputError(
+            "the scenes state different motions of the camera",
+            place="camera_motion",
+            remedy="calibrate motion from recordings of one scene",
+        )
+    free = [one.name for one in scene.surfaces if isinstance(one.pose, ScenePose) and one.pose.free]
+    if free:
+        raise InputError(
+            f"the pose of '{free[0]}' is to be estimated, which takes one scene for all recordings",
+            place="free",
+            remedy="calibrate that recording alone, or state the pose",
+        )

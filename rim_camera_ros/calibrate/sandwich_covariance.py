@@ -1,0 +1,140 @@
+"""Do poses scatter as the model says? What they scatter more widens the intervals of an effect.
+
+Within a pose all pixels share what the model leaves out: texture that an error of the pose moves, a surface
+that is not quite flat or not quite matt. The covariance of the adjustment does not know it. The scores of the
+poses (their shares in the gradient) do: their products, poses taken as clusters, give the sandwich estimator
+of the covariance (Liang & Zeger 1986), which is compared with what it would be if the model were right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from rim_camera_ros.effects.candidate import Block
+from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.fit.residuals import ROBUST_LIMIT, after_nuisances
+from rim_camera_ros.select.evidence import Scores
+
+Array = NDArray[Any]
+Key = tuple[int, int]
+
+#: Poses that it takes to judge their scatter; and how many independent looks at the ratio its expectation
+#: of 1 is worth, and a parameter in each pose.
+LEAST_POSES = 10
+_PRIOR_LOOKS = 10.0
+_LOOKS_PER_POSE = 0.5
+#: Least share of a parameter's variance that residuals of several poses must be able to show.
+_LEAST_SHARED = 0.2
+
+
+def widening(fitted: Fit, scores: Scores, blocks: Sequence[Block]) -> dict[str, float]:
+    """Return the factors, at least 1, by which parameters' variances are larger than the model's, by label.
+
+    The larger of a parameter's own and of its effect's, which has more to judge by. ``blocks`` give the
+    columns of regressors of the base; those without stay as they are. Empty for too few poses.
+    """
+    labels = [scores.regressors[int(i)].label for i in scores.base]
+    own = [(k, one) for block in blocks for k, one in enumerate(block.regressors)]
+    place = [labels.index(one.label) for _, one in own if one.label in labels]
+    if not place:
+        return {}
+    mean = _pixel_means(fitted, scores, place)
+    gradients: dict[Key, Array] = {}
+    grams: dict[Key, Array] = {}
+    for one in fitted.forward.predictions():
+        if not one.used.any():
+            continue
+        key = (one.station.recording, one.station.placed)
+        gradient, gram = _scores_of(one, fitted, blocks, labels, mean)
+        gradients[key] = gradients.get(key, 0.0) + gradient
+        grams[key] = grams.get(key, 0.0) + gram
+    if len(gradients) < LEAST_POSES:
+        return {}
+    covariance = scores.covariance(scores.base)[np.ix_(place, place)]
+    found = np.zeros(len(place))
+    expected = np.zeros(len(place))
+    for key, gradient in gradients.items():
+        found += (covariance @ gradient) ** 2
+        gram = grams[key]
+        # residuals are smaller than errors by what the pose itself drew the fit
+        expected += np.diag(covariance @ (gram - gram @ covariance @ gram) @ covariance)
+    # what one pose alone determines, that pose follows: its residuals tell nothing of the scatter of poses
+    shared = expected > _LEAST_SHARED * np.diag(covariance)
+    ratio = found / np.where(shared, expected, 1.0)
+    owners = [scores.regressors[int(scores.base[i])].owner for i in place]
+    result = {}
+    for k, column in enumerate(place):
+        mine = ratio[[i for i, name in enumerate(owners) if name == owners[k] and shared[i]]]
+        if not mine.size:
+            continue
+        levels = [_level(mine, len(gradients))]
+        if shared[k]:
+            levels.append(_level(ratio[[k]], len(gradients)))
+        result[labels[column]] = max(1.0, *levels)
+    return result
+
+
+def _level(ratios: Array, poses: int) -> float:
+    """Return the mean of ratios, drawn towards its expectation of 1 by how little they have to say."""
+    looks = _LOOKS_PER_POSE * poses * len(ratios)
+    return (looks * float(np.mean(ratios)) + _PRIOR_LOOKS) / (looks + _PRIOR_LOOKS)
+
+
+def _pixel_means(fitted: Fit, scores: Scores, place: Sequence[int]) -> Array | None:
+    """Return the weighted mean of each column over each pixel's values (P, K), None without a pattern."""
+    folds = fitted.equations.folds
+    if folds[0].pixel.shape[0] == 1:
+        return None
+    columns = [int(scores.base[i]) for i in place]
+    total = np.sum([one.pixel[:, columns] for one in folds], axis=0)
+    weight = np.sum([one.weight for one in folds], axis=0) + fitted.equations.pattern_prior**-2
+    return np.asarray(total / weight[:, None])
+
+
+def _scores_of(
+    one: Prediction, fitted: Fit, blocks: Sequence[Block], labels: Sequence[str], mean: Array | None
+) -> tuple[Array, Array]:
+    """Return gradient (K,) and information (K, K) of a station beyond its pose's errors and the pattern."""
+    pairs = [
+        pair
+        for block in blocks
+        for regressor, pair in zip(block.regressors, block.columns(one), strict=True)
+        if regressor.label in labels
+    ]
+    used, lit = one.used, one.amplitude_used
+    rest, light = after_nuisances(one, fitted.pattern, fitted.nuisances)
+    design = [np.stack([np.asarray(d)[used] for d, _ in pairs], axis=1)]
+    if mean is not None:
+        design[0] = design[0] - mean[np.flatnonzero(used.ravel())]
+    zero = np.zeros(used.shape)
+    design.append(np.stack([(zero if a is None else np.asarray(a))[lit] for _, a in pairs], axis=1))
+    key = f"{one.station.recording}.{one.station.pose}"
+    priors = {name: prior for fold in fitted.equations.folds for name, prior, _ in fold.nuisances}
+    placed = f"{one.station.recording}.{one.station.placed}"
+    errors = [(c, priors.get(f"{placed}.{c.path}")) for c in one.pose_columns]
+    changes = [(one.pose_change(c), prior) for c, prior in errors if prior is not None]
+    if f"{key}.gain" in priors:
+        changes.append((one.gain_column(), priors[f"{key}.gain"]))
+    stray = [f"{key}.light.{part}.{one.station.stamp}" for part in ("real", "imaginary")]
+    if stray[0] in priors:
+        changes += [(c, priors[name]) for name, c in zip(stray, one.light_columns(), strict=True)]
+    limit_d = ROBUST_LIMIT * one.sigma[used]
+    limit_a = ROBUST_LIMIT * one.amplitude_sigma[lit]
+    residual = np.concatenate(
+        [np.clip(rest[used], -limit_d, limit_d), np.clip(light[lit], -limit_a, limit_a)]
+    )
+    weight = np.concatenate([one.sigma[used] ** -2, one.amplitude_sigma[lit] ** -2])
+    x = np.nan_to_num(np.concatenate(design))
+    if changes:
+        nuisance = np.nan_to_num(
+            np.stack([np.concatenate([d[used], a[lit]]) * prior for (d, a), prior in changes], axis=1)
+        )
+        inner = nuisance.T @ (nuisance * weight[:, None]) + np.eye(nuisance.shape[1])
+        x = x - nuisance @ linalg.solve(inner, nuisance.T @ (x * weight[:, None]), assume_a="pos")
+    return x.T @ (weight * residual), x.T @ (x * weight[:, None])

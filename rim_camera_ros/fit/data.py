@@ -1,0 +1,148 @@
+"""Stations: what a recording is reduced to, sums per pixel over frames of one pose and one setting.
+
+A station holds all that a fit needs of its frames, so that memory does not grow with their number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Set
+from dataclasses import dataclass, field, replace
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.common_variation import Movement
+from rim_camera_ros.frame import Pose, Settings
+from rim_camera_ros.scene import Scene
+
+#: Frames of a station that tell what all pixels share.
+KEPT_FRAMES = 8
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Station:
+    """Frames of one pose, one setting and (within a long pose) one block of time.
+
+    ``distance`` [m] and ``amplitude`` [counts] (H, W) are means over the valid frames (NaN and 0 without
+    one; a wrapping camera's distances are averaged modulo L); ``distance_variance`` [m^2] and
+    ``amplitude_variance`` [counts^2] of single frames (NaN below two); ``count`` the valid frames of each
+    pixel; ``saturated`` how many of its frames were saturated. ``pose`` numbers the poses of the recording,
+    ``placement`` those that were told with other values than the one before (None: all); ``stamp`` [ns] and
+    ``time`` [s since the first frame] are the middle of the block, ``duration`` [s] is from its first frame
+    to its last. ``common`` is the frame-to-frame variation that all pixels share and that is not in
+    proportion to their light, as chi-square per degree of freedom of the mean complex deviation (1: none;
+    None for one frame); ``common_light`` [counts^2] is its power if it is the same in all pixels, beyond
+    what noise makes (negative where that happened to be less). ``movement`` says whether tilts explain it.
+    """
+
+    recording: int
+    pose: int
+    frames: int
+    stamp: int
+    time: float
+    settings: Settings
+    truth: Mapping[str, Pose]
+    distance: Array
+    amplitude: Array
+    distance_variance: Array
+    amplitude_variance: Array
+    count: Array
+    saturated: Array
+    common: float | None = None
+    common_light: float | None = None
+    movement: Movement | None = None
+    placement: int | None = None
+    duration: float = 0.0
+
+    @property
+    def placed(self) -> int:
+        """Number of the placement, within which the error of the reference instrument is the same."""
+        return self.pose if self.placement is None else self.placement
+
+
+@dataclass
+class Dataset:
+    """Stations of one or more recordings, in order; ``notes`` say what was assumed or left out.
+
+    ``codes`` (65536,) counts how often each raw distance count occurred; None for distances in metres.
+    ``decimation``: its pixels are every so many-th of the sensor's, along rows and columns.
+    """
+
+    stations: list[Station]
+    files: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    frames: int = 0
+    codes: Array | None = None
+    decimation: int = 1
+
+    @property
+    def poses(self) -> int:
+        """Number of different poses over all recordings."""
+        return len({(one.recording, one.pose) for one in self.stations})
+
+    def with_poses(self, scene: Scene, path: str | PathLike[str] | None = None) -> None:
+        """Leave out stations before the first pose of a surface with ``pose: truth``, which is noted.
+
+        Raises `InputError` where no station has all poses.
+        """
+        needed = scene.needs_truth
+        if not self.stations:
+            raise InputError(
+                "holds no frame with settings", file=path, remedy="record frame_info beside the images"
+            )
+        kept = [one for one in self.stations if all(name in one.truth for name in needed)]
+        lost = sum(one.frames for one in self.stations) - sum(one.frames for one in kept)
+        if not kept:
+            present = {name for one in self.stations for name in one.truth}
+            absent = [name for name in needed if name not in present]
+            raise InputError(
+                f"holds no pose of {', '.join(absent) or 'all surfaces together'}",
+                file=path,
+                place="scene with pose: truth",
+                remedy=f"record /ground_truth/{(absent or list(needed))[0]}/pose, "
+                "or state the pose in the scene file",
+            )
+        if lost:
+            self.notes.append(f"left out: {lost} frames before the first pose of every surface")
+        self.stations, self.frames = kept, self.frames - lost
+
+    def without(self, poses: Set[tuple[int, int]]) -> Dataset:
+        """Return the dataset without poses, given by the numbers of their recording and their own."""
+        kept = [one for one in self.stations if (one.recording, one.pose) not in poses]
+        lost = sum(one.frames for one in self.stations) - sum(one.frames for one in kept)
+        return replace(self, stations=kept, frames=self.frames - lost)
+
+    @property
+    def integration_times(self) -> list[float]:
+        """The settings that occur, sorted."""
+        return sorted(
+            {
+                one.settings.integration_time
+                for one in self.stations
+                if one.settings.integration_time is not None
+            }
+        )
+
+
+def merged(parts: Iterable[Dataset]) -> Dataset:
+    """Return the stations of several recordings as one dataset, numbered in their order."""
+    result = Dataset([])
+    for number, part in enumerate(parts):
+        result.stations += [replace(one, recording=number) for one in part.stations]
+        result.files += part.files
+        result.notes += part.notes
+        result.frames += part.frames
+        if part.codes is not None:
+            result.codes = part.codes if result.codes is None else result.codes + part.codes
+    return result
+
+
+def level_of(dataset: Dataset) -> float:
+    """Return the amplitude [counts] in the middle of a recording's."""
+    values = np.concatenate([one.amplitude[one.count > 0][::17] for one in dataset.stations])
+    return max(float(np.median(values)), 1.0) if values.size else 1000.0

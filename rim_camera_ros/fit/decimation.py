@@ -1,0 +1,152 @@
+"""Large sensors through a coarser grid: every k-th of their pixels, with what is stated in pixels scaled.
+
+Pixels are picked, not averaged, so that no edge is mixed and the noise stays what it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import added, with_effects
+from rim_camera_ros.effects import CovariateTable, PixelMap, registry, vocabulary
+from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.effects.candidate import MANY_PIXELS
+from rim_camera_ros.effects.covariates import POINTWISE, resampled_knots
+from rim_camera_ros.fit.data import Dataset, Station
+
+Array = NDArray[Any]
+
+#: How many pixels a coarser grid has at most.
+_COARSE_PIXELS = 30_000
+
+
+def decimation_of(camera: Camera) -> int:
+    """Return the step of the coarser grid in pixels, 1 where all pixels are looked at."""
+    pixels = camera.sensor.width * camera.sensor.height
+    if pixels <= MANY_PIXELS or any(one.stated_by_pixels for one in camera.effects.values()):
+        return 1
+    return int(np.ceil(np.sqrt(pixels / _COARSE_PIXELS)))
+
+
+def decimation_for(camera: Camera, words: Sequence[str]) -> int:
+    """Return the step of the coarser grid [px] on which effects, as --effects names them, can be fitted.
+
+    1 where all pixels are needed: small sensors, and effects that act on neighbours or are stated by
+    pixels.
+    """
+    covariates = {one for word in words for one in word.split(":")[1:]}
+    names = {word.partition(":")[0] for word in words}
+    kept = effect_of(camera, CovariateTable)
+    if kept is not None:
+        covariates |= set(kept.covariates)
+    known = vocabulary()
+    present = [one for one in camera.effects.values() if not isinstance(one, PixelMap)]
+    if any(one.needs_all_pixels for one in present) or any(
+        known[name].needs_all_pixels for name in names if name in known
+    ):
+        return 1
+    if covariates - POINTWISE:
+        return 1
+    return int(np.ceil(np.sqrt(camera.sensor.width * camera.sensor.height / MANY_PIXELS)))
+
+
+def decimated_camera(camera: Camera, step: int) -> Camera:
+    """Return the camera that has every ``step``-th pixel, from pixel ``step // 2`` on."""
+    first = step // 2
+    width, height = (len(range(first, n, step)) for n in (camera.sensor.width, camera.sensor.height))
+    optics, pitch = camera.optics, camera.sensor.pixel_pitch
+    small = replace(
+        camera,
+        effects={},
+        sensor=replace(
+            camera.sensor,
+            width=width,
+            height=height,
+            pixel_pitch=None if pitch is None else (pitch[0] * step, pitch[1] * step),
+        ),
+        optics=replace(
+            optics,
+            fx=optics.fx / step,
+            fy=optics.fy / step,
+            cx=(optics.cx - first) / step,
+            cy=(optics.cy - first) / step,
+        ),
+        covariance=None,
+    )
+    return with_effects(
+        small, {name: one.resampled(1.0 / step, step) for name, one in camera.effects.items()}
+    )
+
+
+def decimated_dataset(dataset: Dataset, step: int) -> Dataset:
+    """Return the stations on the coarser grid."""
+    pick = (slice(step // 2, None, step), slice(step // 2, None, step))
+    names = ("distance", "amplitude", "distance_variance", "amplitude_variance", "count", "saturated")
+    stations = [
+        replace(one, **_picked(one, pick, names), common=_coarser_common(one, step))
+        for one in dataset.stations
+    ]
+    return replace(dataset, stations=stations, decimation=dataset.decimation * step)
+
+
+def _coarser_common(station: Station, step: int) -> float | None:
+    """Return the variation that fewer pixels have in common: noise averages out less."""
+    return None if station.common is None else 1 + (station.common - 1) / step**2
+
+
+def _picked(station: Station, pick: tuple[slice, slice], names: Sequence[str]) -> dict[str, Any]:
+    return {name: np.ascontiguousarray(getattr(station, name)[pick]) for name in names}
+
+
+def full_camera(small: Camera, camera: Camera, step: int) -> Camera:
+    """Return the full camera with the effects, optics, noise and gain that a coarser one came to have."""
+    optics = small.optics
+    first = step // 2
+    result = replace(
+        camera,
+        effects={},
+        radiometry=small.radiometry,
+        noise=small.noise,
+        optics=replace(
+            optics,
+            fx=optics.fx * step,
+            fy=optics.fy * step,
+            cx=optics.cx * step + first,
+            cy=optics.cy * step + first,
+        ),
+    )
+    for name, one in small.effects.items():
+        own = camera.effects.get(name)
+        result = added(result, own if isinstance(own, PixelMap) else one.resampled(float(step), None))
+    return result
+
+
+def full_image(image: Array, shape: tuple[int, int], step: int) -> Array:
+    """Return an image of the coarser grid on all pixels, each with the value of the nearest."""
+    rows, columns = (
+        np.clip(np.round((np.arange(n) - step // 2) / step).astype(int), 0, m - 1)
+        for n, m in zip(shape, image.shape, strict=True)
+    )
+    return np.asarray(image[np.ix_(rows, columns)])
+
+
+def full_number(path: str, value: float, step: int) -> float:
+    """Return a number of the coarser grid's camera, by its path in the camera file, as the full one's."""
+    if path in ("optics.cx", "optics.cy"):
+        return value * step + step // 2
+    if path.startswith("effects."):
+        _, name, inner = path.split(".", 2)
+        effect = registry().get(name)
+        return value if effect is None else effect.resampled_number(inner, value, step)
+    return value * step if path in ("optics.fx", "optics.fy") else value
+
+
+def full_covariate(name: str, values: Array, step: int) -> Array:
+    """Return the values of a covariate of the coarser grid as they are on the full one."""
+    return np.asarray(resampled_knots(float(step), name, tuple(np.asarray(values, float).tolist())))

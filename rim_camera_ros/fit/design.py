@@ -1,0 +1,228 @@
+"""Regressors of a fit beside those of single effects: free poses, the gain, and ordinary imperfections.
+
+Nobody knows the reflectivity of a printed tile to a percent, the poses of a total station share the error of
+its set-up, no surface is perfectly matt, and a camera constant is known within its covariance. What is not a
+nuisance parameter of the adjustment is found as physics that it is not (Kennedy & O'Hagan 2001 on the
+discrepancy of models). Gains of pixels and errors of single poses are random effects of `normal_equations`
+and `fold_sums`; those here are common to all poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.candidate import Block, Column, Regressor, effect_block
+from rim_camera_ros.effects.light_curves import FALLOFF, LOBE, tile_labels
+from rim_camera_ros.effects.sections import light_block, optics_columns
+from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.scene import Scene
+
+#: Label of the radiometric gain.
+GAIN = "radiometry.gain"
+
+
+def pose_block(paths: Sequence[tuple[str, float]]) -> Block:
+    """Return the regressors of the free poses of a scene: ``scene.SURFACE.AXIS`` with their priors."""
+    regressors = tuple(Regressor(path, "scene", prior) for path, prior in paths)
+
+    def columns(prediction: Prediction) -> list[Column]:
+        found = {one.path: one for one in prediction.pose_columns}
+        zero = np.zeros(prediction.distance.shape)
+        result: list[Column] = []
+        for path, _ in paths:
+            result.append(prediction.pose_change(found[path]) if path in found else (zero, zero))
+        return result
+
+    return Block(regressors, columns)
+
+
+def gain_block(prior: float = 1.0) -> Block:
+    """Return the regressor of the relative radiometric gain (label ``radiometry.gain``, relative)."""
+
+    def columns(prediction: Prediction) -> list[Column]:
+        return [prediction.gain_column()]
+
+    return Block((Regressor(GAIN, "radiometry", prior),), columns)
+
+
+def present_blocks(
+    camera: Camera, *, effects: Sequence[str] | None = None, origin: Camera | None = None
+) -> list[Block]:
+    """Return the regressors of a camera's own effects: its parameters, about their values.
+
+    Priors are weak: as wide as the value itself, or as such effects are large; those of parameters that the
+    ``origin`` has are as wide as there.
+    """
+    blocks = []
+    for name, effect in camera.effects.items():
+        if effect.estimated != "joint" or (effects is not None and name not in effects):
+            continue
+        priors = effect.priors()
+        if origin is not None and name in origin.effects:
+            there = origin.effects[name].priors()
+            priors = {path: there.get(path, width) for path, width in priors.items()}
+        if priors:
+            blocks.append(effect_block(effect, priors))
+    return blocks
+
+
+Array = NDArray[Any]
+
+#: Stated sizes beyond which an imperfection is none, but a fault of the set-up or of the camera file.
+BEYOND = 3.0
+#: Labels of errors that all poses of a surface share, and of the optics within their covariance.
+COMMON_POSE, OPTICS = "common_pose.", "optics_covariance."
+#: Labels of the smooth field of the pixels' offsets: powers of row and column over the array.
+PATTERN_FIELD = "pattern_field."
+_POWERS = ((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))
+#: 1-sigma of each part of the field [m]: unknown.
+_FIELD_SIGMA = 5.0
+_DIRECTIONS = ("offset", "tilt_x", "tilt_y")
+
+
+def imperfection_blocks(
+    camera: Camera, scene: Scene, *, lobe: bool = True, pattern_field: bool = False
+) -> list[Block]:
+    """Return the regressors of reflectivities, a weak lobe, common errors of poses, and known optics.
+
+    Sizes are those of the files: ``reflectivity_sigma``, ``pose_sigma`` with ``pose_common``, and the
+    covariance of the optics; that of the lobe is `light_curves.LOBE_SIGMA`. Without ``lobe`` surfaces have
+    curves of their own. With ``pattern_field`` what offsets of pixels have in common is estimated, where each
+    of them is taken to be small by itself.
+    """
+    blocks = [
+        reflectivity_block(scene),
+        light_block(LOBE if lobe else FALLOFF),
+        *linear_blocks(camera, scene, pattern_field=pattern_field),
+    ]
+    return [one for one in blocks if one.regressors]
+
+
+def linear_blocks(camera: Camera, scene: Scene, *, pattern_field: bool = False) -> list[Block]:
+    """Return those of the blocks whose effect on the predictions is added as it is, without a step."""
+    blocks = [common_pose_block(scene), known_optics(camera)]
+    if pattern_field:
+        blocks.append(pattern_field_block(camera.shape))
+    return [one for one in blocks if one.regressors]
+
+
+def pattern_field_block(shape: tuple[int, int]) -> Block:
+    """Return the regressors of a smooth field of offsets over an array of ``shape`` (H, W), each in metres.
+
+    Offsets of pixels by themselves say little of their mean; where they are taken to be small, it would be
+    known far better than any camera's is.
+    """
+    regressors = tuple(Regressor(f"{PATTERN_FIELD}{i}.{j}", "pattern", _FIELD_SIGMA) for i, j in _POWERS)
+    images = [_power(i, j, shape) for i, j in _POWERS]
+
+    def columns(prediction: Prediction) -> list[Column]:
+        return [(image, None) for image in images]
+
+    return Block(regressors, columns)
+
+
+def pattern_field(values: Mapping[str, float], shape: tuple[int, ...]) -> Array:
+    """Return the smooth field of offsets (H, W) [m] that fitted values, by label, describe."""
+    return sum(
+        (values.get(f"{PATTERN_FIELD}{i}.{j}", 0.0) * _power(i, j, shape) for i, j in _POWERS),
+        np.zeros(shape),
+    )
+
+
+def _power(i: int, j: int, shape: tuple[int, ...]) -> Array:
+    rows, columns = np.linspace(-1, 1, shape[0])[:, None], np.linspace(-1, 1, shape[1])[None, :]
+    return np.asarray(rows**i * columns**j * np.ones(shape))
+
+
+def reflectivity_block(scene: Scene) -> Block:
+    """Return one regressor for each tile whose reflectivity is stated but not exactly known [relative]."""
+    regressors: list[Regressor] = []
+    numbers: list[int] = []
+    first = 0
+    labels = tile_labels(scene)
+    for surface in scene.surfaces:
+        if surface.is_described and surface.reflectivity_sigma > 0:
+            for number in range(first, first + surface.tiles):
+                regressors.append(Regressor(labels[number], "radiometry", surface.reflectivity_sigma))
+                numbers.append(number)
+        first += surface.tiles
+
+    def columns(prediction: Prediction) -> list[Column]:
+        tile = prediction.view.geometry.tile
+        by_distance, by_amplitude = prediction.gain_column()
+        result = []
+        for number in numbers:
+            mine = tile == number
+            result.append((by_distance * mine, by_amplitude * mine))
+        return result
+
+    places = np.full(first + 1, -1)
+    places[numbers] = np.arange(len(numbers))
+
+    def grouped(prediction: Prediction) -> tuple[Array, Array, Array]:
+        return (places[prediction.view.geometry.tile], *prediction.gain_column())
+
+    return Block(tuple(regressors), columns, grouped=grouped)
+
+
+def common_pose_block(scene: Scene) -> Block:
+    """Return the errors of the reference instrument that are the same in all poses of a surface."""
+    regressors: list[Regressor] = []
+    for surface in scene.surfaces:
+        share = float(np.sqrt(surface.pose_common))
+        if surface.pose != "truth" or share == 0:
+            continue
+        offset, tilt = surface.pose_sigma
+        tilt = 0.0 if surface.type == "sphere" else tilt
+        for name, sigma in zip(_DIRECTIONS, (offset, tilt, tilt), strict=True):
+            if sigma > 0:
+                label = f"{COMMON_POSE}{surface.name}.{name}"
+                regressors.append(Regressor(label, "pose", share * sigma))
+
+    def columns(prediction: Prediction) -> list[Column]:
+        found = {one.path: one for one in prediction.pose_columns}
+        nothing = np.zeros(prediction.distance.shape)
+        result: list[Column] = []
+        for one in regressors:
+            column = found.get("pose." + one.label.removeprefix(COMMON_POSE))
+            result.append((nothing, nothing) if column is None else prediction.pose_change(column))
+        return result
+
+    return Block(tuple(regressors), columns)
+
+
+def known_optics(camera: Camera) -> Block:
+    """Return the principal axes of the optics' covariance in the camera file, each with its 1-sigma."""
+    stated = camera.covariance
+    if stated is None:
+        return Block((), lambda prediction: [])
+    own = [i for i, path in enumerate(stated.parameters) if path.startswith("optics.")]
+    paths = [stated.parameters[i].removeprefix("optics.") for i in own]
+    matrix = np.asarray(stated.matrix.values, float)[np.ix_(own, own)]
+    values, vectors = np.linalg.eigh(matrix) if own else (np.zeros(0), np.zeros((0, 0)))
+    # directions that are known a thousand times better than the worst are known
+    kept = [i for i, one in enumerate(values) if one > 1e-6 * max(values.max(), 1e-300)]
+    regressors = tuple(
+        Regressor(f"{OPTICS}{k}", "optics", float(np.sqrt(values[i]))) for k, i in enumerate(kept)
+    )
+    if not regressors:
+        return Block((), lambda prediction: [])
+    by_path = optics_columns(camera, paths)
+
+    def columns(prediction: Prediction) -> list[Column]:
+        found = by_path(prediction)
+        return [
+            (sum((vectors[j, i] * found[j][0] for j in range(len(paths))), np.zeros(())), None) for i in kept
+        ]
+
+    return Block(regressors, columns)
+
+
+def is_linear(path: str) -> bool:
+    """Whether a regressor is a nuisance whose value is no parameter of camera or light."""
+    return path.startswith((COMMON_POSE, OPTICS, PATTERN_FIELD))

@@ -1,0 +1,366 @@
+"""Sums of a joint fit over the stations of a fold of poses, station by station."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from rim_camera_ros.effects.candidate import Column
+from rim_camera_ros.fit.prediction import Prediction
+
+Array = NDArray[Any]
+
+
+@dataclass
+class Fold:
+    """Sums over the stations of one fold of poses.
+
+    ``nuisances``: name, 1-sigma of the prior, and where the equations are linearised (their prior's mean is
+    0).
+    ``gram`` (M, M) over regressors, this fold's nuisances and the observations (last); ``pixel`` (P, M) and
+    ``weight`` (P,) the sums per pixel of products with its offset; ``gain`` (P, M) those with the relative
+    gain of the pixel, in both channels (None: gains are known), ``gain_weight`` (P,) and ``cross`` (P,) its
+    own and those with the offset; ``rows`` the number of observations, ``log_sigma`` the sum of their log
+    standard deviations.
+    """
+
+    nuisances: list[tuple[str, float, float]]
+    gram: Array
+    pixel: Array
+    weight: Array
+    rows: int = 0
+    log_sigma: float = 0.0
+    gain: Array | None = None
+    gain_weight: Array | None = None
+    cross: Array | None = None
+
+
+def _rows(images: Sequence[Array], pixels: Array) -> Array:
+    """Return the chosen pixels of images (H, W) as rows (len(images), N), 0 where not finite."""
+    rows = np.empty((len(images), pixels.size))
+    for row, image in zip(rows, images, strict=True):
+        np.take(image, pixels, out=row, mode="clip")
+    if not np.isfinite(rows.sum()):
+        np.nan_to_num(rows, copy=False, posinf=0.0, neginf=0.0)
+    return rows
+
+
+@dataclass(frozen=True)
+class Grouped:
+    """Regressors of which each pixel has one at most: its number (H, W), from ``first`` on, and its column.
+
+    ``number`` is -1 where a pixel has none.
+    """
+
+    first: int
+    count: int
+    number: Array
+    distance: Array
+    amplitude: Array
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """The weighted design of one channel at its pixels: dense rows, and one grouped column for each pixel.
+
+    ``index`` (K,) numbers the ``dense`` rows (K, N) among all; ``group`` (N,) the grouped regressor of each
+    pixel, -1 for none, with its ``value`` (N,). All are in units of the noise, its inverse is ``root`` (N,).
+    """
+
+    pixels: Array
+    root: Array
+    index: Array
+    dense: Array
+    group: Array
+    value: Array
+
+    def add_to(self, gram: Array, grouped: Grouped | None) -> None:
+        """Add the products of all columns with each other to the normal matrix."""
+        gram[np.ix_(self.index, self.index)] += self.dense @ self.dense.T
+        mine = np.flatnonzero(self.group >= 0)
+        if grouped is None or not mine.size:
+            return
+        place = self.group[mine] - grouped.first
+        shape = (mine.size, grouped.count)
+        sparse = csr_matrix((self.value[mine], (np.arange(mine.size), place)), shape)
+        rows = self.dense if mine.size == self.group.size else self.dense[:, mine]
+        cross = np.asarray((sparse.T @ rows.T).T)
+        own = np.arange(grouped.first, grouped.first + grouped.count)
+        gram[np.ix_(self.index, own)] += cross
+        gram[np.ix_(own, self.index)] += cross.T
+        gram[own, own] += np.bincount(place, self.value[mine] ** 2, minlength=grouped.count)
+
+    def times(self, factor: Array) -> _Products:
+        """Return the products of all columns with one that is ``factor`` (N,) at each pixel."""
+        return _Products(self, factor * self.root)
+
+
+@dataclass(frozen=True)
+class _Products:
+    """Products of the columns of a ``channel`` with one of each pixel's own: they times ``factor`` (N,)."""
+
+    channel: _Channel
+    factor: Array
+
+
+@dataclass(frozen=True)
+class Share:
+    """What one station adds to the sums of its fold.
+
+    ``gram`` (M, M) over regressors, the station's nuisances and the observations (last); ``offsets`` the
+    products with offsets of pixels, whose weights are ``weight`` (N,) at ``pixels``; ``nuisances``, ``rows``
+    and ``log_sigma`` as in `Fold`. ``gain`` are the sums with gains of pixels, None where they are known.
+    """
+
+    nuisances: list[tuple[str, float, float]]
+    gram: Array
+    offsets: _Products
+    weight: Array
+    pixels: Array
+    rows: int
+    log_sigma: float
+    gain: GainShare | None = None
+
+
+@dataclass(frozen=True)
+class GainShare:
+    """Products of a station's columns with the relative gain of each pixel, in each channel.
+
+    ``weight`` (N,) and ``light_weight`` (N',) of the gain itself, ``cross`` (N,) of gain and offset.
+    """
+
+    distance: _Products
+    weight: Array
+    cross: Array
+    light: _Products
+    light_weight: Array
+
+
+def share_of(
+    prediction: Prediction,
+    columns: Sequence[Column | None],
+    *,
+    gain_sigma: float,
+    stray_light: float,
+    factors: tuple[Array, Array] | None,
+    gains: bool = False,
+    grouped: Grouped | None = None,
+) -> Share:
+    """Return the share of a station, whose regressors have the ``columns`` (None: those that are grouped).
+
+    ``gain_sigma`` (relative) and ``stray_light`` [counts] are the 1-sigma of random effects of the station;
+    ``factors`` (H, W) on the weights of both channels. ``gains``: the gain of each pixel is not known.
+    """
+    pixels, lit = (np.flatnonzero(one) for one in (prediction.used, prediction.amplitude_used))
+    nuisances = _nuisances(prediction, gain_sigma, stray_light)
+    weight = 1.0 / np.take(prediction.sigma, pixels) ** 2
+    weight_a = 1.0 / np.take(prediction.amplitude_sigma, lit) ** 2
+    if factors is not None:
+        weight = weight * np.take(factors[0], pixels)
+        weight_a = weight_a * np.take(factors[1], lit)
+    share = np.take(prediction.amplitude_share, lit)
+    size = len(columns) + len(nuisances) + 1
+    own = [(i, *one) for i, one in enumerate(columns) if one is not None]
+    own += [(len(columns) + i, one[3], one[4]) for i, one in enumerate(nuisances)]
+    of_distance = [(i, distance) for i, distance, _ in own]
+    of_light = [(i, amplitude) for i, _, amplitude in own if amplitude is not None]
+    of_distance.append((size - 1, prediction.residual))
+    of_light.append((size - 1, prediction.amplitude_residual))
+    distances = _channel(pixels, weight, of_distance, grouped, light=False)
+    light = _channel(lit, weight_a, of_light, grouped, light=True)
+    gram = np.zeros((size, size))
+    for channel in (distances, light):
+        channel.add_to(gram, grouped)
+    return Share(
+        nuisances=[(name, prior, at) for name, prior, at, _, _ in nuisances],
+        gram=gram,
+        offsets=distances.times(np.ones(pixels.size)),
+        weight=weight,
+        pixels=pixels,
+        rows=len(weight) + round(float(share.sum())),
+        log_sigma=-0.5 * float(np.log(weight).sum() + (share * np.log(weight_a)).sum()),
+        gain=_gain_share(prediction, distances, light) if gains else None,
+    )
+
+
+def _channel(
+    pixels: Array,
+    weight: Array,
+    columns: Sequence[tuple[int, Array]],
+    grouped: Grouped | None,
+    *,
+    light: bool,
+) -> _Channel:
+    root = np.sqrt(weight)
+    dense = _rows([one for _, one in columns], pixels)
+    dense *= root
+    index = np.array([i for i, _ in columns])
+    if grouped is None:
+        nothing = np.full(pixels.size, -1)
+        return _Channel(pixels, root, index, dense, nothing, np.zeros(pixels.size))
+    number = np.take(grouped.number, pixels)
+    value = np.take(grouped.amplitude if light else grouped.distance, pixels)
+    group = np.where(number >= 0, number + grouped.first, -1)
+    return _Channel(pixels, root, index, dense, group, np.nan_to_num(value) * root)
+
+
+def _gain_share(prediction: Prediction, distances: _Channel, light: _Channel) -> GainShare:
+    by_distance, by_amplitude = prediction.gain_column()
+    slope = np.nan_to_num(np.take(by_distance, distances.pixels))
+    factor = np.nan_to_num(np.take(by_amplitude, light.pixels))
+    weight = distances.root**2
+    return GainShare(
+        distance=distances.times(slope),
+        weight=weight * slope**2,
+        cross=weight * slope,
+        light=light.times(factor),
+        light_weight=(light.root * factor) ** 2,
+    )
+
+
+class FoldSums:
+    """The sums of one fold of poses: of ``count`` regressors.
+
+    ``pattern`` asks for the sums per pixel, ``gains`` for those of the gains of pixels.
+    """
+
+    def __init__(self, count: int, pixels: int, *, pattern: bool, gains: bool = False) -> None:
+        self._count = count
+        self._nuisances: dict[str, tuple[float, float]] = {}
+        self._gram = np.zeros((count, count))
+        self._right = np.zeros(count)
+        self._square = 0.0
+        self._rows = 0
+        self._log_sigma = 0.0
+        self._pixel = _PixelSums(count, pixels) if pattern else None
+        self._weight: Array = np.zeros(pixels if pattern else 1)
+        self._gain = _PixelSums(count, pixels) if pattern and gains else None
+        self._gain_weight: Array = np.zeros(pixels)
+        self._gain_cross: Array = np.zeros(pixels)
+        # of each nuisance: products with the regressors, and with y
+        self._cross: dict[str, Array] = {}
+        self._cross_y: dict[str, float] = {}
+        self._inner: dict[tuple[str, str], float] = {}
+
+    def add(self, share: Share) -> None:
+        """Add a station's share."""
+        self._rows += share.rows
+        self._log_sigma += share.log_sigma
+        self._sum(share.gram, share.nuisances)
+        if self._pixel is None:
+            return
+        number = {name: self._count + i for i, name in enumerate(self._nuisances)}
+        places = [*range(self._count), *(number[name] for name, *_ in share.nuisances)]
+        self._weight[share.pixels] += share.weight
+        self._pixel.add(share.offsets, places)
+        if share.gain is not None and self._gain is not None:
+            gain = share.gain
+            for part in (gain.distance, gain.light):
+                self._gain.add(part, places)
+            self._gain_weight[share.pixels] += gain.weight
+            self._gain_weight[gain.light.channel.pixels] += gain.light_weight
+            self._gain_cross[share.pixels] += gain.cross
+
+    def _sum(self, gram: Array, nuisances: Sequence[tuple[str, float, float]]) -> None:
+        count = self._count
+        self._gram += gram[:count, :count]
+        self._right += gram[:count, -1]
+        self._square += gram[-1, -1]
+        for i, (name, prior, at) in enumerate(nuisances):
+            self._nuisances.setdefault(name, (prior, at))
+            self._cross[name] = self._cross.get(name, 0.0) + gram[:count, count + i]
+            self._cross_y[name] = self._cross_y.get(name, 0.0) + float(gram[-1, count + i])
+            for j, (other, *_) in enumerate(nuisances):
+                both = (name, other)
+                self._inner[both] = self._inner.get(both, 0.0) + float(gram[count + i, count + j])
+
+    def fold(self) -> Fold:
+        """Return the sums so far, which nothing is added to any more."""
+        count, names = self._count, list(self._nuisances)
+        size = count + len(names) + 1
+        gram = np.zeros((size, size))
+        gram[:count, :count] = self._gram
+        gram[:count, -1] = gram[-1, :count] = self._right
+        gram[-1, -1] = self._square
+        place = {name: count + i for i, name in enumerate(names)}
+        for name in names:
+            k = place[name]
+            gram[:count, k] = gram[k, :count] = self._cross[name]
+            gram[k, -1] = gram[-1, k] = self._cross_y[name]
+        for (one, other), value in self._inner.items():
+            gram[place[one], place[other]] = value
+        pixel = np.zeros((1, size)) if self._pixel is None else self._pixel.all(size)
+        nuisances = [(name, *self._nuisances[name]) for name in names]
+        fold = Fold(nuisances, gram, pixel, self._weight, self._rows, self._log_sigma)
+        if self._gain is not None:
+            fold.gain = self._gain.all(size)
+            fold.gain_weight, fold.cross = self._gain_weight, self._gain_cross
+        return fold
+
+
+class _PixelSums:
+    """Sums per pixel of the products of all columns with one of the pixel's own.
+
+    They are the largest arrays of an adjustment, which grow in their place and are never copied.
+    """
+
+    def __init__(self, count: int, pixels: int) -> None:
+        self._sums: Array = np.zeros((count, pixels))
+        self._y: Array = np.zeros(pixels)
+
+    def add(self, part: _Products, places: Sequence[int]) -> None:
+        """Add products; ``places`` are the rows here of all columns but the last, the observations."""
+        self._grow(max(places, default=-1) + 1)
+        channel = part.channel
+        buffer = np.empty(channel.pixels.size)
+        for number, row in zip(channel.index.tolist(), channel.dense, strict=True):
+            target = self._sums[places[number]] if number < len(places) else self._y
+            target[channel.pixels] += np.multiply(row, part.factor, out=buffer)
+        mine = np.flatnonzero(channel.group >= 0)
+        # a pixel has one of them: no place is named twice
+        self._sums[channel.group[mine], channel.pixels[mine]] += channel.value[mine] * part.factor[mine]
+
+    def all(self, size: int) -> Array:
+        """Return the sums (P, ``size``), the observations last; column by column, as they were summed."""
+        self._grow(size)
+        self._sums[-1] = self._y
+        return self._sums.T
+
+    def _grow(self, size: int) -> None:
+        if size > len(self._sums):
+            # nothing else refers to them
+            self._sums.resize((size, self._sums.shape[1]), refcheck=False)
+
+
+#: Name, 1-sigma of the prior, value at the linearisation, derivatives of both channels.
+_Nuisance = tuple[str, float, float, Array, Array]
+
+
+def _nuisances(prediction: Prediction, gain_sigma: float, stray_light: float) -> list[_Nuisance]:
+    """Return name, prior, value and both columns of a station's random effects: errors of poses, emitted
+    power.
+    """
+    station = prediction.station
+    key = f"{station.recording}.{station.pose}"
+    result = []
+    for column in prediction.pose_columns:
+        if column.path.startswith("scene."):
+            continue
+        distance, amplitude = prediction.pose_change(column)
+        name = f"{station.recording}.{station.placed}.{column.path}"
+        result.append((name, column.prior, 0.0, distance, amplitude))
+    if gain_sigma > 0:
+        distance, amplitude = prediction.gain_column()
+        at = float(np.log(prediction.gain))
+        result.append((f"{key}.gain", gain_sigma, at, distance, amplitude))
+    if stray_light > 0:
+        for part, (distance, amplitude) in zip(
+            ("real", "imaginary"), prediction.light_columns(), strict=True
+        ):
+            result.append((f"{key}.light.{part}.{station.stamp}", stray_light, 0.0, distance, amplitude))
+    return result

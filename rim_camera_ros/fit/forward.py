@@ -1,0 +1,388 @@
+"""Predictions of all stations of a dataset by a camera, in order of time: the forward chain with its latent
+amplitude.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.chain import Chain, deliver, ideal_amplitude
+from rim_camera_ros.effects import registry
+from rim_camera_ros.effects.base import (
+    Context,
+    Signal,
+)
+from rim_camera_ros.effects.light_curves import LightCurves
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.data import Dataset, Station
+from rim_camera_ros.fit.prediction import Prediction, Shift
+from rim_camera_ros.fit.views import NEAR, Margins, View, Views
+from rim_camera_ros.noise import sigma_amplitude
+from rim_camera_ros.phasor import wrap_residual
+from rim_camera_ros.scene import Geometry, Scene, see
+
+Array = NDArray[Any]
+
+
+#: Relative change of the light up to which what effects keep of a geometry is not computed anew: what bounces
+#: of light that changed by a hundredth is off by a ten thousandth of all light.
+_SAME_LIGHT = 0.01
+
+
+#: Relative 1-sigma to which amplitudes can be predicted at best: areas of pixels, flatness, dust.
+AMPLITUDE_MODEL = 0.01
+
+
+@dataclass
+class AmplitudeModel:
+    """How well the amplitude is predicted: relative 1-sigma ``tau`` per pixel, gain of every pose.
+
+    ``pixels`` (H, W) are the logarithms of the gains of pixels, None where nothing is known of them.
+    """
+
+    gains: dict[tuple[int, int], float] = field(default_factory=dict)
+    tau: float = 0.0
+    pixels: Array | None = None
+
+
+class Forward:
+    """Predictions of a dataset's stations by one camera, in order of time.
+
+    ``masks`` of each station and channel, where given, restrict the pixels that are used, so that fits by
+    different cameras can be compared. ``shifts`` of each station are what another simulation says beyond
+    this one's prediction at the start, with the variances of its own noise. ``variance_factors`` by recording
+    and placement multiply the variances of a pose's distances. ``light_curves`` change the light beside the
+    camera file's effects.
+    ``camera_of_noise`` says how amplitudes respond where noise is evaluated (None: the camera).
+    ``linear`` blocks of regressors are nuisances whose values `residuals.after_nuisances` takes off.
+    ``margins`` of another kind take in pixels beside edges, where no masks are given.
+    ``tick`` is called for each station and may raise to end the work; what is computed of every prediction
+    may take so many ``threads``.
+    """
+
+    def __init__(self, dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None) -> None:
+        self.dataset, self.scene, self.camera = dataset, scene, camera
+        fits = views is not None and views.fits(camera, scene)
+        self.views = views if views and fits else Views(camera, scene, decimation=dataset.decimation)
+        self.notes: set[str] = set()
+        self.amplitude_model = AmplitudeModel()
+        self.masks: Sequence[tuple[Array, Array]] | None = None
+        self.shifts: Sequence[Shift] | None = None
+        self.margins: Margins | None = None
+        self.variance_factors: Mapping[tuple[int, int], float] = {}
+        self.light_curves: LightCurves | None = None
+        self.linear: Sequence[Any] = ()
+        self.camera_of_noise: Camera | None = None
+        self.tick: Callable[[], None] | None = None
+        self.threads = 1
+        # the last is that of a ray that meets nothing, which has the number -1
+        self._undescribed = np.array([*(not one.is_described for one in scene.surfaces), False])
+        self._chain = Chain.of(camera.effects.values(), of_means=True)
+        self._order = {name: i for i, name in enumerate(registry())}
+        self._of_geometry = [name for name, one in registry().items() if one.remembers_geometry]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"views": None, "tick": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.views = Views(self.camera, self.scene, decimation=self.dataset.decimation)
+
+    def estimate_amplitudes(self, gains: Mapping[tuple[int, int], float] | None = None) -> AmplitudeModel:
+        """Estimate the gain of every pose and the relative error of predicted amplitudes (robustly).
+
+        Known ``gains`` are kept. Without variation from pose to pose (``radiometry.gain_sigma`` 0) there
+        is one gain for all.
+        """
+        ratios: dict[tuple[int, int], list[Array]] = {}
+        errors, variances = [], []
+        known_pixels = self.amplitude_model.pixels
+        for one in self.predictions(AmplitudeModel(tau=0.0, pixels=known_pixels), slopes=False):
+            pixels = one.amplitude_used & (one.model_amplitude > 0) & (one.station.amplitude > 0)
+            if not pixels.any():
+                continue
+            measured = self._expanded(one.station.amplitude[pixels].astype(float))
+            with np.errstate(invalid="ignore", divide="ignore"):
+                ratio = np.log(measured / one.model_amplitude[pixels])
+            noise = one.amplitude_sigma[pixels] / one.model_amplitude[pixels]
+            # a response may not reach as high as what was measured: no light is so strong
+            known = np.isfinite(ratio)
+            if not known.any():
+                continue
+            ratio, noise = ratio[known], noise[known]
+            sharp = noise <= np.quantile(noise, 0.5)
+            key = (one.station.recording, one.station.pose)
+            ratios.setdefault(key, []).append(ratio[sharp])
+            errors.append((key, ratio[sharp]))
+            variances.append(noise[sharp] ** 2)
+        if gains is None:
+            gains = {key: float(np.exp(np.median(np.concatenate(r)))) for key, r in ratios.items()}
+            if self.camera.radiometry.gain_sigma == 0 and gains:
+                everything = np.concatenate([r for parts in ratios.values() for r in parts])
+                gains = dict.fromkeys(gains, float(np.exp(np.median(everything))))
+        tau = AMPLITUDE_MODEL
+        if errors:
+            rest = np.concatenate([r - np.log(gains.get(key, 1.0)) for key, r in errors])
+            tau = max(tau, excess(rest, np.concatenate(variances)))
+        self.amplitude_model = AmplitudeModel(dict(gains), tau, known_pixels)
+        return self.amplitude_model
+
+    def predictions(
+        self, model: AmplitudeModel | None = None, *, slopes: bool = True, every: int = 1
+    ) -> Iterator[Prediction]:
+        """Yield the prediction of each station, in order, or of every so many of them."""
+        model = self.amplitude_model if model is None else model
+        memory: dict[str, Any] = {}
+        recording = None
+        for number, station in enumerate(self.dataset.stations):
+            if number % every:
+                continue
+            if station.recording != recording:
+                memory, recording = {}, station.recording
+            if self.tick is not None:
+                self.tick()
+            one = self._predict(station, memory, model, slopes)
+            if self.shifts is not None:
+                self.shifts[number].apply(one)
+                one.used &= np.isfinite(one.residual)
+                one.amplitude_used &= one.used
+            factor = self.variance_factors.get((station.recording, station.placed), 1.0)
+            if factor != 1.0:
+                one.sigma = one.sigma * np.sqrt(factor)
+            if self.masks is not None:
+                # the same pixels whatever the camera predicts, or likelihoods could not be compared
+                possible = np.isfinite(one.residual) & np.isfinite(one.sigma) & (one.station.count > 0)
+                one.used = self.masks[number][0] & possible
+                one.amplitude_used = self.masks[number][1] & possible
+            yield one
+
+    def shifts_to(self, other: Dataset) -> list[Shift]:
+        """Return what another recording of the same stations measures beyond these predictions.
+
+        Raises `InputError` where it does not have the same stations.
+        """
+        if len(other.stations) != len(self.dataset.stations):
+            raise InputError(
+                f"holds {len(other.stations)} stations, the recording {len(self.dataset.stations)}",
+                file=other.files[0] if other.files else None,
+                remedy="simulate it with --poses BAG of the recording",
+            )
+        own = Forward(other, self.scene, self.camera, views=self.views)
+        result = []
+        for one, mine in zip(own.predictions(slopes=False), self.dataset.stations, strict=True):
+            if any(one.station.truth[name] != mine.truth[name] for name in self.scene.needs_truth):
+                raise InputError(
+                    f"its station at {one.station.time:.3f} s has other poses than the recording's",
+                    file=other.files[0] if other.files else None,
+                    remedy="simulate it with --poses BAG of the recording",
+                )
+            distance = np.where(one.station.count > 0, one.residual, np.nan)
+            result.append(Shift(distance, one.amplitude_residual, one.sigma**2, one.amplitude_sigma**2))
+        return result
+
+    def pixels_used(self) -> list[tuple[Array, Array]]:
+        """Return the pixels of each station that are fitted: both channels, (H, W) each."""
+        return [(one.used, one.amplitude_used) for one in self.predictions(slopes=False)]
+
+    def pixels_near_edges(self, margins: Margins = NEAR) -> list[tuple[Array, Array]]:
+        """Return the pixels that could be fitted if those beside edges were, as `pixels_used`."""
+        masks, self.masks, self.margins = self.masks, None, margins
+        try:
+            return self.pixels_used()
+        finally:
+            self.masks, self.margins = masks, None
+
+    def _expanded(self, published: Array) -> Array:
+        effect = self._chain.response
+        if effect is None:
+            return published
+        if self.light_curves is not None and self.light_curves.responds:
+            return self.light_curves.light_of(published, effect.compressed)
+        return np.asarray(effect.expanded(published))
+
+    def _light(self, geometry: Geometry, power: float) -> Array:
+        """Return the amplitude [counts] before all effects: power rho cos(incidence) / d^2; [counts m^2]."""
+        light = ideal_amplitude(geometry, power)
+        if self.light_curves is None:
+            return light
+        factor = self.light_curves.factor(geometry, self.camera.sensor.ambiguity)
+        return np.where(geometry.hit, light * factor, 0.0)
+
+    def _predict(
+        self, station: Station, memory: dict[str, Any], model: AmplitudeModel, slopes: bool
+    ) -> Prediction:
+        camera = self.camera
+        view = self.views.view(station)
+        geometry = view.geometry
+        settings = replace(station.settings, integration_time=camera.integration_time(station.settings))
+        gain = model.gains.get((station.recording, station.pose), 1.0)
+        power = camera.radiometry.gain * camera.integration_time(settings) * gain
+        ideal = self._light(geometry, power)
+        nameless = self._undescribed[geometry.surface] & (station.amplitude > 0)
+        if nameless.any():
+            ideal = np.where(nameless, self._noise_amplitude(station, ideal), ideal)
+        motion = self.scene.camera_motion
+
+        def geometry_at(seconds: float) -> tuple[Any, Any]:
+            if not motion.moves or abs(seconds) < 1e-9:
+                return geometry, ideal
+            moved = {name: motion.carry(pose, seconds) for name, pose in view.poses.items()}
+            there = see(self.scene, moved, camera.rays)
+            return there, self._light(there, power)
+
+        for name in self._of_geometry:
+            memory.pop(name, None)
+            if name in view.memory:
+                memory[name] = view.memory[name]
+        context = Context(
+            camera=camera,
+            settings=settings,
+            stamp=station.stamp,
+            time=station.time,
+            geometry=geometry,
+            geometry_at=geometry_at,
+            footprint=lambda cells: self.views.footprint(view, cells, ambiguity=camera.sensor.ambiguity),
+            moving=motion.moves,
+            incidence=geometry.incidence,
+            saturated=station.saturated > 0,
+            memory=memory,
+            light_tolerance=_SAME_LIGHT,
+            notes=self.notes,
+        )
+        before: dict[str, Signal] = {}
+        signal = deliver(self._chain.light, Signal(geometry.distance, ideal), context, before=before)
+        view.memory.update({name: memory[name] for name in self._of_geometry if name in memory})
+        if nameless.any():
+            # nobody said how much these surfaces reflect: their light is what was measured
+            measured = self._noise_amplitude(station, signal.amplitude)
+            signal = Signal(signal.distance, np.where(nameless, measured, signal.amplitude))
+        if model.pixels is not None:
+            lighter = np.where(nameless, 1.0, np.exp(model.pixels))
+            signal = Signal(signal.distance, signal.amplitude * lighter)
+        return self._compare(station, view, context, before, signal, model, slopes, gain, nameless)
+
+    def _compare(
+        self,
+        station: Station,
+        view: View,
+        context: Context,
+        before: dict[str, Signal],
+        light: Signal,
+        model: AmplitudeModel,
+        slopes: bool,
+        gain: float,
+        nameless: Array,
+    ) -> Prediction:
+        camera = self.camera
+        n = np.maximum(station.count, 1)
+        lit = light.amplitude > 0
+        safe = np.where(lit, light.amplitude, 1.0)
+        latent, follows = self._latent(station, safe, n, model)
+        delivered = Signal(light.distance, np.where(lit, latent, 0.0))
+        terms = self._chain.evaluated(delivered.distance, latent, context, slopes=slopes)
+        distance = delivered.distance + terms.total
+        residual = station.distance - distance
+        if camera.sensor.wraps:
+            residual = wrap_residual(residual, context.ambiguity)
+        response, model_reading = self._chain.response, self._chain.published(safe)
+        slope_published: Any = 1.0 if response is None else response.slope(latent)
+        if response is not None and self.light_curves is not None:
+            model_reading = model_reading * self.light_curves.response(safe)
+            slope_published = slope_published * self.light_curves.response(latent)
+        variance, amplitude_variance = self._variances(self._noise_amplitude(station, latent), context)
+        variance = (variance + camera.sensor.lsb**2 / 12) / n
+        single_variance = amplitude_variance * slope_published**2 + 1.0 / 12
+        # neighbours share the error of a prediction: their mean is no better than one of them
+        noise_variance, model_variance = single_variance / n, (model.tau * model_reading) ** 2
+        alike = self.views.alike(view)
+        amplitude_variance = noise_variance + model_variance * alike
+        clean = view.clean if self.margins is None else self.views.clean(view, self.margins)
+        used = clean & lit & (station.count > 0) & (station.saturated == 0)
+        used &= np.isfinite(residual) & np.isfinite(variance) & (station.count * 2 > station.frames)
+        threshold = max(camera.sensor.amplitude_threshold, camera.minimum_amplitude or 0.0)
+        single = np.sqrt(single_variance)
+        amplitude_used = used & (np.minimum(safe, latent) > threshold + 3 * single)
+        used &= latent > threshold
+        amplitude_used &= station.count == station.frames
+        amplitude_used &= ~self._undescribed[view.geometry.surface]
+        return Prediction(
+            station=station,
+            view=view,
+            context=context,
+            order=self._order,
+            before=before,
+            delivered=delivered,
+            distance=distance,
+            amplitude=latent,
+            residual=residual,
+            amplitude_residual=station.amplitude - model_reading,
+            sigma=np.sqrt(variance),
+            amplitude_sigma=np.sqrt(amplitude_variance),
+            amplitude_noise=np.sqrt(noise_variance),
+            amplitude_share=1.0 / alike,
+            used=used,
+            amplitude_used=amplitude_used,
+            slope_distance=1.0 + terms.by_distance,
+            slope_amplitude=terms.by_amplitude,
+            slope_published=slope_published,
+            pose_columns=view.pose_columns,
+            model_amplitude=safe,
+            model_reading=model_reading,
+            gain=gain,
+            amplitude_follows=np.where(nameless, 0.0, follows),
+            spread=[one for one in self._chain.light if one.spreads],
+            light_curves=self.light_curves,
+            linear=self.linear,
+        )
+
+    def _noise_amplitude(self, station: Station, predicted: Array) -> Array:
+        """Return the light [counts] at which noise is evaluated: as measured, whatever a camera predicts.
+
+        Cameras that are compared must state the same noise, or what predicts other light gains by the noise.
+        """
+        light = np.asarray((self.camera_of_noise or self.camera).light_of(station.amplitude.astype(float)))
+        return np.where(np.isfinite(light) & (light > 0), light, predicted)
+
+    def _variances(self, amplitude: Array, context: Context) -> tuple[Array, Array]:
+        """Return the variances of one frame's distance [m^2] and amplitude [counts^2]."""
+        sigma = self.camera.noise.sigma_distance(amplitude, background=self.camera.background)
+        by_amplitude = sigma_amplitude(sigma, amplitude, ambiguity=context.ambiguity)
+        return sigma**2, by_amplitude**2
+
+    def _latent(
+        self, station: Station, predicted: Array, n: Array, model: AmplitudeModel
+    ) -> tuple[Array, Array | float]:
+        """Weigh the predicted amplitude against the measured one by their variances.
+
+        A measured amplitude carries noise that would bias coefficients (errors in variables); a predicted
+        one carries the error of reflectivities. With ``tau`` -> 0 it is the prediction, with a large one
+        the measurement. Returned with the share of a relative change of the prediction that it follows.
+        """
+        if model.tau == 0.0:
+            return predicted, 1.0
+        sigma = self.camera.noise.sigma_distance(predicted, background=self.camera.background)
+        noise = 2 * np.pi / self.camera.sensor.ambiguity * sigma / np.sqrt(n)
+        share = model.tau**2 / (model.tau**2 + noise**2)
+        measured = self._expanded(station.amplitude.astype(float))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.log(np.where(measured > 0, measured / predicted, 1.0))
+        return predicted * np.exp(share * np.clip(ratio, -3.0, 3.0)), 1.0 - share
+
+
+def excess(deviations: Array, variances: Array) -> float:
+    """Return the robust standard deviation that deviations have beyond their known variances."""
+
+    def spread(tau: float) -> float:
+        return float(1.4826 * np.median(np.abs(deviations) / np.sqrt(variances + tau**2)))
+
+    if spread(0.0) <= 1.03:
+        return 0.0
+    high = 1.4826 * float(np.median(np.abs(deviations))) + 1e-9
+    return float(brentq(lambda tau: spread(tau) - 1.0, 0.0, 2 * high)) if spread(2 * high) < 1.0 else high

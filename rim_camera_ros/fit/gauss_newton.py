@@ -1,0 +1,410 @@
+"""Damped Gauss-Newton steps over the forward chain: where an adjustment stands, and how it goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import camera_numbers, with_numbers
+from rim_camera_ros.effects.candidate import Block, Regressor
+from rim_camera_ros.effects.light_curves import FALLOFF, LOBE, tile_labels
+from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.fit.design import GAIN, is_linear
+from rim_camera_ros.fit.forward import AmplitudeModel, Forward
+from rim_camera_ros.fit.normal_equations import NormalEquations, Reduced, accumulate
+from rim_camera_ros.fit.problem import Fit, Point, Problem, blocks_of, forward_of, light_groups
+from rim_camera_ros.fit.residuals import amplitude_error, huber
+from rim_camera_ros.fit.steps import (
+    Solved,
+    bounds_of,
+    greatest_of,
+    in_units,
+    longest_steps,
+    moved_from,
+    moved_scene,
+    of_shape,
+    power_factor,
+    stepped,
+    value_of,
+    within_bounds,
+)
+from rim_camera_ros.fit.views import Views
+
+Array = NDArray[Any]
+
+#: How well amplitudes are predicted is estimated anew in this many iterations, then kept.
+_SETTLED = 3
+_SETTLED_WARM = 1
+#: Iterations in which the shapes (widths, lags) of effects that are new to a fit are held, and how firmly.
+_SHAPES_HELD = 2
+_HOLD = 1e9
+#: Damping of a step that makes things worse, as shares of the diagonal, one after the other; in the end no
+#: step. The step after it is damped alike, and so many times less once one is good at its first try.
+_DAMPING = (0.01, 0.1, 1.0, np.inf)
+_LESS_DAMPED = 10.0
+_NO_SOLUTION = "the adjustment found no finite solution"
+#: Share of the forecast gain of a step by which the objective may become worse once, near the solution.
+_OVER_THE_BEND = 0.1
+#: Step of a parameter in units of its sigma, and change of chi-square between two iterations (for that
+#: tolerance), below which the adjustment has converged.
+TOLERANCE = 0.05
+_LEVEL = 0.5
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """The equations where an adjustment stands, and their solution.
+
+    ``matrix``, ``right``, ``step`` and ``covariance`` of the ``regressors`` with their ``prior`` (1-sigma).
+    ``square`` is chi-square with the priors' terms, ``objective`` twice the negative log likelihood.
+    """
+
+    forward: Forward
+    equations: NormalEquations
+    reduced: Reduced
+    regressors: Sequence[Regressor]
+    prior: Array
+    matrix: Array
+    right: Array
+    step: Array
+    covariance: Array
+    square: float
+    objective: float
+
+    @property
+    def labels(self) -> list[str]:
+        """Labels of the regressors."""
+        return [one.label for one in self.regressors]
+
+    @property
+    def sigma(self) -> Array:
+        """1-sigma of each parameter."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+class GaussNewton:
+    """The point that an adjustment has reached from the camera ``start``, and the way it came.
+
+    Other parameters as in `adjustment.fit`. Steps that make things worse are taken back, those of a cold fit
+    once it is settled how well amplitudes are predicted.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        start: Camera,
+        *,
+        iterations: int,
+        tolerance: float,
+        views: Views | None,
+        warm: Point | None,
+        near: bool = False,
+    ) -> None:
+        self._problem, self._start = problem, start
+        self._iterations, self._tolerance = iterations, tolerance
+        self._views = views
+        self._warm = warm is not None
+        self._numbers = camera_numbers(start)
+        self._from_origin = moved_from(problem.origin, start)
+        self._lows, self._highs = bounds_of(start)
+        self._highs |= greatest_of(problem.dataset, problem.masks, start)
+        # the point
+        self._camera, self._scene = start, problem.scene
+        self._pattern = np.zeros(start.shape)
+        self._pixels: Array | None = None
+        self._nuisances: dict[str, float] = {}
+        self._offsets: dict[str, float] = {}
+        self._gains: Mapping[tuple[int, int], float] | None = None
+        self._tau = 0.0
+        self._settled = _SETTLED
+        self._new: frozenset[str] = frozenset()
+        self._near = near
+        if warm is not None:
+            if not near:
+                self._new = frozenset(start.effects.keys() - warm.camera.effects.keys())
+            if warm.amplitude_model.gains:
+                self._begin_at(warm)
+        # the way
+        self._solved: Solved | None = None
+        self._objective, self._square = np.inf, np.inf
+        self._tried, self._damping = 0, 0.0
+        self._return: Solved | None = None
+        self._last_step: dict[str, float] = {}
+        self._converged = self._exhausted = self._stuck = False
+
+    def _begin_at(self, warm: Point) -> None:
+        model = warm.amplitude_model
+        self._tau, self._pattern, self._pixels = model.tau, warm.pattern, model.pixels
+        self._settled = settled_after(warm.camera, self._start)
+        self._gains = {
+            key: g * power_factor(warm.nuisances.get(f"{key[0]}.{key[1]}.gain", 0.0))
+            for key, g in model.gains.items()
+        }
+        self._nuisances = {name: e for name, e in warm.nuisances.items() if not name.endswith(".gain")}
+        curves = warm.light_curves
+        if curves is not None:
+            groups = light_groups(self._problem, self._start)
+            allowed = {label for labels in groups for label in labels}
+            if self._problem.imperfections:
+                lobe = FALLOFF if self._problem.reflectance else LOBE
+                allowed |= {*lobe, *tile_labels(self._problem.scene)}
+            self._offsets.update({k: v for k, v in curves.values.items() if k in allowed})
+        self._offsets.update({k: v for k, v in warm.parameters.items() if k.startswith("scene.")})
+        self._scene = moved_scene(self._problem.scene, self._offsets)
+
+    @property
+    def ended(self) -> bool:
+        """Whether no further step is needed, or none is left to try."""
+        return self._converged or self._exhausted
+
+    def predicted(self, count: int) -> Forward:
+        """Return the predictions at the point, with powers and errors of amplitudes, in an iteration."""
+        problem, forward = self._problem, self._forward()
+        if self._gains is None:
+            forward.estimate_amplitudes()
+            self._tau, self._gains = forward.amplitude_model.tau, forward.amplitude_model.gains
+            if problem.gain and self._camera.radiometry.gain_sigma == 0 and self._gains:
+                power = self._numbers[GAIN] * next(iter(self._gains.values()))
+                self._camera = with_numbers(self._camera, {GAIN: power})
+                self._offsets[GAIN] = float(np.log(self._camera.radiometry.gain / self._numbers[GAIN]))
+                self._gains = dict.fromkeys(self._gains, 1.0)
+                forward = self._forward()
+        elif count <= self._settled and self._iterations:
+            forward.amplitude_model = AmplitudeModel(dict(self._gains), self._tau, self._pixels)
+            self._tau = amplitude_error(forward, self._nuisances)
+        forward.amplitude_model = AmplitudeModel(dict(self._gains), self._tau, self._pixels)
+        return forward
+
+    def _forward(self) -> Forward:
+        forward = forward_of(
+            self._problem, self._scene, self._camera, views=self._views, offsets=self._offsets
+        )
+        self._views = forward.views
+        return forward
+
+    def linearised(
+        self,
+        forward: Forward,
+        count: int,
+        *,
+        further: Sequence[Block] = (),
+        fold_of: Mapping[tuple[int, int], int] | None = None,
+    ) -> Linearised:
+        """Return the equations at the point, with ``further`` regressors, and their solution without them.
+
+        Raises `InputError` without usable data, `RimError` where the equations have none.
+        """
+        problem = self._problem
+        blocks = blocks_of(problem, self._camera, self._scene)
+        owned = sum(len(block.regressors) for block in blocks)
+        robust = problem.robust and (count > 0 or self._warm)
+        equations = accumulate(
+            forward,
+            [*blocks, *further],
+            fold_of=fold_of,
+            pattern=problem.pattern,
+            weigh=huber(self._pattern, self._nuisances) if robust else None,
+            stray_light=problem.stray_light,
+            pattern_prior=problem.pattern_prior,
+        )
+        if not any(fold.rows for fold in equations.folds):
+            raise InputError(
+                "no pixel can be used: nothing of the recording agrees with scene and camera file",
+                remedy="check that the scene file describes the recording (rim info BAG lists its poses)",
+            )
+        reduced = equations.reduced()
+        regressors = equations.regressors[:owned]
+        prior = np.array([one.prior for one in regressors])
+        away = np.array([self._from_origin.get(one.label, 0.0) for one in regressors])
+        away += [self._offsets.get(one.label, 0.0) for one in regressors]
+        equations.away = away
+        own = slice(0, owned)
+        matrix = reduced.gram[own, own] + np.diag(prior**-2)
+        if count < _SHAPES_HELD:
+            # from a linear guess the strengths come first: shapes would leave for good
+            held = self._held(regressors)
+            matrix[held, held] *= _HOLD
+        right = reduced.right[own] - away / prior**2
+        step, covariance = right, matrix
+        if owned:  # scipy 1.11 solves no empty equations
+            try:
+                factor = linalg.cho_factor(matrix)
+            except (linalg.LinAlgError, ValueError):
+                raise RimError(_NO_SOLUTION, remedy="check scene and camera file") from None
+            step, covariance = linalg.cho_solve(factor, right), linalg.cho_solve(factor, np.eye(owned))
+        square = float(reduced.square) + float(np.sum((away / prior) ** 2))
+        return Linearised(
+            forward=forward,
+            equations=equations,
+            reduced=reduced,
+            regressors=regressors,
+            prior=prior,
+            matrix=matrix,
+            right=right,
+            step=step,
+            covariance=covariance,
+            square=square,
+            objective=square + 2 * reduced.log_norm,
+        )
+
+    def _held(self, regressors: Sequence[Regressor]) -> list[int]:
+        return [i for i, one in enumerate(regressors) if of_shape(one.label) and one.owner in self._new]
+
+    def went_too_far(self, here: Linearised, count: int) -> bool:
+        """Return whether the last step made things worse, and a shorter one may be tried."""
+        # before that, objectives are of different errors of amplitudes
+        comparable = self._warm or count > _SETTLED
+        worse = comparable and here.objective > self._objective + _LEVEL
+        if not worse or self._tried >= len(_DAMPING) or count > self._iterations or self._solved is None:
+            return False
+        if not self._near or self._tried or self._return is not None or count >= self._iterations:
+            return True
+        # across the bend of a valley the next step may be the good one: short steps would follow the bend
+        return here.objective > self._objective + _OVER_THE_BEND * self._solved.forecast
+
+    def shorten(self, *, final: bool) -> None:
+        """Take a shorter step from where the last one began, or none where no more may be tried."""
+        assert self._solved is not None
+        if self._return is not None:
+            self._solved, self._return = self._return, None
+        self._tried = len(_DAMPING) if final else self._tried + 1
+        self._damping = max(_DAMPING[self._tried - 1], self._damping * _LESS_DAMPED)
+        self._solved = replace(self._solved, damping=self._damping)
+        try:
+            self._go(self._solved)
+        except (InputError, ValueError):
+            # another direction may lead to no possible camera: where it began is one
+            self._damping, self._solved = np.inf, replace(self._solved, damping=np.inf)
+            self._go(self._solved)
+        self._tau = self._solved.tau
+        self._find_errors(self._solved)
+        self._exhausted |= bool(np.isinf(self._damping))
+
+    def accept(self, here: Linearised) -> None:
+        """Stay where the last step led."""
+        if self._tried == 0:
+            self._damping = self._damping / _LESS_DAMPED if self._damping > _DAMPING[0] else 0.0
+        self._tried = 0
+        if here.objective > self._objective + _LEVEL and self._near:
+            self._return = self._solved
+            return
+        self._objective, self._return = here.objective, None
+
+    def advance(self, here: Linearised, count: int) -> None:
+        """Take the next step, and judge whether it is one.
+
+        Raises `RimError` where it is not finite.
+        """
+        if not np.all(np.isfinite(here.step)):
+            raise RimError(_NO_SOLUTION, remedy="check scene and camera file")
+        assert self._gains is not None
+        most = longest_steps(here.labels, self._offsets, self._numbers, self._start.shape)
+        self._solved = Solved(
+            here.reduced,
+            here.labels,
+            here.matrix,
+            here.right,
+            most,
+            self._tau,
+            dict(self._gains),
+            dict(self._offsets),
+            self._damping,
+            self._pixels,
+        )
+        self._find_errors(self._solved)
+        stepped = np.array([not is_linear(label) for label in here.labels], bool)
+        small = bool(np.all((np.abs(here.step) <= self._tolerance * here.sigma)[stepped]))
+        self._converged = small and (count >= _SHAPES_HELD or not self._held(here.regressors))
+        # parameters that the data hardly tell apart wander along a valley whose floor is level
+        self._converged |= (
+            self._damping == 0
+            and count >= min(self._settled, _SETTLED)
+            and abs(self._square - here.square) < _LEVEL * (self._tolerance / TOLERANCE) ** 2
+        )
+        self._square = here.square
+        try:
+            self._go(self._solved)
+        except (InputError, ValueError):
+            self._stuck = self._converged = True
+            return
+        self._last_step = self._solved.changes
+
+    def _go(self, solved: Solved) -> None:
+        self._camera, self._offsets = stepped(
+            self._start, solved.offsets, solved.changes, self._lows, self._highs, self._numbers
+        )
+        within_bounds(self._offsets, self._camera, self._numbers)
+        self._scene = moved_scene(self._problem.scene, self._offsets)
+
+    def _find_errors(self, solved: Solved) -> None:
+        self._nuisances, self._gains, found, pixels = solved.errors(self._pattern)
+        if self._problem.pattern:
+            self._pattern, self._pixels = found, pixels
+
+    def result(self, here: Linearised, count: int, *, final: bool) -> Fit:
+        """Return the fit at the point; ``final`` with the errors and offsets of these equations."""
+        nuisances, pattern = self._nuisances, self._pattern
+        if final:
+            values = np.zeros(len(here.equations.regressors))
+            linear = [i for i, label in enumerate(here.labels) if is_linear(label)]
+            values[linear] = here.step[linear]
+            nuisances, flat, _ = here.reduced.recover(values)
+            nuisances |= {here.labels[i]: float(values[i]) for i in linear}
+            shape = self._camera.shape
+            pattern = flat.reshape(shape) if self._problem.pattern else np.zeros(shape)
+        return Fit(
+            start=self._start,
+            camera=self._camera,
+            scene=self._scene,
+            parameters={
+                one: nuisances.get(one, 0.0) if is_linear(one) else value_of(one, self._camera, self._offsets)
+                for one in here.labels
+            },
+            covariance=in_units(here.covariance, here.regressors, self._camera),
+            pattern=pattern,
+            nuisances=nuisances,
+            chi_square=float(here.reduced.square),
+            rows=here.reduced.rows,
+            converged=self._converged,
+            iterations=count,
+            equations=here.equations,
+            reduced=here.reduced,
+            forward=here.forward,
+            priors=here.prior,
+        )
+
+    def judge(self, best: Fit) -> None:
+        """Say in the best fit whether the adjustment came to its end."""
+        best.converged = self._converged and not self._stuck
+        if self._stuck:
+            best.notes.append("the adjustment stopped where no step leads to a possible camera")
+        if self._converged or not self._last_step:
+            return
+        sigma = best.sigma
+        ratios = {
+            path: abs(step) / max(sigma.get(path, 1.0), 1e-300) for path, step in self._last_step.items()
+        }
+        worst = max(ratios, key=lambda path: ratios[path])
+        # where no step made it better rounding may be all that is left
+        if not self._exhausted or ratios[worst] > 1:
+            best.moving = ratios
+            best.notes.append(f"not converged after {best.iterations} iterations: {worst} still moves")
+
+
+def settled_after(warm: Camera, camera: Camera) -> int:
+    """Return until which iteration it is estimated anew how well amplitudes are predicted."""
+    return -1 if keeps_amplitude_error(warm, camera) else _SETTLED_WARM
+
+
+def keeps_amplitude_error(warm: Camera, camera: Camera) -> bool:
+    """Return whether a fit keeps how well another predicts amplitudes: where it has other effects.
+
+    Then likelihoods are those of the same noise.
+    """
+    return bool(warm.effects.keys() ^ camera.effects.keys())

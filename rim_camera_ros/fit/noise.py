@@ -1,0 +1,164 @@
+"""The noise model from repeated frames: variances of single pixels against their amplitude."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.stats import chi2
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.base import response_of
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.noise import Noise
+
+Array = NDArray[Any]
+
+#: Classes of amplitude, values that one needs, and classes that a fit needs.
+CLASSES = 32
+LEAST_VALUES = 200
+LEAST_CLASSES = 4
+#: Amplitude over its own noise from which on the noise of the distance is a normal one.
+LEAST_RATIO = 8.0
+#: Above this relative RMS of the classes about the model the model's form is doubted.
+POOR = 0.10
+#: Below this one the model of the file is as good as any.
+CLOSE = 0.015
+
+
+@dataclass(frozen=True)
+class NoiseClass:
+    """Pixels of like amplitude [counts]: 1-sigma of one distance [m] with its standard error, the model's."""
+
+    amplitude: float
+    sigma: float
+    error: float
+    model: float
+    values: int
+
+
+@dataclass(frozen=True)
+class NoiseFit:
+    """The fitted model, its classes, how well it describes them (relative RMS), and what it was before.
+
+    ``confirmed``: the model of the file describes the variances within their errors, and is kept. ``common``
+    is the variation from frame to frame that all pixels share, chi-square per degree of freedom (1: none;
+    None: unknown).
+    """
+
+    noise: Noise
+    before: Noise
+    classes: tuple[NoiseClass, ...]
+    misfit: float
+    confirmed: bool
+    common: float | None
+
+
+def fit_noise(dataset: Dataset, camera: Camera) -> NoiseFit | None:
+    """Fit sigma^2 = floor^2 + shot^2 / A + (amplitude / A)^2 to the variances of repeated frames.
+
+    A pixel's variance over n frames scatters by a chi-square distribution of n - 1 degrees of freedom. In
+    each class of amplitude the median variance, divided by that distribution's median, estimates the
+    variance: half of the pixels may be outliers. The classes are weighted by that estimator's error. What
+    rounding to counts adds is taken off.
+
+    Returns None without repeated frames, or where the amplitudes are too few to tell.
+    """
+    amplitude, variance, freedom = _variances(dataset, camera)
+    if amplitude.size < LEAST_VALUES * LEAST_CLASSES:
+        return None
+    edges = np.quantile(np.log(amplitude), np.linspace(0, 1, CLASSES + 1))
+    number = np.clip(np.searchsorted(edges, np.log(amplitude), side="right") - 1, 0, CLASSES - 1)
+    rounding = camera.sensor.lsb**2 / 12
+    found = []
+    for k in range(CLASSES):
+        mine = number == k
+        if mine.sum() < LEAST_VALUES:
+            continue
+        medians, errors = _medians(freedom[mine])
+        level = float(np.median(variance[mine] / medians)) - rounding
+        error = level * float(np.sqrt(np.mean(errors**2) / mine.sum()))
+        found.append((float(np.exp(np.mean(np.log(amplitude[mine])))), level, error, int(mine.sum())))
+    found = [one for one in found if one[1] > 0]
+    if len(found) < LEAST_CLASSES:
+        return None
+    a, level, error = np.array([one[:3] for one in found]).T
+    old = camera.noise.sigma_distance(a, background=camera.background) ** 2
+    deviation = float(np.sum(((level - old) / error) ** 2))
+    departs = float(np.sqrt(np.mean((np.sqrt(level / old) - 1) ** 2)))
+    confirmed = deviation < len(a) + 3 * float(np.sqrt(2 * len(a))) or departs < CLOSE
+    noise = camera.noise if confirmed else _fitted(a, level, error, camera)
+    model = noise.sigma_distance(a, background=camera.background) ** 2
+    common = [one.common for one in dataset.stations if one.common is not None]
+    return NoiseFit(
+        noise=noise,
+        before=camera.noise,
+        classes=tuple(
+            NoiseClass(x, float(np.sqrt(y)), float(e / (2 * np.sqrt(y))), float(np.sqrt(m)), n)
+            for (x, y, e, n), m in zip(found, model, strict=True)
+        ),
+        misfit=float(np.sqrt(np.mean((np.sqrt(level / model) - 1) ** 2))),
+        confirmed=confirmed,
+        common=float(np.median(common)) if common else None,
+    )
+
+
+def _variances(dataset: Dataset, camera: Camera) -> tuple[Array, Array, Array]:
+    """Return amplitudes, variances and degrees of freedom of the pixels that were valid in every frame."""
+    threshold = max(camera.sensor.amplitude_threshold, camera.minimum_amplitude or 0.0)
+    response = response_of(camera)
+    parts: list[tuple[Array, Array, Array]] = []
+    for one in dataset.stations:
+        if one.frames < 2:
+            continue
+        good = (one.count == one.frames) & (one.saturated == 0) & np.isfinite(one.distance_variance)
+        level = one.amplitude.astype(float)
+        spread = np.sqrt(np.maximum(one.amplitude_variance, 0))
+        good &= (level > 0) & (level > threshold + LEAST_RATIO * np.nan_to_num(spread))
+        if response is not None:
+            level = np.asarray(response.expanded(level))
+        parts.append((level[good], one.distance_variance[good].astype(float), (one.count[good] - 1.0)))
+    if not parts:
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    amplitude, variance, freedom = (np.concatenate([one[i] for one in parts]) for i in range(3))
+    return amplitude, variance, freedom
+
+
+def _medians(freedom: Array) -> tuple[Array, Array]:
+    """Return the median of chi-square over its degrees of freedom, and a sample median's relative error.
+
+    The latter for a sample of one, by 1 / (2 f(m) m) with the density f at the median m.
+    """
+    kinds, place = np.unique(freedom, return_inverse=True)
+    median = np.asarray(chi2.median(kinds), float)
+    return (median / kinds)[place], (0.5 / (chi2.pdf(median, kinds) * median))[place]
+
+
+def _fitted(amplitude: Array, level: Array, error: Array, camera: Camera) -> Noise:
+    """Weighted non-negative least squares in the squares of the three parameters.
+
+    Terms that cannot be told apart (over a narrow range of amplitudes) keep the old model's shape: then it
+    is scaled as a whole.
+    """
+    columns = np.stack([np.ones_like(amplitude), 1 / amplitude, 1 / amplitude**2], axis=1)
+    weight = 1 / np.maximum(error, 1e-3 * level)
+    shape = camera.noise.sigma_distance(amplitude, background=camera.background) ** 2
+    if np.ptp(np.log(amplitude)) < np.log(2.0):
+        factor = float(np.sqrt(np.average(level / shape, weights=(shape * weight) ** 2)))
+        old = camera.noise
+        return Noise(floor=old.floor * factor, shot=old.shot * factor, amplitude=old.amplitude * factor)
+    for _ in range(5):
+        scaled = columns * weight[:, None]
+        size = np.linalg.norm(scaled, axis=0)
+        solution, _ = nnls(scaled / size, level * weight)
+        solution = solution / size
+        # a class that stands off by far is something else than noise
+        z = np.abs(columns @ solution - level) * weight
+        limit = 3 * max(float(np.median(z)) * 1.4826, 1.0)
+        weight = weight * np.where(z > limit, limit / np.maximum(z, 1e-12), 1.0)
+    floor, shot, slope = np.sqrt(np.maximum(solution, 0.0))
+    slope = float(np.sqrt(max(slope**2 - shot**2 * camera.background, 0.0)))
+    return Noise(floor=float(floor), shot=float(shot), amplitude=slope)

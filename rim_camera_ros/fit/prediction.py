@@ -1,0 +1,198 @@
+"""What one camera predicts of a station: readings, residuals and their derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.effects.base import ComplexEffect, Context, DistanceTerm, Effect, ResponseEffect, Signal
+from rim_camera_ros.effects.light_curves import RESPONSE, LightCurves
+from rim_camera_ros.fit.data import Station
+from rim_camera_ros.fit.views import PoseColumn, View
+from rim_camera_ros.phasor import to_phasor
+
+Array = NDArray[Any]
+
+#: Derivatives (H, W) of measured distance and published amplitude (None: none) by one regressor.
+Column = tuple[Array, Array | None]
+
+#: Under which the derivatives by the emitter's power are kept, beside those by the poses.
+_POWER = "power"
+
+
+@dataclass
+class Prediction:
+    """One station: prediction, residuals, weights and derivatives, (H, W) each.
+
+    ``residual`` [m] and ``amplitude_residual`` [counts] are measured - predicted; ``used`` and
+    ``amplitude_used`` mark the pixels to fit; ``sigma`` the standard deviation of the station's mean by the
+    noise model, with ``variance_of_other`` [m^2], that of a recording which it is compared with;
+    ``amplitude_noise`` that of the amplitude. ``amplitude_sigma`` holds the errors of predicted amplitudes as
+    well, which neighbours share: a pixel counts as ``amplitude_share`` of an observation. ``amplitude`` is
+    the latent amplitude [counts]: what the terms see; it follows a relative change of the predicted light by
+    the share ``amplitude_follows``, as the rest of it is what was measured.
+    """
+
+    station: Station
+    view: View
+    context: Context
+    order: dict[str, int]
+    before: dict[str, Signal]
+    delivered: Signal
+    distance: Array
+    amplitude: Array
+    residual: Array
+    amplitude_residual: Array
+    sigma: Array
+    amplitude_sigma: Array
+    amplitude_noise: Array
+    amplitude_share: Array
+    used: NDArray[np.bool_]
+    amplitude_used: NDArray[np.bool_]
+    slope_distance: Array | float
+    slope_amplitude: Array | float
+    slope_published: Array | float
+    pose_columns: list[PoseColumn]
+    model_amplitude: Array
+    model_reading: Array
+    gain: float
+    amplitude_follows: Array | float = 1.0
+    spread: list[Effect] = field(default_factory=list)
+    light_curves: LightCurves | None = None
+    variance_of_other: Array | float = 0.0
+    linear: Sequence[Any] = ()
+    _images: dict[str, tuple[Array, Array]] = field(default_factory=dict)
+    _changes: dict[str, tuple[Array, Array]] = field(default_factory=dict)
+
+    def light_change(self, after: str | None, change: Array) -> tuple[Array, Array]:
+        """Carry a relative change of the complex image through the optics that follow an effect.
+
+        ``change`` (H, W) complex: dS / S just after effect ``after`` (None: at the scene). Returns the
+        derivatives of measured distance and published amplitude.
+        """
+        start = -1 if after is None else self.order[after]
+        relative = change
+        for effect in self.spread:
+            if self.order[effect.name] > start:
+                assert isinstance(effect, ComplexEffect)
+                before, inverse = self._through(effect)
+                # a derivative needs no more digits
+                relative = relative.astype(np.complex64)
+                if not np.isfinite(relative.sum()):
+                    relative[~np.isfinite(relative)] = 0
+                relative = effect.apply(relative * before, self.context) * inverse
+        by_distance = relative.imag * (self.context.ambiguity / (2 * np.pi))
+        return self.reading_change(by_distance, relative.real)
+
+    def _through(self, effect: ComplexEffect) -> tuple[Array, Array]:
+        """Return the image before an effect that spreads light, and one over that after it (0 where dark)."""
+        found = self._images.get(effect.name)
+        if found is None:
+            light = self.before[effect.name]
+            before = to_phasor(light.distance, light.amplitude, self.context.ambiguity)
+            image = effect.apply(before, self.context)
+            dark = image == 0
+            inverse = np.where(dark, 0, 1.0 / np.where(dark, 1.0, image))
+            found = (before.astype(np.complex64), inverse.astype(np.complex64))
+            self._images[effect.name] = found
+        return found
+
+    def reading_change(self, by_distance: Array | float, relative: Array | float) -> tuple[Array, Array]:
+        """Return the changes of the readings for changes of delivered distance [m] and log amplitude."""
+        counts = relative * self.delivered.amplitude
+        measured = by_distance * self.slope_distance + counts * self.amplitude_follows * self.slope_amplitude
+        return np.asarray(measured), np.asarray(counts * self.slope_published)
+
+    def columns(self, effect: Effect) -> dict[str, tuple[Array, Array]]:
+        """Return the derivatives of measured distance and published amplitude by an effect's parameters.
+
+        The effect need not be one of the camera's: a candidate stands at its place in the order.
+        """
+        name = effect.name
+        signal = self.before_effect(name)
+        columns = effect.columns(signal, self.context)
+        if effect.remembers_geometry and name in self.context.memory:
+            self.view.memory[name] = self.context.memory[name]
+        if isinstance(effect, DistanceTerm | ResponseEffect):
+            zero = np.zeros(self.distance.shape)
+            return {path: (zero + d, zero + a) for path, (d, a) in columns.items()}
+        after = effect.simulate(signal, self.context).amplitude
+        result = {}
+        for path, (d, a) in columns.items():
+            with np.errstate(divide="ignore", invalid="ignore"):
+                relative = np.where(after > 0, a / after, 0.0)
+            change = relative + 1j * (2 * np.pi / self.context.ambiguity) * np.nan_to_num(d)
+            result[path] = self.light_change(name, change)
+        return result
+
+    def before_effect(self, name: str) -> Signal:
+        """Return the light just before an effect, which need not be one of the camera's."""
+        found = self.before.get(name)
+        if found is not None:
+            return found
+        place = self.order[name]
+        later = [n for n in self.before if self.order[n] > place]
+        first = min(later, key=lambda n: self.order[n], default=None)
+        return self.delivered if first is None else self.before[first]
+
+    def gain_column(self) -> tuple[Array, Array]:
+        """Return the derivatives by the relative power of the emitter."""
+        if _POWER not in self._changes:
+            self._changes[_POWER] = self.reading_change(0.0, np.ones(self.distance.shape))
+        return self._changes[_POWER]
+
+    def curve_columns(self, labels: Sequence[str]) -> list[tuple[Array, Array]]:
+        """Return the derivatives by curves of the light, in the order of their labels."""
+        curves = self.light_curves or LightCurves()
+        if labels[0] in RESPONSE:
+            zero = np.zeros(self.distance.shape)
+            changes = curves.response_columns(self.model_amplitude)
+            return [(zero, self.model_reading * one) for one in changes]
+        changes = curves.columns(self.view.geometry, self.context.ambiguity, labels)
+        if not self.spread:
+            return [self.reading_change(0.0, one) for one in changes]
+        return [self.light_change(None, one + 0j) for one in changes]
+
+    def light_columns(self) -> list[tuple[Array, Array]]:
+        """Return the derivatives by light that all pixels share [counts], its real and imaginary part."""
+        level = to_phasor(self.delivered.distance, self.amplitude, self.context.ambiguity)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            relative = np.where(level == 0, 0, 1.0 / np.where(level == 0, 1.0, level))
+        scale = self.context.ambiguity / (2 * np.pi)
+        return [self.reading_change(scale * change.imag, change.real) for change in (relative, 1j * relative)]
+
+    def pose_change(self, column: PoseColumn) -> tuple[Array, Array]:
+        """Return the derivatives of the readings by an error of a pose."""
+        if column.path not in self._changes:
+            wave = 2 * np.pi / self.context.ambiguity
+            self._changes[column.path] = (
+                self.light_change(None, column.amplitude + 1j * wave * column.distance)
+                if self.spread
+                else self.reading_change(column.distance, column.amplitude)
+            )
+        return self._changes[column.path]
+
+
+@dataclass(frozen=True)
+class Shift:
+    """What another recording of a station measures beyond the predictions (H, W): ``distance`` [m] and
+    ``amplitude`` [counts], and the variances of its noise.
+    """
+
+    distance: Array
+    amplitude: Array
+    distance_variance: Array
+    amplitude_variance: Array
+
+    def apply(self, one: Prediction) -> None:
+        """Compare with the other recording: both scatter."""
+        one.residual = one.residual - self.distance
+        one.amplitude_residual = one.amplitude_residual - self.amplitude
+        one.variance_of_other = self.distance_variance
+        one.sigma = np.sqrt(one.sigma**2 + self.distance_variance)
+        one.amplitude_sigma = np.sqrt(one.amplitude_sigma**2 + self.amplitude_variance)
+        one.amplitude_noise = np.sqrt(one.amplitude_noise**2 + self.amplitude_variance)

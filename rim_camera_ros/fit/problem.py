@@ -1,0 +1,191 @@
+"""What a joint adjustment is given, and what it results in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects import OPTICS, CovariateTable
+from rim_camera_ros.effects.base import effect_of, response_of
+from rim_camera_ros.effects.candidate import Block
+from rim_camera_ros.effects.light_curves import RESPONSE, RIPPLES, SURFACES, LightCurves
+from rim_camera_ros.effects.sections import light_block
+from rim_camera_ros.fit.covariate_table import empirical_block
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.design import (
+    gain_block,
+    imperfection_blocks,
+    linear_blocks,
+    pose_block,
+    present_blocks,
+)
+from rim_camera_ros.fit.forward import AmplitudeModel, Forward
+from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR, NormalEquations, Reduced
+from rim_camera_ros.fit.prediction import Shift
+from rim_camera_ros.fit.steps import moved_light
+from rim_camera_ros.fit.views import Views
+from rim_camera_ros.scene import Scene, ScenePose
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is fitted: the data, the scene, which effects are free, and what else.
+
+    ``effects`` None frees all that the camera has; ``geometry`` names of `effects.OPTICS` to estimate;
+    ``robust`` bounds the weight of outliers; ``pattern`` estimates an offset per pixel;
+    ``masks`` restrict the pixels, ``shifts`` stand for another simulation (both as in `Forward`);
+    ``stray_light`` [counts] as in `accumulate`; ``reflectance`` estimates how surfaces reflect beside
+    Lambert's law, ``response`` [counts] what the effect on the response leaves, relative to that level.
+    ``pattern_prior`` [m] is the 1-sigma of an offset per pixel. ``variance_factors`` as in `Forward`. The
+    table over covariates is fitted only where ``effects`` names it. ``imperfections`` estimates what no scene
+    and no camera file states exactly (`imperfections`), within its stated sizes.
+    Priors of the parameters of effects and optics are those of the camera ``origin``, where it has them,
+    and about its values, whatever a fit begins at: what earlier fits took up must not hold later ones. None:
+    those of the start.
+    ``tick`` is called for each station in every pass and may raise to end the work; ``threads`` share it.
+    """
+
+    dataset: Dataset
+    scene: Scene
+    origin: Camera | None = None
+    effects: tuple[str, ...] | None = None
+    geometry: tuple[str, ...] = ()
+    gain: bool = True
+    pattern: bool = True
+    robust: bool = True
+    masks: Sequence[tuple[Array, Array]] | None = None
+    shifts: Sequence[Shift] | None = None
+    stray_light: float = 0.0
+    reflectance: bool = False
+    response: float | None = None
+    pattern_prior: float = PATTERN_PRIOR
+    variance_factors: Mapping[tuple[int, int], float] = field(default_factory=dict)
+    imperfections: bool = True
+    tick: Callable[[], None] | None = None
+    threads: int = 1
+
+    @property
+    def has_pattern_field(self) -> bool:
+        """Whether what offsets of pixels have in common is estimated beside offsets that are small."""
+        return self.pattern and self.pattern_prior < PATTERN_PRIOR
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a fit stands, as another needs it that begins there: what is not data, small beside them."""
+
+    camera: Camera
+    parameters: Mapping[str, float]
+    nuisances: Mapping[str, float]
+    pattern: Array
+    amplitude_model: AmplitudeModel
+    light_curves: LightCurves | None
+
+
+@dataclass
+class Fit:
+    """The result of an adjustment, from the camera ``start`` to ``camera``.
+
+    ``parameters`` by dotted path (``radiometry.gain`` in counts); ``covariance`` in their order;
+    ``pattern`` (H, W) m is what the fixed pattern is beyond the camera file's; ``nuisances`` the errors
+    found of poses and powers; ``chi_square`` of all residuals after the fit, prior terms left out, with
+    ``rows`` observations. ``equations`` are those at the solution, ``forward`` its predictions. ``moving``
+    are the parameters of a fit that has not converged which the last step moved, in units of their sigma.
+    """
+
+    start: Camera
+    camera: Camera
+    scene: Scene
+    parameters: dict[str, float]
+    covariance: Array
+    pattern: Array
+    nuisances: dict[str, float]
+    chi_square: float
+    rows: int
+    converged: bool
+    iterations: int
+    equations: NormalEquations
+    reduced: Reduced
+    forward: Forward
+    priors: Array
+    notes: list[str] = field(default_factory=list)
+    moving: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def point(self) -> Point:
+        """Where the fit stands."""
+        model, curves = self.forward.amplitude_model, self.forward.light_curves
+        return Point(self.camera, self.parameters, self.nuisances, self.pattern, model, curves)
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """1-sigma of each parameter."""
+        return dict(zip(self.parameters, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+def freed(problem: Problem, fitted: Fit) -> Problem:
+    """Return the problem in which exactly what a fit has estimated, of effects and light, is free."""
+    names = {path.split(".")[1] for path in fitted.parameters if path.startswith("effects.")}
+    curves = fitted.forward.light_curves
+    return replace(
+        problem,
+        effects=tuple(sorted(names)),
+        reflectance=curves is not None and not curves.values.keys().isdisjoint(SURFACES),
+        response=curves.level if curves is not None and curves.responds else None,
+    )
+
+
+def forward_of(
+    problem: Problem, scene: Scene, camera: Camera, *, views: Views | None, offsets: Mapping[str, float]
+) -> Forward:
+    """Return the predictions of a problem by a camera, with the curves of the light in the ``offsets``."""
+    forward = Forward(problem.dataset, scene, camera, views=views)
+    forward.masks, forward.shifts, forward.tick = problem.masks, problem.shifts, problem.tick
+    forward.variance_factors, forward.threads = problem.variance_factors, problem.threads
+    forward.camera_of_noise = problem.origin
+    forward.light_curves = moved_light(offsets, problem.response, scene)
+    if problem.imperfections:
+        forward.linear = linear_blocks(camera, scene, pattern_field=problem.has_pattern_field)
+    return forward
+
+
+def light_groups(problem: Problem, camera: Camera) -> list[tuple[str, ...]]:
+    """Return the curves of the light that are fitted beside the camera."""
+    groups = [RIPPLES] if problem.gain else []
+    if problem.reflectance:
+        groups.append(SURFACES)
+    if problem.response is not None and response_of(camera) is not None:
+        groups.append(RESPONSE)
+    return groups
+
+
+def blocks_of(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
+    """Return the regressors of all that is free in a problem."""
+    blocks = present_blocks(camera, effects=problem.effects, origin=problem.origin)
+    table = effect_of(camera, CovariateTable)
+    if table is not None and problem.effects is not None and table.name in problem.effects:
+        blocks.append(empirical_block(table))
+    if problem.gain:
+        blocks.append(gain_block())
+    blocks += [OPTICS[name].block(camera) for name in problem.geometry]
+    blocks += [light_block(labels) for labels in light_groups(problem, camera)]
+    if problem.imperfections:
+        blocks += imperfection_blocks(
+            camera, scene, lobe=not problem.reflectance, pattern_field=problem.has_pattern_field
+        )
+    free = [
+        (f"scene.{one.name}.{axis}", 1.0 if axis in "xyz" else 0.3)
+        for one in scene.surfaces
+        if isinstance(one.pose, ScenePose)
+        for axis in one.pose.free
+    ]
+    if free:
+        blocks.append(pose_block(free))
+    return blocks

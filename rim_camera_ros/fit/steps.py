@@ -1,0 +1,315 @@
+"""Steps of the adjustment: parameters, poses and curves of the light moved within their bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import camera_numbers, with_numbers
+from rim_camera_ros.effects import Effect, registry
+from rim_camera_ros.effects.light_curves import TILES, LightCurves, of_light, tile_labels
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.covariate_table import LABEL, with_empirical_changes
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.design import GAIN, is_linear
+from rim_camera_ros.fit.normal_equations import Reduced
+from rim_camera_ros.fit.views import OPTICAL_AXES
+from rim_camera_ros.scene import Scene, ScenePose, quaternion, rotation_matrix
+
+Array = NDArray[Any]
+
+#: Relative change of a width or a lag in one step.
+_SHAPE_STEP = 0.25
+#: Share of a station's values below whose amplitude a pole of a term may lie.
+_DARKEST = 0.01
+
+
+@dataclass(frozen=True)
+class Solved:
+    """Where a step began: equations (``matrix`` and ``right`` with priors, by label), errors of amplitudes,
+    powers, offsets and the step.
+
+    ``most`` is how far each parameter may go in one step; the others follow those that may not go farther.
+    """
+
+    reduced: Reduced
+    labels: Sequence[str]
+    matrix: Array
+    right: Array
+    most: Array
+    tau: float
+    gains: Mapping[tuple[int, int], float]
+    offsets: Mapping[str, float]
+    damping: float = 0.0
+    pixels: Array | None = None
+
+    @cached_property
+    def step(self) -> Array:
+        """The step, of equations whose diagonal is larger by the share ``damping`` (Marquardt 1963).
+
+        What the equations tell least of is held back first; infinite damping is no step.
+        """
+        step = np.zeros_like(self.right)
+        if np.isinf(self.damping):
+            return step
+        # in units in which the diagonal is 1: parameters differ by many orders of magnitude
+        unit = np.sqrt(np.diag(self.matrix))
+        matrix = self.matrix / np.outer(unit, unit) + self.damping * np.eye(len(unit))
+        free = np.ones(len(step), bool)
+        while free.any():
+            right = (self.right / unit)[free] - matrix[np.ix_(free, ~free)] @ (step * unit)[~free]
+            factor = linalg.cho_factor(matrix[np.ix_(free, free)], check_finite=False)
+            step[free] = linalg.cho_solve(factor, right, check_finite=False) / unit[free]
+            # one after the other: what follows the farthest may not go too far any more
+            far = np.where(free, np.abs(step) / self.most, 0.0)
+            farthest = int(np.argmax(far))
+            if not far[farthest] > 1:
+                break
+            step[farthest] = np.copysign(self.most[farthest], step[farthest])
+            free[farthest] = False
+        return step
+
+    @property
+    def forecast(self) -> float:
+        """By how much the step should lower the objective."""
+        return float(2 * self.right @ self.step - self.step @ self.matrix @ self.step)
+
+    @property
+    def changes(self) -> dict[str, float]:
+        """The step by label, of what is stepped."""
+        pairs = zip(self.labels, self.step.tolist(), strict=True)
+        return {label: value for label, value in pairs if not is_linear(label)}
+
+    def errors(
+        self, pattern: Array
+    ) -> tuple[dict[str, float], dict[tuple[int, int], float], Array, Array | None]:
+        """Return errors of poses and set-up, powers, the pattern, and gains of pixels for the step.
+
+        The pattern has the shape of ``pattern``, which is returned where none is estimated.
+        """
+        values = np.zeros(self.reduced.gram.shape[0])
+        values[: len(self.step)] = self.step
+        found, flat, more = self.reduced.recover(values)
+        pairs = zip(self.labels, self.step.tolist(), strict=True)
+        found |= {label: value for label, value in pairs if is_linear(label)}
+        pixels = self.pixels
+        if more is not None:
+            pixels = more.reshape(pattern.shape) + (0.0 if pixels is None else pixels)
+        gains = {
+            key: g * power_factor(found.get(f"{key[0]}.{key[1]}.gain", 0.0)) for key, g in self.gains.items()
+        }
+        nuisances = {name: e for name, e in found.items() if not name.endswith(".gain")}
+        if flat.size == pattern.size:
+            pattern = flat.reshape(pattern.shape)
+        return nuisances, gains, pattern, pixels
+
+
+def stepped(
+    start: Camera,
+    offsets: Mapping[str, float],
+    changes: Mapping[str, float],
+    lows: Mapping[str, float],
+    highs: Mapping[str, float],
+    numbers: Mapping[str, float],
+) -> tuple[Camera, dict[str, float]]:
+    """Take a step, or so much of it as leads to a possible camera.
+
+    Amplitude and phase of a sinusoid go where their phasor does: by themselves a step through amplitude 0
+    would turn its sign, and phases of a small one would leave for good. The sign stays that of the camera
+    file, the phase within half a period of its. Raises `InputError` where not even a thousandth does.
+    """
+    share = 1.0
+    while True:
+        moved = dict(offsets)
+        for path, change in changes.items():
+            moved[path] = moved.get(path, 0.0) + share * change
+        for path in changes:
+            phase = path.removesuffix("amplitude") + "phase"
+            if path != phase and phase in changes:
+                begun = numbers[path] + offsets.get(path, 0.0)
+                phasor = begun + share * (changes[path] + 1j * begun * changes[phase])
+                phasor *= float(np.copysign(1.0, numbers[path]))
+                turned = offsets.get(phase, 0.0) + float(np.angle(phasor))
+                moved[path] = float(np.copysign(abs(phasor), numbers[path])) - numbers[path]
+                moved[phase] = (turned + np.pi) % (2 * np.pi) - np.pi
+        try:
+            return _moved(start, moved, lows, highs, numbers), moved
+        except (InputError, ValueError):
+            share /= 2
+            if share < 1e-3:
+                raise
+
+
+def longest_steps(
+    labels: Sequence[str],
+    offsets: Mapping[str, float],
+    numbers: Mapping[str, float],
+    shape: tuple[int, int],
+) -> Array:
+    """Return how far parameters may go in one step: shapes by a quarter, others as their effects say.
+
+    ``shape`` (H, W) of the array.
+    """
+
+    def longest(path: str) -> float:
+        owner, inner = _owner(path)
+        if owner is None:
+            return np.inf
+        if owner.is_shape(inner):
+            return _SHAPE_STEP * max(abs(numbers[path] + offsets.get(path, 0.0)), 1e-9)
+        return owner.longest_step(inner, shape)
+
+    return np.array([longest(path) for path in labels])
+
+
+def power_factor(change: float) -> float:
+    """Return the factor on a pose's power for a step of its logarithm."""
+    return float(np.exp(np.clip(change, -1.0, 1.0)))
+
+
+def bounds_of(camera: Camera) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the least and greatest values of an effect's parameters, by path."""
+    lows: dict[str, float] = {}
+    highs: dict[str, float] = {}
+    for name, effect in camera.effects.items():
+        for path, (low, high) in effect.bounds().items():
+            lows[f"effects.{name}.{path}"], highs[f"effects.{name}.{path}"] = low, high
+    return lows, highs
+
+
+def greatest_of(
+    dataset: Dataset, masks: Sequence[tuple[Array, Array]] | None, camera: Camera
+) -> dict[str, float]:
+    """Return the greatest values of effects' parameters that the amplitudes in use allow, by path."""
+    if masks is None:
+        return {}
+    darkest = [
+        (
+            camera.integration_time(station.settings),
+            float(np.quantile(station.amplitude[used], _DARKEST)),
+        )
+        for station, (used, _) in zip(dataset.stations, masks, strict=True)
+        if used.any()
+    ]
+    return {
+        f"effects.{name}.{path}": value
+        for name, effect in camera.effects.items()
+        for path, value in effect.greatest(darkest).items()
+    }
+
+
+def value_of(path: str, camera: Camera, offsets: Mapping[str, float]) -> float:
+    """Return a parameter's value: of the camera, or how far one of the scene or of a table has moved."""
+    beside_numbers = of_scene(path) or is_linear(path) or path.startswith(LABEL)
+    return offsets.get(path, 0.0) if beside_numbers else camera_numbers(camera)[path]
+
+
+def of_shape(path: str) -> bool:
+    """Whether a parameter is a width or a lag, in which readings are far from linear."""
+    owner, inner = _owner(path)
+    return owner is not None and owner.is_shape(inner)
+
+
+def _owner(path: str) -> tuple[type[Effect] | None, str]:
+    """Return the effect that a dotted path of a camera file is of, and the path within it."""
+    name, _, inner = path.removeprefix("effects.").partition(".")
+    return (registry().get(name) if path.startswith("effects.") else None), inner
+
+
+def of_scene(path: str) -> bool:
+    """Whether a parameter belongs to the scene: an error of a pose, or how surfaces reflect."""
+    return path.startswith("scene.") or of_light(path)
+
+
+def moved_light(offsets: Mapping[str, float], level: float | None, scene: Scene) -> LightCurves | None:
+    """Return how surfaces reflect; None: as Lambert and the scene file say."""
+    values = {path: value for path, value in offsets.items() if of_light(path)}
+    tiles = tile_labels(scene) if any(path.startswith(TILES) for path in values) else ()
+    if level is not None:
+        return LightCurves(values, level, tiles)
+    return LightCurves(values, tiles=tiles) if values else None
+
+
+def in_units(covariance: Array, regressors: Sequence[Any], camera: Camera) -> Array:
+    """Return a covariance of steps as one of parameters: the gain in counts, not its logarithm."""
+    scale = np.array([camera.radiometry.gain if one.label == GAIN else 1.0 for one in regressors])
+    return np.asarray(covariance * scale[:, None] * scale[None, :])
+
+
+def _moved(
+    camera: Camera,
+    offsets: Mapping[str, float],
+    lows: Mapping[str, float],
+    highs: Mapping[str, float],
+    numbers: Mapping[str, float],
+) -> Camera:
+    """Return the camera with its numbers moved, kept within their bounds and within reach."""
+    values: dict[str, float] = {}
+    for path, offset in offsets.items():
+        if of_scene(path) or is_linear(path) or path.startswith(LABEL):
+            continue
+        value = (
+            numbers[path] * float(np.exp(np.clip(offset, -3, 3))) if path == GAIN else numbers[path] + offset
+        )
+        low, high = lows.get(path, -np.inf), highs.get(path, np.inf)
+        owner, inner = _owner(path)
+        if owner is not None:
+            least, most = owner.reach(inner, numbers[path])
+            low, high = max(low, least), min(high, most)
+        inside = 1e-9 * max(abs(value), 1.0)
+        values[path] = float(np.clip(value, low + inside if np.isfinite(low) and low > 0 else low, high))
+    return with_empirical_changes(with_numbers(camera, values) if values else camera, offsets)
+
+
+def moved_scene(scene: Scene, offsets: Mapping[str, float]) -> Scene:
+    """Return the scene with its free poses moved."""
+    if not any(path.startswith("scene.") for path in offsets):
+        return scene
+    surfaces = []
+    for one in scene.surfaces:
+        pose = one.pose
+        if isinstance(pose, ScenePose) and pose.free:
+            shift = [offsets.get(f"scene.{one.name}.{axis}", 0.0) for axis in "xyz"]
+            rotation = rotation_matrix(pose.orientation)
+            for name, axis in OPTICAL_AXES.items():
+                angle = offsets.get(f"scene.{one.name}.{name}", 0.0)
+                half = np.array(axis) * np.sin(angle / 2)
+                turn = rotation_matrix((half[0], half[1], half[2], float(np.cos(angle / 2))))
+                rotation = turn @ rotation
+            position = (pose.position[0] + shift[0], pose.position[1] + shift[1], pose.position[2] + shift[2])
+            pose = replace(pose, position=position, orientation=quaternion(rotation))
+        surfaces.append(replace(one, pose=pose))
+    return replace(scene, surfaces=tuple(surfaces))
+
+
+def moved_from(origin: Camera | None, start: Camera) -> dict[str, float]:
+    """Return how far numbers of effects and optics of a start are from those of the origin, by path."""
+    if origin is None or origin is start:
+        return {}
+    numbers, centres = camera_numbers(start), camera_numbers(origin)
+    moved = {
+        path: value - centres[path]
+        for path, value in numbers.items()
+        if path in centres and path.startswith(("effects.", "optics."))
+    }
+    turn = 2 * np.pi
+    return {
+        path: (change + np.pi) % turn - np.pi if path.endswith(".phase") else change
+        for path, change in moved.items()
+        if change
+    }
+
+
+def within_bounds(offsets: dict[str, float], camera: Camera, numbers: Mapping[str, float]) -> None:
+    """Take back of the offsets what the bounds of the parameters did not let through."""
+    reached = camera_numbers(camera)
+    for path in offsets:
+        if path in numbers and path != GAIN:
+            offsets[path] = reached[path] - numbers[path]

@@ -1,0 +1,270 @@
+"""Sizes of random effects that the recordings tell: offsets of pixels, errors of poses, weights of poses.
+
+An offset per pixel that may be anything takes all that a pixel tells which one pose sees: what a small board,
+held here and there, shows within a pose is lost then, and only differences between poses are left, with
+their errors. The size of the offsets that makes the recordings most likely (restricted maximum likelihood)
+keeps both apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR, reduce_folds
+from rim_camera_ros.fit.problem import Fit, Problem, freed
+from rim_camera_ros.fit.residuals import after_nuisances
+from rim_camera_ros.fit.solver import fit
+from rim_camera_ros.frame import Pose
+from rim_camera_ros.scene import Scene, Surface
+
+Array = NDArray[Any]
+
+#: Values per pixel below which the pattern's size is asked for, and the size with which that begins [m]: from
+#: a large one nothing else would be seen to be wrong.
+FEW_LOOKS = 5.0
+FIRST_SIZE = 0.001
+#: Sizes that are tried, 1-sigma of a pixel's offset [m].
+SIZES = (0.0003, 0.0005, 0.001, 0.002, 0.004, 0.008, 0.015, 0.03, 0.06, PATTERN_PRIOR)
+
+
+def first_pattern_prior(masks: Sequence[tuple[Array, Array]]) -> float:
+    """Return the 1-sigma of pixels' offsets [m] to begin with, by the pixels of each station, (H, W) each.
+
+    `PATTERN_PRIOR`, as good as unknown, where every pixel has enough looks to tell its own.
+    """
+    count = np.sum([used for used, _ in masks], axis=0)
+    looks = float(count[count > 0].mean()) if count.any() else FEW_LOOKS
+    return FIRST_SIZE if looks < FEW_LOOKS else PATTERN_PRIOR
+
+
+def log_evidence(fitted: Fit, size: float) -> float:
+    """Return the log likelihood of a fit's data, up to a constant, for pixels' offsets of a ``size`` [m].
+
+    ``size`` is their 1-sigma. Parameters, errors of poses and the offsets themselves are integrated out.
+    """
+    count = len(fitted.parameters)
+    pixels = replace(fitted.equations.pixels, offset=size)
+    reduced = reduce_folds(fitted.equations.folds, len(fitted.equations.regressors), pixels)
+    matrix = reduced.gram[:count, :count] + np.diag(fitted.priors**-2)
+    factor = linalg.cholesky(matrix, lower=True)
+    solved = linalg.solve_triangular(factor, reduced.right[:count], lower=True)
+    rest = float(reduced.square) - float(solved @ solved)
+    return -0.5 * rest - reduced.log_norm - float(np.sum(np.log(np.diag(factor))))
+
+
+def likely_pattern_prior(fitted: Fit) -> float:
+    """Return the likeliest 1-sigma of pixels' offsets [m] of `SIZES`."""
+    return max(SIZES, key=lambda size: log_evidence(fitted, size))
+
+
+def pattern_prior_note(size: float) -> str:
+    """Return in words how large the offsets of pixels are taken to be."""
+    return (
+        f"pixels are seen by few poses each: their offsets are taken to be {size * 1e3:.1f} mm (1 sigma), "
+        "which makes the recordings most likely, lest they take what poses tell of the other effects"
+    )
+
+
+#: Errors found in this ratio to those stated count as larger, and poses that it takes to say so.
+WIDER = 1.5
+LEAST_POSES = 8
+_ROUNDS = 5
+_TILTS = ("tilt_x", "tilt_y")
+
+
+@dataclass(frozen=True)
+class WiderSurface(Surface):
+    """A surface whose recorded poses err more than the recording states, by ``factors`` (normal, tilt)."""
+
+    factors: tuple[float, float] = (1.0, 1.0)
+
+    def pose_covariance(self, pose: Pose) -> NDArray[np.float64]:
+        covariance = super().pose_covariance(pose)
+        if pose.covariance is None:
+            return covariance
+        wider = np.array([self.factors[0], self.factors[1], self.factors[1]])
+        return covariance * np.outer(wider, wider)
+
+
+def _wider(one: Surface, offset: float, tilt: float, *, own: bool) -> Surface:
+    """Return the surface with larger errors of its poses; ``own``: the recording states some with them."""
+    sigma = (one.pose_sigma[0] * offset, one.pose_sigma[1] * tilt)
+    if not own:
+        return replace(one, pose_sigma=sigma)
+    before = one.factors if isinstance(one, WiderSurface) else (1.0, 1.0)
+    values = {field.name: getattr(one, field.name) for field in fields(Surface)} | {"pose_sigma": sigma}
+    return WiderSurface(**values, factors=(before[0] * offset, before[1] * tilt))
+
+
+def pose_error_ratios(fitted: Fit) -> dict[str, tuple[float, float]]:
+    """Return, for each surface, the errors found over those stated: along the normal, and of the tilts.
+
+    By the median, so that single bad poses do not count; 0 for too few poses. What the poses' distances leave
+    undetermined makes the ratio smaller, never larger.
+    """
+    stated = {name: prior for fold in fitted.equations.folds for name, prior, _ in fold.nuisances}
+    found: dict[str, tuple[list[float], list[float]]] = {}
+    for name, value in fitted.nuisances.items():
+        parts = name.split(".", 2)[-1].split(".")
+        if parts[0] != "pose" or name not in stated:
+            continue
+        surface, kind = ".".join(parts[1:-1]), parts[-1]
+        lists = found.setdefault(surface, ([], []))
+        lists[1 if kind in _TILTS else 0].append(abs(value) / stated[name])
+
+    def ratio(values: list[float], least: int) -> float:
+        return 1.4826 * float(np.median(values)) if len(values) >= least else 0.0
+
+    return {
+        surface: (ratio(offsets, LEAST_POSES), ratio(tilts, 2 * LEAST_POSES))
+        for surface, (offsets, tilts) in found.items()
+    }
+
+
+def with_wider_poses(scene: Scene, fitted: Fit) -> Scene | None:
+    """Return the scene with the errors of its poses as large as a fit found them; None: as stated."""
+    ratios = pose_error_ratios(fitted)
+    if not any(max(pair) > WIDER for pair in ratios.values()):
+        return None
+    stations = fitted.forward.dataset.stations
+    own = {name for one in stations for name, pose in one.truth.items() if pose.covariance is not None}
+    surfaces = []
+    for one in scene.surfaces:
+        offset, tilt = (max(ratio, 1.0) for ratio in ratios.get(one.name, (1.0, 1.0)))
+        surfaces.append(_wider(one, offset, tilt, own=one.name in own))
+    return replace(scene, surfaces=tuple(surfaces))
+
+
+def settled_poses(problem: Problem, fitted: Fit) -> Scene | None:
+    """Return the scene with errors of poses that agree with what a fit of all effects finds; None: as stated.
+
+    Errors that are held too small come out too small, and so it takes some rounds.
+    """
+    wider = with_wider_poses(problem.scene, fitted)
+    if wider is None:
+        return None
+    free = replace(problem, effects=None)
+    for _ in range(_ROUNDS):
+        again = fit(replace(free, scene=wider), fitted.camera, iterations=3)
+        further = with_wider_poses(wider, again)
+        if further is None:
+            break
+        wider = further
+    return wider
+
+
+def widening_of_poses(stated: Scene, found: Scene) -> dict[str, float]:
+    """Return how many times larger errors of poses were found than stated, by surface, where they were."""
+    result = {}
+    for old, new in zip(stated.surfaces, found.surfaces, strict=True):
+        ratios = [
+            after / before for before, after in zip(old.pose_sigma, new.pose_sigma, strict=True) if before
+        ]
+        if isinstance(new, WiderSurface):
+            ratios = list(new.factors)
+        if max(ratios, default=1.0) > 1.0:
+            result[new.name] = max(ratios)
+    return result
+
+
+def wider_poses_note(stated: Scene, found: Scene) -> str:
+    """Return in words by how much poses err more than the scene file states."""
+    parts = [
+        f"poses of '{new.name}' err by {new.factors[0]:.2g} (along the normal) and {new.factors[1]:.2g} "
+        "(tilt) times what the recording states with them"
+        if isinstance(new, WiderSurface)
+        else f"pose_sigma of '{new.name}' is [{old.pose_sigma[0]:.2g}, {old.pose_sigma[1]:.2g}] in the scene "
+        f"file, but "
+        f"its poses err by [{new.pose_sigma[0]:.2g}, {new.pose_sigma[1]:.2g}] (m, rad)"
+        for old, new in zip(stated.surfaces, found.surfaces, strict=True)
+        if old.pose_sigma != new.pose_sigma
+    ]
+    return "; ".join(parts) + ": that is taken, or the scene is not what the recordings show"
+
+
+Key = tuple[int, int]
+
+#: Chi-square per patch of a pose beyond which, in ratio to the median of all, poses are uneven; poses that it
+#: takes to say so, patches of a pose to be judged, their size [px], the most sigma that a residual counts.
+UNEVEN = 4.0
+LEAST_POSES = 8
+LEAST_PATCHES = 4
+PATCH = 4
+WILD = 30.0
+#: Factor on a pose's variance, at most: its errors must still be found, or its residuals are no residuals.
+MOST = 100.0
+#: Ratio of factors between two fits below which they have settled, and the most rounds that it may take.
+_SETTLED = 1.25
+_ROUNDS = 8
+_NAMED = 5
+
+
+def pose_chi_squares(fitted: Fit) -> dict[Key, float]:
+    """Return chi-square per patch of each pose, by recording and placement.
+
+    A patch is a cell of `PATCH` by `PATCH` pixels of one surface and one reflectivity; its chi-square is that
+    of the mean of its residuals after pattern and errors of poses, which is 1 where they are independent.
+    Residuals count no more than `WILD` sigma. Poses of few patches are not among them.
+    """
+    totals: dict[Key, list[Array]] = {}
+    for one in fitted.forward.predictions():
+        rest, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
+        used = one.used
+        z = np.clip(rest[used] / one.sigma[used], -WILD, WILD)
+        geometry = one.view.geometry
+        rows, columns = np.nonzero(used)
+        kinds = np.stack(
+            [rows // PATCH, columns // PATCH, geometry.surface[used], geometry.reflectivity[used]]
+        )
+        _, patch = np.unique(kinds, axis=1, return_inverse=True)
+        patch = np.ravel(patch)
+        precise = 1.0 / one.sigma[used]
+        total = np.bincount(patch, precise * z)
+        key = (one.station.recording, one.station.placed)
+        totals.setdefault(key, []).append(total**2 / np.bincount(patch, precise**2))
+    joined = {key: np.concatenate(parts) for key, parts in totals.items()}
+    return {key: float(parts.mean()) for key, parts in joined.items() if len(parts) >= LEAST_PATCHES}
+
+
+def pose_variance_factors(problem: Problem, fitted: Fit) -> dict[Key, float] | None:
+    """Return the factors on the variances of poses with which they agree with the fit; None: poses are even.
+
+    Factors change the fit and it them, so that it takes some rounds.
+    """
+    found = pose_chi_squares(fitted)
+    if len(found) < LEAST_POSES or max(found.values()) < UNEVEN * _level(found):
+        return None
+    free = freed(problem, fitted)
+    factors: dict[Key, float] = {}
+    for _ in range(_ROUNDS):
+        before = factors
+        whole = {key: chi * before.get(key, 1.0) for key, chi in found.items()}
+        level = _level(whole)
+        factors = {key: float(np.clip(chi / level, 1.0, MOST)) for key, chi in whole.items()}
+        ratios = [one / before.get(key, 1.0) for key, one in factors.items()]
+        if max(max(ratios), 1.0 / min(ratios)) < _SETTLED:
+            break
+        again = fit(replace(free, variance_factors=factors), fitted.camera, iterations=2, warm=fitted)
+        found = pose_chi_squares(again)
+    return factors
+
+
+def _level(found: Mapping[Key, float]) -> float:
+    """Return the chi-square of the median pose, at least 1: what all disagree with is no pose's fault."""
+    return max(1.0, float(np.median(list(found.values()))))
+
+
+def pose_variance_note(factors: Mapping[Key, float]) -> str:
+    """Return in words which poses weigh less, the worst by name."""
+    worst = sorted(factors, key=lambda key: -factors[key])[:_NAMED]
+    parts = [f"pose {pose} ({factors[recording, pose]:.0f} times)" for recording, pose in worst]
+    return (
+        "poses weigh less whose distances agree less with the model than those of the median pose, by their "
+        f"variance: {', '.join(parts)}; the scene file does not describe all light, or these poses are wrong"
+    )

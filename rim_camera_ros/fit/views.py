@@ -1,0 +1,281 @@
+"""What each station's pixels see: geometry, which pixels to trust, and how errors of a pose move it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.fit.data import Station
+from rim_camera_ros.footprint import Cells, FootprintLight, footprint_light
+from rim_camera_ros.frame import Pose
+from rim_camera_ros.scene import Geometry, Scene, ScenePose, Surface, rotation_matrix, see, surface_seen
+
+Array = NDArray[Any]
+
+
+class Margins(NamedTuple):
+    """How near to the outline of a surface, and to the edge of a tile, rays may pass [px]."""
+
+    outline: float
+    tile: float
+
+
+#: Pixels whose rays pass nearer are left out: a pixel has an area, and a lens spreads its light.
+CLEAN = Margins(1.1, 1.1)
+#: ... of surfaces and tiles so small that an edge reaches every pixel.
+SMALL = Margins(0.4, 0.3)
+#: ... where pixels beside edges are looked at: as far as errors of poses move edges.
+NEAR = Margins(0.25, 0.12)
+#: ... and where it shows that edges cross pixels: those that they cross show it best.
+CROSSED = Margins(0.1, 0.05)
+
+#: Errors of predicted amplitudes are alike within a tile over this share of the array's width.
+PATCH = 0.1
+
+#: Geometries are kept up to this many bytes; beyond, they are computed again in each pass.
+_KEPT_BYTES = 400_000_000
+#: Bytes that a pixel of a view takes, by the arrays of its geometry and of the errors of a pose.
+_PIXEL_BYTES = 140
+
+#: Axes of the optical frame that a free surface turns about.
+OPTICAL_AXES = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+@dataclass(frozen=True)
+class View:
+    """Geometry of a station and the pixels (H, W) whose ray stays away from outlines and tile edges.
+
+    ``memory`` keeps what effects computed of this geometry.
+    """
+
+    geometry: Geometry
+    clean: NDArray[np.bool_]
+    poses: Mapping[str, Pose]
+    pose_columns: list[PoseColumn] = field(default_factory=list)
+    memory: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PoseColumn:
+    """Derivative of the distance by one error of one pose.
+
+    ``path`` names it: ``pose.SURFACE.offset|tilt_x|tilt_y`` with the 1-sigma ``prior`` of the reference
+    instrument, or ``scene.SURFACE.AXIS`` of a free pose. ``distance`` (H, W) in m per m or per rad;
+    ``amplitude`` (H, W) the relative change of the light, by the distance and by the angle of incidence.
+    """
+
+    path: str
+    prior: float
+    distance: Array
+    amplitude: Array
+
+
+class Views:
+    """The views of a scene's stations through one camera geometry; the latest are kept.
+
+    The camera has every ``decimation``-th pixel of the sensor's: a pixel reaches no farther for that.
+    """
+
+    def __init__(self, camera: Camera, scene: Scene, *, decimation: int = 1) -> None:
+        self.camera, self.scene, self._decimation = camera, scene, decimation
+        height, width = camera.shape
+        self._most = max(4, _KEPT_BYTES // (height * width * _PIXEL_BYTES))
+        self._kept: dict[Any, View] = {}
+        self._around: dict[float, list[Array]] = {}
+
+    def fits(self, camera: Camera, scene: Scene) -> bool:
+        """Return whether these views hold for a camera and a scene: same rays, same surfaces."""
+        same_rays = camera.optics == self.camera.optics and camera.shape == self.camera.shape
+        return same_rays and scene.surfaces == self.scene.surfaces
+
+    def view(self, station: Station) -> View:
+        """Return what a station's pixels see. Raises `InputError` for a missing pose."""
+        poses = self.scene.poses_for(station.truth)
+        key = tuple(poses.get(one.name) for one in self.scene.surfaces)
+        found = self._kept.get(key)
+        if found is None:
+            geometry = see(self.scene, poses, self.camera.rays)
+            clean = self._clean(geometry, poses, CLEAN)
+            if not clean.any():
+                # of what is so small that edges reach all of it, the pixels that they reach least
+                clean = self._clean(geometry, poses, SMALL)
+            found = View(geometry, clean, poses)
+            found.pose_columns.extend(self._pose_columns(found))
+            if len(self._kept) >= self._most:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[key] = found
+        return found
+
+    def clean(self, view: View, margins: Margins) -> NDArray[np.bool_]:
+        """Return the pixels (H, W) of a view that are clean by other margins."""
+        return self._clean(view.geometry, view.poses, margins)
+
+    def alike(self, view: View) -> Array:
+        """Return how many clean pixels (H, W) share a pixel's tile and its part of the array."""
+        found = view.memory.get("alike")
+        if found is None:
+            height, width = self.camera.shape
+            side = max(PATCH * width, 1.0)
+            rows, columns = (np.arange(n) // side for n in (height, width))
+            patch = (rows[:, None] * width + columns[None, :]).astype(np.int64)
+            patch = patch + height * width * view.geometry.tile.astype(np.int64)
+            group = np.unique(patch, return_inverse=True)[1].reshape(height, width)
+            found = np.maximum(np.bincount(group[view.clean], minlength=int(group.max()) + 1)[group], 1)
+            view.memory["alike"] = found
+        return np.asarray(found)
+
+    def footprint(self, view: View, cells: Cells, *, ambiguity: float) -> FootprintLight:
+        """Return the light around the centres of a view's pixels, for an ambiguity range [m]; it is kept."""
+        found: FootprintLight | None = view.memory.get(f"footprint {cells.number}")
+        if found is None:
+            found = footprint_light(
+                self.scene,
+                view.poses,
+                view.geometry,
+                self.camera.rays,
+                ambiguity=ambiguity,
+                cells=cells,
+            )
+            view.memory[f"footprint {cells.number}"] = found
+        return found
+
+    def _rays_around(self, margin: float) -> list[Array]:
+        if margin not in self._around:
+            self._around[margin] = _rays_around(self.camera.rays, margin / self._decimation)
+        return self._around[margin]
+
+    def _clean(self, geometry: Geometry, poses: Mapping[str, Pose], margins: Margins) -> NDArray[np.bool_]:
+        clean = geometry.hit.copy()
+        if min(margins) > self._decimation:
+            # corners may lie between the rays around a pixel, and between tiles of one reflectivity
+            clean &= _alone(geometry.tile)
+        surfaces = self.scene.surfaces
+        there = [one for one in surfaces if one.name in poses]
+        uncertain = len(there) > 1 or there[0].type != "plane"
+        if uncertain:
+            for rays in self._rays_around(margins.outline):
+                clean &= surface_seen(self.scene, poses, rays) == geometry.surface
+        first = 0
+        for i, surface in enumerate(surfaces):
+            start, first = first, first + surface.tiles
+            texture = surface.texture
+            if texture is None or surface not in there:
+                continue
+            pose = poses[surfaces[i].name]
+            rotation = rotation_matrix(pose.orientation)
+            mine = geometry.surface == i
+            for rays in self._rays_around(margins.tile):
+                length = surfaces[i].lengths(pose, np.zeros(3), rays[mine])
+                met = np.isfinite(length)
+                local = (
+                    np.where(met, length, 0.0)[:, None] * rays[mine] - np.array(pose.position)
+                ) @ rotation
+                local = np.nan_to_num(local)  # beside pixels that have no ray
+                same = start + texture.tile(local[:, 0], local[:, 1]) == geometry.tile[mine]
+                clean[mine] &= same | ~met
+        return clean
+
+    def _pose_columns(self, view: View) -> list[PoseColumn]:
+        """Return how errors of the poses change the distance of a view, surface by surface.
+
+        The plane n . (d r) = n . p gives dd = n . dp / (n . r) for a shift and (w x n) . (p - X) / (n . r)
+        for a small rotation w about p.
+        """
+        result: list[PoseColumn] = []
+        for i, surface in enumerate(self.scene.surfaces):
+            mine = view.geometry.surface == i
+            if not mine.any():
+                continue
+            if surface.pose == "truth":
+                result += _truth_columns(surface, view, mine, self.camera.rays)
+            elif isinstance(surface.pose, ScenePose) and surface.pose.free:
+                result += _free_columns(surface, surface.pose, view, mine, self.camera.rays)
+        return result
+
+
+def _alone(tile: Array) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) all of whose neighbours see the same tile."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    return np.asarray(minimum_filter(tile, 3) == maximum_filter(tile, 3))
+
+
+def _truth_columns(surface: Surface, view: View, mine: Array, rays: Array) -> list[PoseColumn]:
+    """Return the errors of a recorded pose, made independent of each other: C = L D L', L of unit diagonal.
+
+    A column is what its error changes together with what goes with it on average in the errors after it.
+    """
+    pose = view.poses[surface.name]
+    rotation = rotation_matrix(pose.orientation)
+    names, changes = ["offset"], [_by_shift(rotation[:, 2], view, mine, rays)]
+    if surface.type != "sphere":
+        names += ["tilt_x", "tilt_y"]
+        changes += [_by_rotation(axis, pose, view, mine, rays) for axis in (rotation[:, 0], rotation[:, 1])]
+    rest = surface.pose_covariance(pose)[: len(names), : len(names)].copy()
+    result = []
+    for k, name in enumerate(names):
+        variance = float(rest[k, k])
+        if variance <= 0:
+            continue
+        share = rest[:, k] / variance
+        rest -= np.outer(share, share) * variance
+        together = [(factor, one) for factor, one in zip(share, changes, strict=True) if factor != 0]
+        column, light = (np.sum([f * one[part] for f, one in together], axis=0) for part in (0, 1))
+        result.append(PoseColumn(f"pose.{surface.name}.{name}", float(np.sqrt(variance)), column, light))
+    return result
+
+
+def _free_columns(
+    surface: Surface, pose: ScenePose, view: View, mine: Array, rays: Array
+) -> list[PoseColumn]:
+    result = []
+    for name in pose.free:
+        path = f"scene.{surface.name}.{name}"
+        if name in _AXES:
+            column = _by_shift(np.array(_AXES[name]), view, mine, rays)
+            result.append(PoseColumn(path, 1.0, *column))
+        else:
+            column = _by_rotation(np.array(OPTICAL_AXES[name]), view.poses[surface.name], view, mine, rays)
+            result.append(PoseColumn(path, 0.3, *column))
+    return result
+
+
+def _along_rays(view: View, mine: Array, rays: Array) -> Array:
+    return np.asarray(np.einsum("nk,nk->n", view.geometry.normals[mine], rays[mine]))
+
+
+def _by_shift(direction: Array, view: View, mine: Array, rays: Array) -> tuple[Array, Array]:
+    """Return the changes of distance and (relative) light by a shift; the incidence of a plane stays."""
+    column, light = np.zeros(mine.shape), np.zeros(mine.shape)
+    column[mine] = view.geometry.normals[mine] @ direction / _along_rays(view, mine, rays)
+    light[mine] = -2 * column[mine] / view.geometry.distance[mine]
+    return column, light
+
+
+def _by_rotation(axis: Array, pose: Pose, view: View, mine: Array, rays: Array) -> tuple[Array, Array]:
+    """Return the changes of distance and (relative) light by a small rotation about the pose's position."""
+    column, light = np.zeros(mine.shape), np.zeros(mine.shape)
+    arm = np.array(pose.position) - view.geometry.points[mine]
+    turned = np.cross(axis, view.geometry.normals[mine])
+    along = _along_rays(view, mine, rays)
+    column[mine] = np.einsum("nk,nk->n", turned, arm) / along
+    by_angle = np.einsum("nk,nk->n", turned, rays[mine]) / along
+    light[mine] = by_angle - 2 * column[mine] / view.geometry.distance[mine]
+    return column, light
+
+
+def _rays_around(rays: Array, margin: float) -> list[Array]:
+    """Return the rays ``margin`` pixels to the eight sides, by linear interpolation."""
+    result = []
+    down = np.gradient(rays, axis=0)
+    across = np.gradient(rays, axis=1)
+    for dv, du in ((-1, -1), (-1, 1), (1, -1), (1, 1), (0, -1), (0, 1), (-1, 0), (1, 0)):
+        moved = rays + margin * (dv * down + du * across)
+        result.append(moved / np.linalg.norm(moved, axis=-1, keepdims=True))
+    return result

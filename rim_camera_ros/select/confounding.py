@@ -1,0 +1,216 @@
+"""Whether a further effect shows also where the effects found before it do not act, and in the order of time.
+
+The form of a large effect is never quite the true one, and what it leaves where it acts looks like small
+other effects. A true further effect is seen by the other pixels as well, in proportion to what they tell; a
+drift follows the time of the poses better than it follows shuffled times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.effects.candidate import Block, Candidate, Column, Regressor
+from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.problem import Fit, Problem
+from rim_camera_ros.fit.solver import fit
+from rim_camera_ros.select.candidates import form_blocks
+from rim_camera_ros.select.effect_sizes import change_by
+from rim_camera_ros.select.evidence import Scores
+from rim_camera_ros.select.exploration import LEAST_THRESHOLD, Exploration, further_equations
+
+Array = NDArray[Any]
+
+#: Random orders, and the share of them that may explain as much as the true one.
+_ORDERS = 400
+_SHARE = 0.01
+#: Poses below which orders are too few to tell.
+_LEAST_POSES = 8
+#: What may be left of the poses' own shifts, in sigmas of chi-square beyond what the stated errors make; more
+#: where the drift explains this share of it.
+_LEFT = 3.0
+_MOST = 2 / 3
+#: 1-sigma of a pose's own shift [m]: as good as free.
+_FREE = 1.0
+
+
+def follows_time(
+    fitted: Fit,
+    name: str,
+    variants: Sequence[Candidate],
+    folds: Mapping[tuple[int, int], int],
+    problem: Problem,
+    *,
+    beside: Sequence[Block] = (),
+    seed: int = 0,
+) -> bool:
+    """Return whether the drift ``name`` of a fit explains more than in nearly all random orders of poses.
+
+    And whether poses are then as good as stated, or nearly all that moved them is explained.
+    ``variants`` are its candidates in the library; ``beside`` are further regressors that stand beside it.
+    True where there are too few poses to tell.
+    """
+    poses = list(dict.fromkeys((one.recording, one.placed) for one in problem.dataset.stations))
+    if len(poses) < _LEAST_POSES or not variants:
+        return True
+    shifts, shapes = _by_pose(fitted, name, variants, poses)
+    with_poses = further_equations(fitted, [*beside, _pose_block(poses)], folds, problem)
+    count = len(with_poses.equations.regressors)
+    own = range(count - len(poses), count)
+    base = [i for i in range(count) if i not in own and with_poses.equations.regressors[i].owner != name]
+    gram, right = Scores(with_poses.equations, base).beside_base(own)
+    # as if the drift had not been fitted
+    right = right + gram @ shifts
+    random = np.random.default_rng(seed)
+    true = _explained(gram, right, shapes, np.arange(len(poses)))
+    every = 0.5 * float(right @ np.linalg.pinv(gram) @ right)
+    expected = 0.5 * len(poses)
+    if true < LEAST_THRESHOLD:
+        return False
+    enough = every - true <= expected + _LEFT * np.sqrt(expected) or true >= _MOST * (every - expected)
+    others = [_explained(gram, right, shapes, random.permutation(len(poses))) for _ in range(_ORDERS)]
+    return bool(enough and np.mean(np.array(others) >= true) <= _SHARE)
+
+
+def _by_pose(
+    fitted: Fit, name: str, variants: Sequence[Candidate], poses: Sequence[tuple[int, int]]
+) -> tuple[Array, list[tuple[Array, Array]]]:
+    """Return the drift at the poses [m], (P,), and for each variant its columns (P, K) and their priors."""
+    numbers = {key: i for i, key in enumerate(poses)}
+    stations = np.zeros(len(poses))
+    shifts = np.zeros(len(poses))
+    columns = [np.zeros((len(poses), len(one.block.regressors))) for one in variants]
+    for prediction in fitted.forward.predictions(slopes=False):
+        at = numbers[prediction.station.recording, prediction.station.placed]
+        stations[at] += 1
+        shifts[at] += float(np.mean(change_by(prediction, name)[0]))
+        for one, values in zip(variants, columns, strict=True):
+            values[at] += [float(np.mean(column)) for column, _ in one.block.columns(prediction)]
+    counts = np.maximum(stations, 1)
+    priors = [np.array([r.prior for r in one.block.regressors]) for one in variants]
+    shapes = [(values / counts[:, None], prior) for values, prior in zip(columns, priors, strict=True)]
+    return shifts / counts, shapes
+
+
+def _pose_block(poses: Sequence[tuple[int, int]]) -> Block:
+    """Return regressors that shift all pixels of one pose each."""
+
+    def columns(prediction: Prediction) -> list[Column]:
+        zero, one = np.zeros(prediction.distance.shape), np.ones(prediction.distance.shape)
+        here = (prediction.station.recording, prediction.station.placed)
+        return [(one if pose == here else zero, None) for pose in poses]
+
+    names = (f"shift.{recording}.{pose}" for recording, pose in poses)
+    return Block(tuple(Regressor(name, "shift", _FREE) for name in names), columns)
+
+
+def _explained(gram: Array, right: Array, shapes: Sequence[tuple[Array, Array]], order: Array) -> float:
+    """Return how much the best shape explains [nats] with its values dealt to the poses in an order."""
+    best = 0.0
+    for values, prior in shapes:
+        dealt = values[order] * prior
+        matrix = dealt.T @ gram @ dealt + np.eye(dealt.shape[1])
+        side = dealt.T @ right
+        best = max(best, 0.5 * float(side @ np.linalg.solve(matrix, side)))
+    return best
+
+
+#: An effect does not act on a pixel that it changes by less than this, in sigmas of the pixel's mean.
+_QUIET = 0.3
+#: Share of the pixels that must be left for the question to be asked.
+_LEAST_LEFT = 0.05
+#: A further effect must gain this share of what the pixels left tell of it.
+_LEAST_PART = 0.3
+
+
+def shows_in_quiet_pixels(
+    problem: Problem,
+    step: Exploration,
+    number: int,
+    found: Sequence[str],
+    folds: Mapping[tuple[int, int], int],
+) -> bool:
+    """Return whether a candidate of an exploration gains where the effects ``found`` do not act.
+
+    Also where that cannot be told: too few pixels are left, or they would tell too little, or what was found
+    are parameters of the optics or surfaces, which act everywhere.
+    """
+    names = [name for name in found if name in step.fit.camera.effects]
+    if not names:
+        return True
+    masks = quiet_pixels(step.fit, names)
+    if masks is None:
+        return True
+    candidate, span = step.candidates[number], step.spans[number]
+    fitted = fit(
+        replace(problem, masks=masks),
+        step.fit.camera,
+        fold_of=folds,
+        further=[candidate.block],
+        views=step.fit.forward.views,
+        warm=step.fit,
+        iterations=0,
+    )
+    count = len(fitted.parameters)
+    own = list(range(count, count + len(span)))
+    scores = Scores(fitted.equations, range(count))
+    values = step.scores.values(span)
+    strength = np.array([values[one.label] for one in candidate.block.regressors])
+    whole = step.scores.expected_gain(span, strength)
+    if whole <= 0:
+        return True
+    wanted = float(step.gains[number]) * scores.expected_gain(own, strength) / whole
+    if wanted < 2 * LEAST_THRESHOLD:
+        return True
+    return float(scores.gain(own)) > _LEAST_PART * wanted
+
+
+def quiet_pixels(fitted: Fit, names: Sequence[str]) -> list[tuple[Array, Array]] | None:
+    """Return the pixels of each station and channel (H, W) that effects do not change.
+
+    None where too few are left.
+    """
+    masks, used, kept = [], 0, 0
+    for one in fitted.forward.predictions():
+        distance, light = one.used, one.amplitude_used
+        used += int(distance.sum())
+        for name in names:
+            moved, changed = change_by(one, name)
+            distance = distance & (np.abs(np.nan_to_num(moved)) < _QUIET * one.sigma)
+            if changed is not None:
+                light = light & (np.abs(np.nan_to_num(changed)) < _QUIET * one.amplitude_sigma)
+        kept += int(distance.sum())
+        masks.append((distance, light))
+    return masks if kept >= _LEAST_LEFT * max(used, 1) else None
+
+
+def follows_time_in_quiet_pixels(
+    fitted: Fit,
+    name: str,
+    problem: Problem,
+    folds: Mapping[tuple[int, int], int],
+    *,
+    found: Sequence[str],
+    drifts: Sequence[Candidate],
+    curves: Sequence[Candidate],
+    variants: Sequence[Candidate],
+    seed: int,
+) -> bool:
+    """Return whether a drift ``name`` of a fit follows time, as `follows_time`, where others do not act.
+
+    These are the effects ``found`` before it, whose form is never quite the true one: beside it stand
+    ``curves`` of what they depend on, and changes of their forms by their ``variants``. ``drifts`` are its
+    own candidates.
+    """
+    # such a form leaves what changes with its own covariates, and these with time
+    effects = [fitted.camera.effects[one] for one in found if one in fitted.camera.effects]
+    covariates = {covariate for one in effects for covariate in one.own_covariates()}
+    own = [one.block for one in curves if one.variant in covariates]
+    beside = [*own, *form_blocks(fitted, found, variants)]
+    masks = quiet_pixels(fitted, [one.name for one in effects])
+    there = problem if masks is None else replace(problem, masks=masks)
+    return follows_time(fitted, name, drifts, folds, there, beside=beside, seed=seed)

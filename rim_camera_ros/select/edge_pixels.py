@@ -1,0 +1,110 @@
+"""Pixels beside edges, which a search leaves out until it looks for what acts there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.effects import registry
+from rim_camera_ros.effects.candidate import Candidate
+from rim_camera_ros.fit.pixels import more_pixels
+from rim_camera_ros.fit.problem import Fit, Problem
+from rim_camera_ros.fit.views import CROSSED
+from rim_camera_ros.select.exploration import LEAST_THRESHOLD, Exploration
+
+#: Share of what such an effect must gain that it gains before the other parameters are fitted.
+_AT_FIRST_SIGHT = 0.5
+_REPLICATES = 200
+#: Side [px] of footprints up to which only the pixels show them that an edge crosses amid.
+_NARROW = 0.4
+
+
+class Fits(Protocol):
+    """A search's way to fit a camera to pixels, from the nuisances of a step, and to score candidates."""
+
+    def __call__(
+        self,
+        problem: Problem,
+        camera: Camera,
+        step: Exploration,
+        wanted: Sequence[Candidate],
+        /,
+        *,
+        replicates: int = ...,
+        iterations: int = ...,
+    ) -> Exploration: ...
+
+
+@dataclass(frozen=True)
+class Look:
+    """A fit of pixels beside edges, the problem with them, and the variants to try there."""
+
+    problem: Problem
+    fitted: Exploration
+    variants: Sequence[Candidate]
+
+
+def edge_candidates(*, at_first_sight: bool = False) -> list[Candidate]:
+    """Return the variants of all effects that only pixels show which an edge crosses."""
+    kinds = registry().values()
+    return [one for kind in kinds for one in kind.edge_candidates(at_first_sight=at_first_sight)]
+
+
+def with_edges(problem: Problem, fitted: Fit) -> Problem:
+    """Return the problem with the pixels beside edges, the same where there are none."""
+    masks = fitted.forward.pixels_near_edges()
+    if problem.masks is not None and not more_pixels(masks, problem.masks):
+        return problem
+    return replace(problem, masks=masks)
+
+
+def promising(
+    problem: Problem,
+    step: Exploration,
+    blurs: Sequence[Candidate],
+    fit: Fits,
+    *,
+    footprint: bool,
+) -> Look | None:
+    """Return a fit of pixels beside edges in which a variant gains what it must; None: none does.
+
+    The ``footprint`` of a pixel is looked for as well, unless it is left out; a narrow one in those that
+    edges cross amid, where errors of poses tell most. ``step`` is the last exploration away from edges.
+    """
+    camera = step.fit.camera
+    variants = [*blurs, *(edge_candidates(at_first_sight=True) if footprint else [])]
+    first = fit(problem, camera, step, variants, iterations=0)
+    leader = _leader(first, _AT_FIRST_SIGHT)
+    if leader is None:
+        return None
+    side = leader.footprint
+    if side is not None and side <= _NARROW:
+        problem = replace(problem, masks=step.fit.forward.pixels_near_edges(CROSSED))
+    variants = [*blurs, *(edge_candidates() if footprint else [])]
+    then = fit(problem, camera, step, variants, replicates=_REPLICATES)
+    return None if _leader(then, 1.0) is None else Look(problem, then, variants)
+
+
+def sharper(problem: Problem, step: Exploration, fit: Fits) -> tuple[Exploration, Exploration] | None:
+    """Return the fits of pixels beside edges by the blur of a step's camera and by a footprint instead of it.
+
+    None where the footprint fits no better.
+    """
+    camera = step.fit.camera
+    without = with_effects(camera, {n: one for n, one in camera.effects.items() if not one.at_edges})
+    first = fit(problem, without, step, edge_candidates(), iterations=0)
+    number = next(iter(first.best().values()))
+    if first.gains[number] <= LEAST_THRESHOLD:
+        return None
+    blur, footprint = (fit(problem, one, step, ()) for one in (camera, first.camera_with([number])))
+    gain = footprint.scores.log_likelihood() - blur.scores.log_likelihood()
+    return (blur, footprint) if gain > LEAST_THRESHOLD else None
+
+
+def _leader(step: Exploration, share: float) -> Candidate | None:
+    """Return the best variant where it gains a share of what it must."""
+    number = next(iter(step.best().values()))
+    return step.candidates[number] if step.gains[number] > share * step.thresholds[number] else None

@@ -1,0 +1,250 @@
+"""One exploration: all candidates linearised at a fit and scored, alone and in pairs, against nulls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence, Set
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import in_order
+from rim_camera_ros.effects.candidate import MANY_PIXELS, Block, Candidate
+from rim_camera_ros.fit.gauss_newton import TOLERANCE
+from rim_camera_ros.fit.problem import Fit, Point, Problem
+from rim_camera_ros.fit.solver import fit
+from rim_camera_ros.select.evidence import Scores
+from rim_camera_ros.select.null_replicates import null_scores
+
+Array = NDArray[Any]
+
+
+#: Share of nulls that may raise an alarm, and the least threshold in nats.
+ALARM_RATE = 0.02
+
+
+LEAST_THRESHOLD = 8.0
+
+
+#: Candidates that differ as much as independent tries would.
+_INDEPENDENT = 8
+
+
+#: Sigma beyond which light that is added is taken for negative, which none is.
+_NEGATIVE = 3.0
+
+
+@dataclass
+class Exploration:
+    """Scores of all candidates at one fit.
+
+    ``gains`` in nats of held-out log likelihood and ``thresholds``, one per candidate, the latter from its
+    gains in replicates in which nothing is left out, of the noise and the errors that are stated;
+    ``null_maxima`` is the greatest gain in each of them. The first ``named`` candidates are of the
+    vocabulary, the others stand for what is not. ``beside`` scores the named ones beside changes of the
+    ``forms`` of effects found before them, where there are such.
+    """
+
+    fit: Fit
+    candidates: Sequence[Candidate]
+    scores: Scores
+    spans: list[list[int]]
+    gains: Array
+    null_maxima: Array
+    thresholds: Array
+    named: int
+    beside: Scores
+    forms: Sequence[Block] = ()
+
+    @property
+    def threshold(self) -> float:
+        """Threshold in nats of the best named candidate."""
+        leader = int(np.argmax(self.gains[: self.named])) if self.named else 0
+        return float(self.thresholds[leader]) if self.thresholds.size else LEAST_THRESHOLD
+
+    @property
+    def unexplained(self) -> float:
+        """What the residuals of held-out poses cost beyond their noise, in nats."""
+        chi_square, rows = self.scores.chi_square(held_out=True)
+        return max(0.5 * (chi_square - rows), 0.0)
+
+    def forget(self) -> None:
+        """Let go of the sums per pixel, which only the last exploration still needs."""
+        for fold in self.fit.equations.folds:
+            # a view would keep them
+            fold.pixel = fold.pixel[:, :0].copy()
+            fold.gain = None if fold.gain is None else fold.gain[:, :0].copy()
+
+    def best(self) -> dict[str, int]:
+        """Return the best variant of each effect, the best effect first; further candidates left out."""
+        result: dict[str, int] = {}
+        for k in np.argsort(-self.gains[: self.named]):
+            result.setdefault(self.candidates[int(k)].effect, int(k))
+        return result
+
+    def best_of(self, effects: Sequence[str]) -> list[int]:
+        """Return the best variants of some effects."""
+        best = self.best()
+        return [best[effect] for effect in effects]
+
+    def best_further(self) -> tuple[float, int] | None:
+        """Return gain and number of the best candidate that is not of the vocabulary."""
+        rest = self.gains[self.named :]
+        return (float(rest.max()), self.named + int(rest.argmax())) if rest.size else None
+
+    def joint(self, *numbers: int) -> float:
+        """Return the gain of several candidates together."""
+        return float(self.beside.gain([i for k in numbers for i in self.spans[k]]))
+
+    def best_pair(
+        self, most: int = 12, *, without: Set[str] = frozenset()
+    ) -> tuple[float, tuple[int, int]] | None:
+        """Return the best pair of different effects among the leading variants of every effect."""
+        leaders = [k for effect, k in self.best().items() if effect not in without][:most]
+        extra = [
+            int(k)
+            for k in np.argsort(-self.gains[: self.named])[: 2 * most]
+            if int(k) not in leaders
+            and self.candidates[int(k)].effect not in without
+            and self.gains[int(k)] > 0.3 * self.gains[: self.named].max()
+        ]
+        pool = leaders + extra[:6]
+        pairs = [
+            (self.joint(a, b), (a, b))
+            for a, b in combinations(pool, 2)
+            if self.candidates[a].effect != self.candidates[b].effect
+        ]
+        return max(pairs, default=None)
+
+    def camera_with(self, numbers: Sequence[int]) -> Camera:
+        """Return the fitted camera with candidates at the strength that the linear fit gives them."""
+        values = self.scores.values([i for k in numbers for i in self.spans[k]])
+        camera = self.fit.camera
+        for k in numbers:
+            camera = in_order(self.candidates[k].build(camera, values))
+        return camera
+
+
+def explore(
+    problem: Problem,
+    camera: Camera,
+    found: Sequence[Candidate],
+    folds: Mapping[tuple[int, int], int],
+    *,
+    further: Sequence[Candidate] = (),
+    views: Any = None,
+    warm: Fit | Point | None = None,
+    seed: int = 0,
+    replicates: int = 200,
+    iterations: int = 8,
+    tolerance: float = TOLERANCE,
+    near: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> Exploration:
+    """Fit the camera to ``tolerance`` of each sigma and score all candidates at the solution.
+
+    Other parameters as in `adjustment.fit`.
+    """
+    blocks: list[Block] = [one.block for one in (*found, *further)]
+    fitted = fit(
+        problem,
+        camera,
+        fold_of=folds,
+        further=blocks,
+        views=views,
+        warm=warm,
+        iterations=iterations,
+        tolerance=tolerance,
+        near=near,
+        progress=progress,
+    )
+    return explored(fitted, found, further=further, seed=seed, replicates=replicates)
+
+
+def explored(
+    fitted: Fit,
+    named: Sequence[Candidate],
+    *,
+    further: Sequence[Candidate] = (),
+    forms: Sequence[Block] = (),
+    seed: int = 0,
+    replicates: int = 200,
+) -> Exploration:
+    """Score the candidates whose columns stand in a fit's equations after its parameters.
+
+    The last columns of the equations are ``forms``, changes of those of the camera's effects, beside which
+    the named candidates are scored. Thresholds are those without them.
+    """
+    count = len(fitted.parameters)
+    found = [*named, *further]
+    spans: list[list[int]] = []
+    start = count
+    for one in found:
+        width = len(one.block.regressors)
+        spans.append(list(range(start, start + width)))
+        start += width
+    scores = Scores(fitted.equations, range(count))
+    changes = range(start, start + sum(len(one.regressors) for one in forms))
+    beside = Scores(fitted.equations, [*range(count), *changes]) if forms else scores
+    gains = np.array(
+        [
+            _gain(beside if k < len(named) else scores, one, span)
+            for k, (one, span) in enumerate(zip(found, spans, strict=True))
+        ]
+    )
+    maxima = np.zeros(0)
+    thresholds = np.full(len(found), LEAST_THRESHOLD)
+    if fitted.camera.sensor.width * fitted.camera.sensor.height > MANY_PIXELS:
+        # for the memory that they take
+        replicates = min(replicates, 60)
+    if replicates and scores.trained and found:
+        nulls = null_scores(
+            fitted.equations,
+            range(count),
+            replicates=replicates,
+            seed=seed,
+            errors=fitted.nuisances,
+        )
+        base = nulls.held_out()
+        drawn = np.array([nulls.held_out(span) - base for span in spans])
+        rate = ALARM_RATE / _INDEPENDENT
+        thresholds = np.array([max(LEAST_THRESHOLD, gumbel_quantile(one, 1 - rate)) for one in drawn])
+        maxima = drawn[: len(named)].max(axis=0) if named else drawn.max(axis=0)
+    return Exploration(fitted, found, scores, spans, gains, maxima, thresholds, len(named), beside, forms)
+
+
+def further_equations(
+    fitted: Fit, blocks: Sequence[Block], folds: Mapping[tuple[int, int], int], problem: Problem
+) -> Fit:
+    """Return a fit with the equations of more regressors at its solution."""
+    return fit(
+        problem,
+        fitted.camera,
+        fold_of=folds,
+        further=blocks,
+        views=fitted.forward.views,
+        warm=fitted,
+        iterations=0,
+    )
+
+
+def _gain(scores: Scores, candidate: Candidate, span: Sequence[int]) -> float:
+    gain = float(scores.gain(span))
+    if candidate.positive and gain > 0:
+        values = scores.values(span)
+        sigma = np.sqrt(np.diag(scores.covariance(scores.columns(span))))
+        labels = [scores.regressors[int(i)].label for i in scores.columns(span)]
+        limits = dict(zip(labels, -_NEGATIVE * sigma, strict=True))
+        if any(values[label] < limits[label] for label in candidate.positive):
+            return 0.0
+    return gain
+
+
+def gumbel_quantile(maxima: Array, probability: float) -> float:
+    """Return a quantile of maxima by a Gumbel distribution of their mean and spread."""
+    scale = float(np.std(maxima)) * np.sqrt(6) / np.pi
+    location = float(np.mean(maxima)) - 0.5772 * scale
+    return float(location - scale * np.log(-np.log(probability)))

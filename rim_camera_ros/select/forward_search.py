@@ -1,0 +1,452 @@
+"""The steps of a forward search: leaders are fitted, the best joins, needless ones are dropped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import lean_camera, with_effects
+from rim_camera_ros.effects import OF_SURFACES, OPTICS, Physics, vocabulary
+from rim_camera_ros.effects.candidate import Candidate
+from rim_camera_ros.fit.gauss_newton import keeps_amplitude_error
+from rim_camera_ros.fit.problem import Fit, Problem
+from rim_camera_ros.select.candidates import form_blocks
+from rim_camera_ros.select.compare import (
+    LEAST_SIZE,
+    NOT_IN_ALL_POSES,
+    NOT_IN_QUIET_PIXELS,
+    NOT_IN_TIME,
+    ONCE_FITTED,
+    PAIRED_ERRORS,
+    Found,
+    Trial,
+    as_good,
+    discrepancy,
+    leaders,
+    leading_variants,
+    near_rivals,
+    paired_error,
+    tied,
+    what_it_became,
+)
+from rim_camera_ros.select.confounding import follows_time_in_quiet_pixels, shows_in_quiet_pixels
+from rim_camera_ros.select.edge_pixels import Look, promising, sharper, with_edges
+from rim_camera_ros.select.effect_sizes import effect_size
+from rim_camera_ros.select.exploration import Exploration, explore, explored, further_equations
+from rim_camera_ros.select.subsample import at_stations, dominated, subsample_of
+from rim_camera_ros.select.trials import ITERATIONS, TOLERANCE, TrialFit, Workers, fit_trial
+
+#: Leaders that may prove wrong when they are fitted, until the search ends.
+_MOST_FAILURES = 2
+#: Fits that are tried for one effect.
+_MOST_TRIALS = 3
+#: Share of what the best gains within which others may be as good.
+_NEARLY = 0.15
+#: Gain of a fit over its linear forecast above which it is looked at what gained it.
+_BY_ITSELF = 2.0
+
+
+def silent(text: str) -> None:
+    """Say nothing."""
+    return
+
+
+@dataclass
+class Search:
+    """What was found so far, and what the next steps need to know.
+
+    ``explorations`` begin with that of the camera file; each effect found adds one. ``pool`` are all
+    candidates, ``variants`` those worth their columns at first. ``failed`` are leaders that proved wrong
+    since then, and why; ``settled`` the numbers of effects found at which the fit was repeated. ``may_look``
+    allows pixels beside edges; explorations from number ``beside_edges`` on take them in. ``curves`` are
+    those of the smooth ``further`` candidates that entered as discrepancies of effects found. ``workers``
+    fit what needs nothing of one another.
+    """
+
+    problem: Problem
+    camera: Camera
+    explorations: list[Exploration]
+    folds: Mapping[tuple[int, int], int]
+    further: Sequence[Candidate] = ()
+    pool: Sequence[Candidate] = ()
+    variants: Sequence[Candidate] = ()
+    seed: int = 0
+    say: Callable[[str], None] = silent
+    found: list[Found] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+    settled: set[int] = field(default_factory=set)
+    may_look: bool = True
+    beside_edges: int | None = None
+    curves: list[Candidate] = field(default_factory=list)
+    workers: Workers = map
+
+    @property
+    def step(self) -> Exploration:
+        """The last exploration: what the effects found leave."""
+        return self.explorations[-1]
+
+    def add(self, most: int) -> None:
+        """Add effects, ``most`` in all, until nothing gains enough or too many leaders proved wrong."""
+        while len(self.found) < most and len(self.failed) <= _MOST_FAILURES:
+            curve = discrepancy(self.step, self.found, self.failed.keys())
+            if curve is not None:
+                self._enter(self.step.candidates[curve])
+                continue
+            chosen = leaders(self.step, self.failed.keys())
+            if chosen is None:
+                return
+            numbers, leader = chosen
+            local = {self._effect(k) for k in numbers if not self._shows_in_quiet_pixels(k)}
+            if local:
+                self.failed |= dict.fromkeys(local, NOT_IN_QUIET_PIXELS)
+            else:
+                self._try(numbers, leader)
+                if any(self.failed.get(name) == ONCE_FITTED for name in self.at_edges):
+                    # perhaps of another form, which only the pixels beside edges tell
+                    self.look_beside_edges()
+
+    def drop_needless(self) -> None:
+        """Drop effects that gain too little beside those that joined after them.
+
+        An effect that stood in for others, found first, is needless once they are there. The last exploration
+        is replaced by one without them.
+        """
+        for one in list(self.found[:-1]):
+            if one.effect not in self.step.fit.camera.effects or len(self.found) < 2:
+                continue
+            left = {name: e for name, e in self.step.fit.camera.effects.items() if name != one.effect}
+            without = self._fitted(self.problem, with_effects(self.step.fit.camera, left), self.step)
+            before = self.explorations[one.step]
+            threshold = float(before.thresholds[before.best()[one.effect]])
+            if self._gain(self.step, without) > self._entry(threshold, self.step, without):
+                continue
+            self.found.remove(one)
+            self._replace_step(without.fit, before)
+            self._judge_first_anew()
+
+    def _judge_first_anew(self) -> None:
+        """Judge what became the first effect by what the camera file alone leaves."""
+        first, start = self.found[0], self.explorations[0]
+        by_others = sum(one.gain for one in self.found[1:])
+        gain = self.step.scores.log_likelihood() - start.scores.log_likelihood() - by_others
+        number = start.best().get(first.effect)
+        if number is None or first.step == 0:
+            return
+        ties = tied(start, first.effect, float(start.thresholds[number]))
+        self.found[0] = Found(first.effect, max(gain, first.gain), ties, step=0)
+
+    def look_beside_edges(self) -> None:
+        """Look for what acts at edges in the pixels beside them, which are left out while others are sought.
+
+        There a footprint no wider than a pixel shows, and everything else shows no better.
+        """
+        own = [one for one in self.variants if one.effect in self.at_edges]
+        if not self.may_look or self.beside_edges is not None or not own:
+            return
+        problem = with_edges(self.problem, self.step.fit)
+        if problem is self.problem:
+            return
+        self.say("pixels beside edges")
+        if any(one.at_edges for one in self.step.fit.camera.effects.values()):
+            self._sharpen(problem)
+            return
+        # the rest that one form leaves looks like the other
+        for with_footprints in (True, False):
+            look = promising(problem, self.step, own, self._fitted, footprint=with_footprints)
+            if look is None or self._joins(look):
+                return
+
+    def _joins(self, look: Look) -> bool:
+        """Try what acts at edges in pixels beside them; say whether it joined."""
+        names = [one.effect for one in self.found]
+        step = self._explored(look.fitted.fit, names, self.step, look.problem, mixed=look.variants)
+        kept, self.explorations = self.explorations, [*self.explorations, step]
+        away, self.problem = self.problem, look.problem
+        number = next(k for name, k in step.best().items() if name in self.at_edges)
+        self._try((number,), number)
+        if len(self.found) > len(names):
+            kept[-1].forget()
+            self.beside_edges = len(kept)
+            return True
+        self.explorations, self.problem = kept, away
+        return False
+
+    def _sharpen(self, problem: Problem) -> None:
+        """Put a footprint in the place of a blur that was found, where it fits pixels beside edges better."""
+        fits = sharper(problem, self.step, self._fitted)
+        if fits is None:
+            return
+        blur, footprint = fits
+        names = [one.effect for one in self.found]
+        sharp = self._explored(footprint.fit, names, self.step, problem)
+        for one in (self.step, blur):
+            one.forget()
+        self.beside_edges = len(self.explorations)
+        self.explorations += [blur, sharp]
+        self.problem = problem
+
+    @cached_property
+    def at_edges(self) -> frozenset[str]:
+        """The names of effects that act at edges."""
+        return frozenset(name for name, one in vocabulary().items() if one.at_edges)
+
+    def _effect(self, number: int) -> str:
+        return self.step.candidates[number].effect
+
+    def _physics(self, number: int) -> type[Physics]:
+        return vocabulary()[self._effect(number)]
+
+    def _shows_in_quiet_pixels(self, number: int) -> bool:
+        names = [one.effect for one in self.found]
+        return shows_in_quiet_pixels(self.problem, self.step, number, names, self.folds)
+
+    def _threshold(self, numbers: Sequence[int]) -> float:
+        return max(float(self.step.thresholds[k]) for k in numbers)
+
+    def _gain(self, after: Exploration, before: Exploration) -> float:
+        return after.scores.log_likelihood() - before.scores.log_likelihood()
+
+    def _entry(self, threshold: float, after: Exploration, before: Exploration) -> float:
+        """Return what an effect must gain [nats]: beside others more than poses disagree about."""
+        if not self.found:
+            return threshold
+        by_fold = (one.scores.log_likelihoods() for one in (after, before))
+        return max(threshold, PAIRED_ERRORS * paired_error(*by_fold))
+
+    def _enter(self, curve: Candidate) -> None:
+        """Score all that follows beside a curve of what an effect found depends on."""
+        self.say(f"another form of what is found, over {curve.variant}")
+        self.curves.append(curve)
+        self._replace_step(self.step.fit, self.step)
+
+    def _try(self, numbers: tuple[int, ...], leader: int) -> None:
+        """Fit candidates and what rivals them; the best joins, where it gains and moves enough."""
+        trial, close = self._best_trial(numbers, leader)
+        fitted = trial.fitted
+        threshold = self._threshold(self.step.best_of(trial.effects))
+        need = self._entry(threshold, fitted, self.step)
+        gain = self._gain(fitted, self.step)
+        again = self._without(trial.effects, fitted, gain)
+        if again is not None:
+            more = self._gain(again, self.step)
+            gain -= max(more, 0.0)
+            if gain <= need < more and len(self.found) not in self.settled:
+                # the fit before had not come to its end: look at what is left of it
+                self.settled.add(len(self.found))
+                self._replace_step(again.fit, self.step)
+                return
+        why = self._why_not(trial, gain, threshold, need)
+        if why is not None:
+            # what looked like it is something else: perhaps the next in line
+            self.failed |= {self._effect(k): why for k in numbers}
+            return
+        self.failed.clear()
+        for name in trial.effects:
+            ties = tied(self.step, name, threshold)
+            # of a first one, what joins it decides
+            ties += [other for other in close if self.found and other not in ties]
+            self.found.append(Found(name, gain, ties, step=len(self.explorations) - 1))
+        self.problem = trial.problem
+        camera, lean = fitted.fit.camera, lean_camera(fitted.fit.camera)
+        ended = lean is camera and fitted.fit.converged
+        if not ended or keeps_amplitude_error(self.step.fit.camera, camera):
+            # or the next effect, whose fit goes on or estimates it anew, would gain what this one did
+            fitted = self._fitted(self.problem, lean, fitted)
+        final = self._explored(fitted.fit, [one.effect for one in self.found], self.step, self.problem)
+        self.step.forget()
+        self.explorations.append(final)
+
+    def _why_not(self, trial: Trial, gain: float, threshold: float, need: float) -> str | None:
+        if gain <= threshold or effect_size(trial.fitted.fit, trial.effects, self.camera) < LEAST_SIZE:
+            return ONCE_FITTED
+        if gain <= need:
+            return NOT_IN_ALL_POSES
+        drifts = [name for name in trial.effects if vocabulary()[name].in_time] if self.found else []
+        return None if all(self._follows_time(trial, name) for name in drifts) else NOT_IN_TIME
+
+    def _follows_time(self, trial: Trial, name: str) -> bool:
+        return follows_time_in_quiet_pixels(
+            trial.fitted.fit,
+            name,
+            trial.problem,
+            self.folds,
+            found=[one.effect for one in self.found],
+            drifts=[one for one in self.pool if one.effect == name],
+            curves=self.further,
+            variants=self.variants,
+            seed=self.seed,
+        )
+
+    def _best_trial(self, numbers: tuple[int, ...], leader: int) -> tuple[Trial, list[str]]:
+        """Fit candidates and their near rivals non-linearly; return the best, and effects that are as good.
+
+        A pair must beat the leader alone by what a further effect must gain: linearly, one that bends the
+        light much looks worse than it is.
+        """
+        beside = near_rivals(self.step, numbers, leader, self.failed.keys())
+        choices, starts = self._ahead([numbers, *beside][:_MOST_TRIALS])
+        trials: dict[tuple[int, ...], Trial] = {}
+        became: dict[tuple[int, ...], tuple[int, ...] | None] = {}
+        while len(trials) < len(choices):
+            new = [choice for choice in choices if choice not in trials]
+            trials |= self._trials(new, starts=starts)
+            for choice in new:
+                other = what_it_became(trials[choice].fitted, choice, self.step, self.camera)
+                became[choice] = other
+                if other is not None and other not in choices:
+                    choices.append(other)
+        stay = {choice: trial for choice, trial in trials.items() if became[choice] is None}
+        alone = {trial.effects[0]: trial for choice, trial in stay.items() if len(choice) == 1}
+        best = max(stay.values(), key=lambda one: one.likelihood)
+        return best, as_good(alone, best)
+
+    def _ahead(
+        self, choices: Sequence[tuple[int, ...]]
+    ) -> tuple[list[tuple[int, ...]], dict[tuple[int, ...], Camera]]:
+        """Fit choices to a few poses where there are many values; return who may win, and where fits begin.
+
+        Rays are not moved by a few poses, and what follows the time of the poses needs them all.
+        """
+        few = subsample_of(self.problem, seed=self.seed)
+        if few is None:
+            return list(choices), {}
+        able = [
+            choice
+            for choice in choices
+            if not any(self._physics(k).moves_rays or self._physics(k).in_time for k in choice)
+        ]
+        trials = self._trials(able, few=few)
+        lost: set[tuple[int, ...]] = set()
+        if all(len(choice) == 1 for choice in choices):
+            # beside effects found before, those nearly as good as the best are told
+            gain = max((self.step.joint(*choice) for choice in able), default=0.0) if self.found else 0.0
+            least = _NEARLY * gain * len(few) / len(self.problem.dataset.stations)
+            by_fold = {choice: one.fitted.scores.log_likelihoods() for choice, one in trials.items()}
+            lost = dominated(by_fold, least=least)
+        # they cost little: the nearer they come to their end, the fewer steps remain with all poses
+        left = [choice for choice in able if choice not in lost]
+        ends = self.workers(fit_trial, [self._onwards(trials[choice]) for choice in left])
+        starts = {choice: one.fit.camera for choice, one in zip(left, ends, strict=True)}
+        return [choice for choice in choices if choice not in lost], starts
+
+    def _onwards(self, trial: Trial) -> TrialFit:
+        fitted = trial.fitted.fit
+        views, folds = fitted.forward.views, self.folds
+        return TrialFit(
+            (), trial.problem, fitted.camera, fitted.point, folds, self.seed, near=True, views=views
+        )
+
+    def _request(self, choice: tuple[int, ...], few: Sequence[int] | None, start: Camera | None) -> TrialFit:
+        """Return the fit of candidates from a guess or a better start, to the stations ``few`` if given."""
+        fitted = self.step.fit
+        names = tuple(self._effect(k) for k in choice)
+        geometry = tuple(dict.fromkeys([*self.problem.geometry, *(n for n in names if n in OPTICS)]))
+        reflectance = self.problem.reflectance or not OF_SURFACES.isdisjoint(names)
+        problem = replace(self.problem, geometry=geometry, reflectance=reflectance)
+        if few is not None:
+            problem = at_stations(problem, few)
+        near, views = start is not None, fitted.forward.views
+        if start is None:
+            # first by itself: what loses need not be explored; rays from where they are, as a linear guess of
+            # them may put a texture's edges on other pixels
+            start = self.step.camera_with([k for k in choice if self._effect(k) not in OPTICS])
+        return TrialFit(names, problem, start, fitted.point, self.folds, self.seed, near=near, views=views)
+
+    def _trials(
+        self,
+        choices: Sequence[tuple[int, ...]],
+        *,
+        few: Sequence[int] | None = None,
+        starts: Mapping[tuple[int, ...], Camera] | None = None,
+    ) -> dict[tuple[int, ...], Trial]:
+        """Fit candidates, each by itself."""
+        requests = [self._request(choice, few, (starts or {}).get(choice)) for choice in choices]
+
+        def told() -> Iterator[TrialFit]:
+            for number, one in enumerate(requests, 1):
+                where = "" if few is None else " to a few poses"
+                self.say(f"fitting {' and '.join(one.effects)}{where}, fit {number} of {len(requests)}")
+                yield one
+
+        result = {}
+        for choice, one, fitted in zip(choices, requests, self.workers(fit_trial, told()), strict=True):
+            # what comes from elsewhere brings its own data
+            fitted.fit.forward.dataset, fitted.fit.forward.masks = one.problem.dataset, one.problem.masks
+            likelihood = fitted.scores.log_likelihood()
+            if len(choice) == 2:
+                likelihood -= self._threshold(choice)
+            result[choice] = Trial([*one.effects], one.response, fitted, likelihood)
+        return result
+
+    def _without(self, effects: Sequence[str], after: Exploration, gain: float) -> Exploration | None:
+        """Return the fit without further effects from where that with them ended, where it gained much.
+
+        Perhaps it is the effects found before them that gained, whose fit had not come to its end.
+        """
+        step = self.step
+        if not self.found or gain <= _BY_ITSELF * step.joint(*step.best_of(effects)):
+            return None
+        left = {name: e for name, e in after.fit.camera.effects.items() if name not in effects}
+        return self._fitted(self.problem, with_effects(step.fit.camera, left), after)
+
+    def _fitted(
+        self,
+        problem: Problem,
+        camera: Camera,
+        step: Exploration,
+        wanted: Sequence[Candidate] = (),
+        replicates: int = 0,
+        iterations: int = ITERATIONS,
+        *,
+        near: bool = False,
+    ) -> Exploration:
+        """Return the fit of a camera that begins at the nuisances of a step, and scores candidates."""
+        return explore(
+            problem,
+            camera,
+            wanted,
+            self.folds,
+            views=step.fit.forward.views,
+            warm=step.fit,
+            seed=self.seed,
+            replicates=replicates,
+            iterations=iterations,
+            tolerance=TOLERANCE,
+            near=near,
+        )
+
+    def _replace_step(self, fitted: Fit, before: Exploration) -> None:
+        """Replace the last exploration by that of another fit, with the candidates of one before."""
+        names = [one.effect for one in self.found]
+        self.step.forget()
+        self.explorations[-1] = self._explored(fitted, names, before, self.problem)
+
+    def _explored(
+        self,
+        fitted: Fit,
+        present: Sequence[str],
+        before: Exploration,
+        problem: Problem,
+        *,
+        mixed: Sequence[Candidate] = (),
+    ) -> Exploration:
+        """Explore what a fit leaves, beside changes of the forms of the effects that were found.
+
+        Candidates are the leading ones of an exploration before, but those present.
+        """
+        left = [one for one in leading_variants(before) if one.effect not in present]
+        if mixed:
+            left = [*(one for one in left if one.effect not in self.at_edges), *mixed]
+        forms = form_blocks(fitted, present, self.variants)
+        forms += [one.block for one in self.curves]
+        further = [one for one in self.further if one not in self.curves]
+        blocks = [*(one.block for one in (*left, *further)), *forms]
+        return explored(
+            further_equations(fitted, blocks, self.folds, problem),
+            left,
+            further=further,
+            forms=forms,
+            seed=self.seed,
+        )

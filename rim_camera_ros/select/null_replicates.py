@@ -1,0 +1,208 @@
+"""Recordings in which nothing is left out, drawn in the space of the normal equations.
+
+Under the fitted baseline the sums that the equations consist of are Gaussian with a known covariance, so that
+a replicate of noise, pose errors and powers costs a few products instead of a simulated recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from rim_camera_ros.fit.fold_sums import Fold
+from rim_camera_ros.fit.normal_equations import (
+    NormalEquations,
+    PixelElimination,
+    PixelPriors,
+    stacked_sides,
+)
+from rim_camera_ros.select.evidence import Scores
+from rim_camera_ros.threads import in_order
+
+Array = NDArray[Any]
+
+
+def null_scores(
+    equations: NormalEquations,
+    base: Sequence[int],
+    *,
+    replicates: int = 200,
+    seed: int = 0,
+    errors: Mapping[str, float] | None = None,
+) -> Scores:
+    """Return scores whose right-hand sides are those of replicates, (K, R).
+
+    ``errors`` found of poses and powers give the replicates' errors their shape: instruments err with
+    heavier tails than a Gaussian, and a few large errors imitate a drift. They are dealt to the poses at
+    random.
+    """
+    rng = np.random.default_rng([seed, 41])
+    folds, count = equations.folds, len(equations.regressors)
+    outs = (None, *range(len(folds))) if len(folds) > 1 else (None,)
+    observed = [equations.reduced(one) for one in outs]
+    errors_of_folds = _errors(equations, base, replicates, rng, _error_shapes(equations, errors or {}))
+    drawn = [_Replicates(fold, *own) for fold, own in zip(folds, errors_of_folds, strict=True)]
+    sides = [
+        np.zeros((count + sum(len(one.nuisances) for one in _kept(folds, out)), replicates)) for out in outs
+    ]
+
+    def noise() -> Iterator[tuple[slice, list[list[Array]], Array | None]]:
+        for block in observed[0].pixels.blocks():
+            size = (block.stop - block.start, replicates)
+
+            def draw(shape: tuple[int, int] = size) -> Array:
+                return rng.standard_normal(shape, dtype=np.float32)
+
+            gains = np.float32(equations.pixels.gain) * draw() if equations.pixels.gain > 0 else None
+            yield block, [[draw() for _ in range(one.unknowns)] for one in drawn], gains
+
+    def of_block(item: tuple[slice, list[list[Array]], Array | None]) -> tuple[list[_OfBlock], list[Array]]:
+        block, white, gains = item
+        found = [one.of_block(block, own, gains) for one, own in zip(drawn, white, strict=True)]
+        eliminated = []
+        for reduced, out in zip(observed, outs, strict=True):
+            kept = _kept(found, out)
+            offset = np.sum([one.offset for one in kept], axis=0)
+            gain = np.sum([one.gain for one in kept], axis=0) if reduced.pixels.with_gains else None
+            parts = zip(reduced.pixels.rows(block), reduced.pixels.whitened(block, offset, gain), strict=True)
+            eliminated.append(np.sum([rows[:, :-1].T @ summed for rows, summed in parts], axis=0))
+        return found, eliminated
+
+    for found, eliminated in in_order(of_block, noise(), threads=equations.threads):
+        for one, own in zip(drawn, found, strict=True):
+            one.add(own)
+        for side, part in zip(sides, eliminated, strict=True):
+            side -= part
+    rights = [one.right(rng) for one in drawn]
+    scores = Scores.__new__(Scores)
+    scores.regressors = equations.regressors
+    scores.base = np.array(sorted(base), int)
+    scores.prior = np.array([one.prior for one in equations.regressors])
+    scores.temper = 1.0
+    scores.away = np.zeros(len(scores.prior))
+    scores.full, *scores.trained = (
+        replace(
+            reduced,
+            right=reduced.without_errors(side + stacked_sides(count, _kept(rights, out))),
+        )
+        for reduced, side, out in zip(observed, sides, outs, strict=True)
+    )
+    return scores
+
+
+def _kept[Item](items: Sequence[Item], leave_out: int | None) -> list[Item]:
+    return [one for i, one in enumerate(items) if i != leave_out]
+
+
+def _error_shapes(equations: NormalEquations, errors: Mapping[str, float]) -> dict[str, Array]:
+    """Return standardised errors by kind (surface and direction), of unit variance at least."""
+    found: dict[str, list[float]] = {}
+    for fold in equations.folds:
+        for name, prior, at in fold.nuisances:
+            if name in errors:
+                found.setdefault(kind_of_error(name), []).append((at + errors[name]) / prior)
+    result = {}
+    for kind, values in found.items():
+        z = np.array(values)
+        size = float(np.sqrt(np.mean(z**2)))
+        if len(z) >= 8 and size > 0:
+            result[kind] = z * max(1.0, 1.0 / size)
+    return result
+
+
+def kind_of_error(name: str) -> str:
+    """Return surface and direction of a nuisance ``recording.pose.pose.SURFACE.DIRECTION``."""
+    kind = name.split(".", 2)[2]
+    return kind.rpartition(".")[0] if kind.startswith("light.") else kind
+
+
+#: Owners of regressors that stand for what every set-up has, whatever the camera: replicates contain them.
+IMPERFECTIONS = ("reflectivity.", "common_pose.", "optics_covariance.", "radiometry.lobe.")
+
+
+def _errors(
+    equations: NormalEquations,
+    base: Sequence[int],
+    replicates: int,
+    rng: np.random.Generator,
+    shapes: Mapping[str, Array],
+) -> list[tuple[Array, Array]]:
+    """Return which columns of each fold err, and by how much (n, R): what all folds share, and their own."""
+    numbers = [int(i) for i in base if equations.regressors[int(i)].label.startswith(IMPERFECTIONS)]
+    prior = np.array([equations.regressors[i].prior for i in numbers])
+    shared = prior[:, None] * rng.standard_normal((len(numbers), replicates))
+    result = []
+    for fold in equations.folds:
+        own = np.empty((len(fold.nuisances), replicates))
+        for i, (name, sigma, _) in enumerate(fold.nuisances):
+            shape = shapes.get(kind_of_error(name))
+            if shape is None:
+                own[i] = sigma * rng.standard_normal(replicates)
+            else:
+                own[i] = sigma * rng.choice(shape, replicates) * rng.choice((-1.0, 1.0), replicates)
+        first = len(equations.regressors)
+        columns = np.array([*numbers, *range(first, first + len(own))], int)
+        result.append((columns, np.concatenate([shared, own])))
+    return result
+
+
+@dataclass(frozen=True)
+class _OfBlock:
+    """Of a block's pixels: sums (N, R), what they add to right sides (M - 1, R) and take from the rest."""
+
+    offset: Array
+    gain: Array | None
+    right: Array
+    rest: Array
+
+
+class _Replicates:
+    """Replicates of a fold, of whose ``columns`` errors (n, R) are known, streamed over the pixels."""
+
+    def __init__(self, fold: Fold, columns: Array, errors: Array) -> None:
+        self._fold, self._columns, self._errors = fold, columns, errors
+        size = len(fold.gram) - 1
+        # a pixel that no pose saw says nothing, whatever its prior
+        priors = PixelPriors(1e6, 1e6 if fold.gain is not None else 0.0)
+        self._flat = PixelElimination([fold], size - len(fold.nuisances), priors)
+        self._rest = fold.gram[:size, :size].copy()
+        self._right = fold.gram[:size, columns] @ errors
+        self.unknowns = 1 if fold.gain is None else 2
+
+    def of_block(self, block: slice, noise: list[Array], gains: Array | None) -> _OfBlock:
+        """Return what the pixels of a block contribute with their ``noise`` and ``gains`` (N, R)."""
+        fold, size = self._fold, len(self._rest)
+        own = [rows[:, :size] for rows in self._flat.rows(block)]
+        rest = np.sum([rows.T @ rows for rows in own], axis=0)
+        right = np.sum([rows.T @ white for rows, white in zip(own, noise, strict=True)], axis=0)
+        offset, gain = self._flat.sums_of(block, noise)
+        offset += fold.pixel[block, self._columns] @ self._errors
+        if gain is not None:
+            assert fold.gain is not None
+            gain += fold.gain[block, self._columns] @ self._errors
+            if gains is not None:
+                assert fold.gain_weight is not None
+                assert fold.cross is not None
+                right += fold.gain[block, :size].T @ gains
+                offset += fold.cross[block, None] * gains
+                gain += fold.gain_weight[block, None] * gains
+        return _OfBlock(offset, gain, right, rest)
+
+    def add(self, one: _OfBlock) -> None:
+        """Add a block."""
+        self._right += one.right
+        self._rest -= one.rest
+
+    def right(self, rng: np.random.Generator) -> Array:
+        """Return the right-hand sides (M - 1, R) of all blocks, with the noise that no pixel takes up."""
+        # columns differ by many orders of magnitude
+        diagonal = np.diag(self._rest)
+        unit = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+        values, vectors = linalg.eigh((self._rest + self._rest.T) / 2 / unit[:, None] / unit[None, :])
+        spread = unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        return np.asarray(self._right + spread @ rng.standard_normal(self._right.shape))

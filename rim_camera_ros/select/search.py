@@ -1,0 +1,92 @@
+"""Forward search: which effects the recordings ask for, beyond those of the camera file.
+
+The leaders of an exploration are fitted non-linearly in the full forward chain, and the best joins the
+camera; then everything is looked at anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.base import response_of
+from rim_camera_ros.effects.candidate import Candidate, Facts
+from rim_camera_ros.fit.data import level_of
+from rim_camera_ros.fit.problem import Fit, Problem
+from rim_camera_ros.fit.views import Views
+from rim_camera_ros.select.candidates import candidates
+from rim_camera_ros.select.compare import Result, leading_variants, refused, smooth_says_more
+from rim_camera_ros.select.evidence import folds_of
+from rim_camera_ros.select.exploration import explore
+from rim_camera_ros.select.forward_search import Search, silent
+from rim_camera_ros.select.trials import Workers
+
+MOST_EFFECTS = 4
+
+
+def search(
+    problem: Problem,
+    camera: Camera,
+    facts: Facts,
+    *,
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+    most: int = MOST_EFFECTS,
+    further: Sequence[Candidate] = (),
+    views: Views | None = None,
+    ends_at: Callable[[Fit], bool] | None = None,
+    workers: Workers = map,
+    progress: Callable[[str], None] | None = None,
+) -> Result:
+    """Add effects to a camera one after the other as long as held-out poses ask for them.
+
+    ``effects`` restricts the candidates. ``further`` candidates are scored with the others but never join
+    (smooth terms); where one of them explains far more than any effects, none joins. ``views`` are those of
+    the same scene by the same rays, if there are any. ``ends_at`` says of the fit of the camera as it is that
+    nothing shall be added to it. ``workers`` fit candidates, as `cluster.on_workers` does.
+    """
+    say = progress if progress is not None else silent
+    folds = folds_of(problem.dataset)
+    if response_of(camera) is not None and problem.gain:
+        problem = replace(problem, response=level_of(problem.dataset))
+    pool = candidates(camera, facts, effects=effects)
+    problem = replace(problem, origin=problem.origin or camera)
+    say(f"baseline and {len(pool)} candidates")
+    first = explore(problem, camera, pool, folds, further=further, views=views, seed=seed)
+    start = first.scores.log_likelihood()
+    state = Search(
+        problem=replace(problem, masks=first.fit.forward.pixels_used()),
+        camera=camera,
+        explorations=[first],
+        folds=folds,
+        further=further,
+        pool=pool,
+        variants=leading_variants(first),
+        seed=seed,
+        say=say,
+        # masks that somebody chose may leave out pixels beside edges for good
+        may_look=problem.masks is None,
+        workers=workers,
+    )
+    if smooth_says_more(first) or (ends_at is not None and ends_at(first.fit)):
+        most = 0
+    state.add(most)
+    if len(state.found) > 1:
+        say("whether each is still needed")
+        state.drop_needless()
+    left_out = refused(state.step, state.found, state.failed)
+    if len(state.found) < most:
+        state.look_beside_edges()
+    names = {one.effect for one in state.found}
+    return Result(
+        camera=state.step.fit.camera,
+        found=state.found,
+        explorations=state.explorations,
+        log_likelihood=state.step.scores.log_likelihood(),
+        start_log_likelihood=start,
+        problem=state.problem,
+        folds=folds,
+        refused=[one for one in left_out if one.effect not in names],
+        beside_edges=state.beside_edges,
+    )

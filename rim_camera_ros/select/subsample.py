@@ -1,0 +1,69 @@
+"""A few poses ahead of all: where fits of a large recording begin, and which of them need not be made."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rim_camera_ros.fit.problem import Problem
+
+#: Values of a recording above which fits begin with a few poses, and about how many those hold.
+_MANY_VALUES, _FEW_VALUES = 500_000, 200_000
+#: Fewer poses than these tell too little, whatever they hold.
+_LEAST_POSES = 8
+#: Nats by which a fit to a few poses must be worse than the best of them, in all folds, to be left alone.
+_BEHIND = 30.0
+
+
+def subsample_of(problem: Problem, *, seed: int) -> list[int] | None:
+    """Return the numbers of the stations of a few poses, some of each setting; None where all may be fitted.
+
+    The poses are drawn: every so many of them could all have the same distance.
+    """
+    stations = problem.dataset.stations
+    if problem.masks is None:
+        values = sum(int(np.count_nonzero(one.count)) for one in stations)
+    else:
+        values = sum(int(np.count_nonzero(used)) for used, _ in problem.masks)
+    poses: dict[float, list[tuple[int, int]]] = {}
+    for one in stations:
+        placed = poses.setdefault(one.settings.integration_time or 0.0, [])
+        if (one.recording, one.placed) not in placed:
+            placed.append((one.recording, one.placed))
+    count = sum(len(placed) for placed in poses.values())
+    wanted = max(_LEAST_POSES, round(count * _FEW_VALUES / max(values, 1)))
+    if values < _MANY_VALUES or 2 * wanted > count:
+        return None
+    rng = np.random.default_rng(seed)
+    kept = {
+        placed[i]
+        for placed in poses.values()
+        for i in rng.permutation(len(placed))[: max(1, round(wanted * len(placed) / count))]
+    }
+    return [k for k, one in enumerate(stations) if (one.recording, one.placed) in kept]
+
+
+def at_stations(problem: Problem, numbers: Sequence[int]) -> Problem:
+    """Return the problem of some of the stations."""
+    dataset = replace(problem.dataset, stations=[problem.dataset.stations[k] for k in numbers])
+    masks = None if problem.masks is None else [problem.masks[k] for k in numbers]
+    shifts = None if problem.shifts is None else [problem.shifts[k] for k in numbers]
+    return replace(problem, dataset=dataset, masks=masks, shifts=shifts)
+
+
+def dominated[Key: Hashable](likelihoods: Mapping[Key, Sequence[float]], *, least: float = 0.0) -> set[Key]:
+    """Return which fits are worse than the best in every fold of poses, and by more than 30 nats in sum.
+
+    ``likelihoods`` of each fit in nats by fold; ``least`` [nats], if it is more, takes the place of the 30.
+    """
+    if not likelihoods:
+        return set()
+    best = max(likelihoods.values(), key=sum)
+    margin = max(_BEHIND, least)
+    return {
+        one
+        for one, own in likelihoods.items()
+        if sum(own) < sum(best) - margin and all(x < y for x, y in zip(own, best, strict=True))
+    }

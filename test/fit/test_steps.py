@@ -1,0 +1,149 @@
+"""Steps of an adjustment: shortened where they would go too far, the other parameters following."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rim_camera_ros.camera_file import camera_numbers
+from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
+from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.solver import fit
+from rim_camera_ros.fit.steps import Solved, longest_steps, stepped
+
+from ..calibrate.helpers import camera, record, scene
+
+MATRIX = np.array([[4.0, 3.9e3, 0.1], [3.9e3, 4.0e6, 2.0], [0.1, 2.0, 9.0]])
+RIGHT = np.array([1.0, 2.0e3, -3.0])
+
+
+def solved(most: list[float], damping: float = 0.0) -> Solved:
+    nothing: Any = None
+    labels = ["weight", "sigma", "offset"]
+    return Solved(nothing, labels, MATRIX, RIGHT, np.array(most), 0.0, {}, {}, damping)
+
+
+def test_a_step_solves_the_equations() -> None:
+    step = solved([np.inf] * 3).step
+    assert step == pytest.approx(np.linalg.solve(MATRIX, RIGHT))
+    changes = solved([np.inf] * 3).changes
+    assert list(changes) == ["weight", "sigma", "offset"]
+    assert list(changes.values()) == pytest.approx(step)
+
+
+def test_the_others_follow_a_parameter_that_may_not_go_as_far() -> None:
+    """The least of the quadratic on the bound: sigma would go by 0.0051."""
+    free = np.linalg.solve(MATRIX, RIGHT)
+    assert free[1] == pytest.approx(0.00505, rel=0.01)
+    step = solved([np.inf, 0.001, np.inf]).step
+    assert step[1] == 0.001
+    others = [0, 2]
+    right = RIGHT[others] - MATRIX[others, 1] * 0.001
+    assert step[others] == pytest.approx(np.linalg.solve(MATRIX[np.ix_(others, others)], right))
+
+    # which is elsewhere than the free step cut off, and better
+    def objective(x: np.ndarray) -> float:
+        return float(0.5 * x @ MATRIX @ x - RIGHT @ x)
+
+    cut = np.array([free[0], 0.001, free[2]])
+    assert objective(step) < objective(cut) - 1.0
+    assert solved([np.inf, 0.01, np.inf]).step == pytest.approx(free)
+    assert np.array_equal(solved([0.1, 0.0001, 0.2]).step, [0.1, 0.0001, -0.2])
+
+
+@pytest.mark.parametrize("correlation", [0.5, 0.9, 0.99])
+def test_of_two_that_go_too_far_the_farther_is_held_and_the_other_follows(correlation: float) -> None:
+    """Both at once would go uphill: +147 at 0.99, where sigmas of 8 and 1 px are told apart badly."""
+    matrix = 100 * np.array([[1.0, correlation], [correlation, 1.0]])
+    right = matrix @ np.array([3.0, -3.0])
+    nothing: Any = None
+    step = Solved(nothing, ["a", "b"], matrix, right, np.array([2.0, 0.25]), 0.0, {}, {}).step
+    assert step[1] == -0.25
+    assert step[0] == pytest.approx(min(3.0 - correlation * 2.75, 2.0))
+    assert 0.5 * step @ matrix @ step - right @ step < 0
+
+
+@pytest.mark.parametrize("damping", [1e-3, 0.03, 1.0])
+def test_damping_adds_a_share_of_the_diagonal(damping: float) -> None:
+    step = solved([np.inf] * 3, damping).step
+    assert step == pytest.approx(np.linalg.solve(MATRIX + damping * np.diag(np.diag(MATRIX)), RIGHT))
+    assert not np.any(replace(solved([np.inf] * 3, damping), damping=np.inf).step)
+
+
+def test_shapes_go_by_a_quarter_of_where_they_are() -> None:
+    labels = ["effects.scattering.kernels.0.sigma.0", "effects.scattering.kernels.0.weight"]
+    numbers = {labels[0]: 8.0, labels[1]: 0.02}
+    assert list(longest_steps(labels, {labels[0]: 4.0}, numbers, (72, 88))) == [3.0, np.inf]
+
+
+def test_phases_over_the_array_go_by_a_radian() -> None:
+    labels = [f"effects.cyclic_error.gradient.{i}" for i in (0, 1)]
+    numbers = dict.fromkeys(labels, 0.0)
+    assert list(longest_steps(labels, {labels[0]: 0.3}, numbers, (72, 88))) == [1 / 88, 1 / 72]
+
+
+@pytest.mark.parametrize("size", [0.013, -0.013])
+@pytest.mark.parametrize(("along", "turn"), [(0.004, 0.2), (-0.02, 0.3), (-0.013, 2.0), (0.001, -9.0)])
+def test_a_sinusoid_goes_where_its_phasor_does(
+    tmp_path: Path, size: float, along: float, turn: float
+) -> None:
+    """In the plane of cosine and sine a step of the linear equations is a straight line."""
+    start = camera(tmp_path, CyclicError((Harmonic(4, size, 2.9), Harmonic(8, 0.002, -1.1))))
+    amplitude, phase = (f"effects.cyclic_error.harmonics.0.{one}" for one in ("amplitude", "phase"))
+    numbers = camera_numbers(start)
+    moved, offsets = stepped(
+        start, {phase: -0.25}, {amplitude: along * size / 0.013, phase: turn}, {}, {}, numbers
+    )
+    reached = camera_numbers(moved)
+    first = size * np.exp(1j * (2.9 - 0.25))
+    step = (along * size / 0.013 + 1j * size * turn) * np.exp(1j * (2.9 - 0.25))
+    assert reached[amplitude] * np.exp(1j * reached[phase]) == pytest.approx(first + step, abs=1e-12)
+    assert np.sign(reached[amplitude]) == np.sign(size)
+    assert abs(reached[phase] - 2.9) <= np.pi
+    assert offsets[phase] == pytest.approx(reached[phase] - 2.9)
+    assert {path for path in reached if reached[path] != numbers[path]} == {amplitude, phase}
+
+
+@pytest.mark.parametrize(
+    ("size", "phase", "gradient"),
+    [(0.001, -0.97, (0.0, 0.0)), (0.0003, 3.4, (0.01, -0.01)), (0.00001, -0.97, (0.004, 0.0))],
+)
+def test_a_small_sinusoid_of_another_phase_finds_its_own(
+    tmp_path: Path, size: float, phase: float, gradient: tuple[float, float]
+) -> None:
+    """Of 1 mm 90 degrees away, steps of the phase by itself ended at -12 mm and 41 rad."""
+    board = scene(tmp_path)
+    truth = CyclicError((Harmonic(4, 0.012, 0.6),), (0.002, -0.003))
+    problem = Problem(record(camera(tmp_path, truth), board, poses=18, seed=5), board)
+    found = fit(problem, camera(tmp_path, CyclicError((Harmonic(4, size, phase),), gradient)))
+    assert found.converged
+    first = {"harmonics.0.amplitude": 0.012, "harmonics.0.phase": 0.6}
+    for path, value in {**first, "gradient.0": 0.002, "gradient.1": -0.003}.items():
+        own = f"effects.cyclic_error.{path}"
+        assert found.parameters[own] == pytest.approx(value, abs=4 * found.sigma[own]), path
+
+
+def test_a_step_that_goes_too_far_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Undamped steps are made to go thirty times too far; with no iteration left there is no step at all."""
+    truth, board = camera(tmp_path, DistanceScale(0.02)), scene(tmp_path)
+    problem = Problem(record(truth, board, poses=8, seed=4), board)
+    warm = fit(problem, camera(tmp_path), iterations=3)
+    start = camera(tmp_path, DistanceScale(0.0))
+    honest = Solved.__dict__["step"].func
+
+    def overshooting(self: Solved) -> np.ndarray:
+        return np.asarray(honest(self) * (30.0 if self.damping == 0 else 1.0))
+
+    monkeypatch.setattr(Solved, "step", property(overshooting))
+    path = "effects.distance_scale.scale"
+    found = fit(problem, start, warm=warm, iterations=12)
+    assert found.parameters[path] == pytest.approx(0.02, abs=4 * found.sigma[path])
+    short = fit(problem, start, warm=warm, iterations=1)
+    assert short.parameters[path] == 0.0
+    assert not short.converged
+    assert short.notes == ["not converged after 2 iterations: effects.distance_scale.scale still moves"]

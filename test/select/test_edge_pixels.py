@@ -1,0 +1,118 @@
+"""Mixed pixels in the pixels beside edges: found, fitted, and told apart from what is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from rim_camera_ros.effects.candidate import Facts
+from rim_camera_ros.effects.mixed_pixels import MixedPixels
+from rim_camera_ros.effects.scattering import Kernel, Scattering
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.scene import Scene, ScenePose, Surface
+from rim_camera_ros.select.search import search
+
+from ..calibrate.helpers import camera, record, scene, with_footprints
+
+
+@pytest.mark.parametrize(("width", "found"), [(0.0, []), (0.5, ["mixed_pixels"])])
+def test_a_footprint_of_a_pixel_is_found_beside_edges(tmp_path: Path, width: float, found: list[str]) -> None:
+    """Pixels within half a footprint of an edge are mixed, those within 0.3 px left out of all else."""
+    told, board = camera(tmp_path), scene(tmp_path)
+    # of finite size: at a horizon a footprint spans many tiles
+    board = Scene((replace(board.surfaces[0], type="rectangle", size=(1.55, 1.35)),))
+    data = with_footprints(told, board, record(told, board, poses=14, frames=1, seed=9), width, 4)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
+    result = search(Problem(data, board), told, facts, effects=["mixed_pixels"])
+    assert [one.effect for one in result.found] == found
+    assert result.beside_edges == (1 if found else None)
+    # the fit goes on once the effect has joined
+    assert result.gained == pytest.approx(sum(one.gain for one in result.found), rel=1e-2)
+
+
+@pytest.mark.parametrize(("width", "found"), [(0.0, []), (0.5, ["mixed_pixels"])])
+def test_a_large_drift_does_not_hide_mixed_pixels(tmp_path: Path, width: float, found: list[str]) -> None:
+    """Mixed pixels move distances by 1.2 mm, the drift by 27 mm: its form leaves nothing at edges."""
+    told, board = camera(tmp_path), scene(tmp_path)
+    board = Scene((replace(board.surfaces[0], type="rectangle", size=(1.55, 1.35)),))
+    data = with_footprints(told, board, record(told, board, poses=14, frames=1, seed=9), width, 4)
+    for number, one in enumerate(data.stations):
+        uptime = 30.0 + 20.0 * one.pose
+        data.stations[number] = replace(
+            one,
+            settings=replace(one.settings, uptime=uptime),
+            distance=one.distance + 0.04 * np.exp(-uptime / 120.0),
+        )
+    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
+    result = search(Problem(data, board), told, facts)
+    assert [one.effect for one in result.found] == ["warm_up_drift", *found]
+
+
+def before_a_wall(tmp_path: Path) -> Scene:
+    """The board before a wall: 1 to 5 m of distance between the two surfaces."""
+    board = replace(scene(tmp_path).surfaces[0], type="rectangle", size=(0.93, 0.81))
+    wall = Surface(name="wall", type="plane", reflectivity=0.6, pose=ScenePose((0.0, 0.0, 5.6)))
+    return Scene((board, wall))
+
+
+@pytest.mark.parametrize("width", [0.4, 0.9])
+def test_the_footprint_of_a_pixel_is_found_by_the_pixels_that_edges_cross(
+    tmp_path: Path, width: float
+) -> None:
+    """A blur of what centres see cannot tell them from their neighbours: it loses, or fits less."""
+    told, before = camera(tmp_path), before_a_wall(tmp_path)
+    data = with_footprints(told, before, record(told, before, poses=16, frames=1, seed=3), width, 8)
+    facts = Facts.of(data, moves=False, surfaces=2, camera=told)
+    result = search(Problem(data, before), told, facts)
+    assert [one.effect for one in result.found] == ["mixed_pixels"]
+    mixed = result.camera.effects["mixed_pixels"]
+    assert isinstance(mixed, MixedPixels)
+    assert mixed.footprint == pytest.approx(width, abs=0.06)
+    # what it gains is of the pixels beside edges, and nothing else gained
+    assert result.gained == pytest.approx(result.found[0].gain, rel=0.05)
+    assert mixed.blur == 0.0
+    # cells of a tenth of a pixel leave side and share some play; their product is the light that crosses
+    assert mixed.share is not None
+    assert mixed.share * mixed.footprint == pytest.approx(width, abs=0.04)
+
+
+def test_a_footprint_beside_stray_light(tmp_path: Path) -> None:
+    """Where pixels alone are mixed that edges cross, the form of the stray light does not leave it."""
+    told, before = camera(tmp_path), before_a_wall(tmp_path)
+    data = with_footprints(told, before, record(told, before, poses=16, frames=1, seed=3), 0.6, 8)
+    # 4 % of the light over 5 px, laid over the measured image
+    for number, one in enumerate(data.stations):
+        wave = 2 * np.pi / told.sensor.ambiguity
+        image = np.nan_to_num(one.amplitude * np.exp(1j * wave * one.distance))
+        halo = gaussian_filter(image.real, 5.0, mode="constant") + 1j * gaussian_filter(
+            image.imag, 5.0, mode="constant"
+        )
+        spread = 0.96 * image + 0.04 * halo
+        data.stations[number] = replace(
+            one,
+            amplitude=np.abs(spread),
+            distance=np.mod(np.angle(spread) / wave, told.sensor.ambiguity),
+        )
+    facts = Facts.of(data, moves=False, surfaces=2, camera=told)
+    result = search(Problem(data, before), told, facts)
+    assert [one.effect for one in result.found] == ["scattering", "mixed_pixels"]
+    mixed = result.camera.effects["mixed_pixels"]
+    assert isinstance(mixed, MixedPixels)
+    assert mixed.footprint == pytest.approx(0.6, abs=0.08)
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.05])
+def test_neither_errors_of_poses_nor_stray_light_are_a_footprint(tmp_path: Path, weight: float) -> None:
+    """Poses three times as wrong as told let edges fall on other pixels, which then measure one surface."""
+    told, before = camera(tmp_path), before_a_wall(tmp_path)
+    there = [Scattering((Kernel(weight, (3.0, 3.0)),))] if weight else []
+    true = camera(tmp_path, *there)
+    data = record(true, before, poses=16, frames=2, seed=5, wrong=3.0 if not weight else 1.0)
+    facts = Facts.of(data, moves=False, surfaces=2, camera=told)
+    result = search(Problem(data, before), told, facts)
+    at_edges = [one.effect for one in result.found if one.effect in ("scattering", "mixed_pixels")]
+    assert at_edges == (["scattering"] if weight else [])

@@ -1,0 +1,197 @@
+"""A few poses ahead of all: which they are, what they settle, and that they change no answer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rim_camera_ros.effects.candidate import Facts
+from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
+from rim_camera_ros.effects.scattering import Kernel, Scattering
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.gauss_newton import GaussNewton
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.solver import fit
+from rim_camera_ros.fit.steps import Solved
+from rim_camera_ros.select import subsample
+from rim_camera_ros.select.search import search
+from rim_camera_ros.select.subsample import at_stations, dominated, subsample_of
+
+from ..calibrate.helpers import camera, record, scene
+
+CYCLIC = CyclicError((Harmonic(4, 0.011, 0.7),), (0.0, 0.0))
+SPREAD = Scattering((Kernel(0.03, (4.0, 5.0)), Kernel(0.02, (14.0, 11.0))))
+
+
+def stations(times: list[float], size: int = 100) -> Any:
+    """Poses of these integration times, two stations each, of size x size values."""
+    nothing: Any = None
+    return Dataset(
+        [
+            SimpleNamespace(
+                recording=0,
+                pose=k,
+                placed=k,
+                settings=SimpleNamespace(integration_time=time),
+                count=np.ones((size, size)),
+            )
+            for k, time in enumerate(times)
+            for _ in range(2)
+        ],
+        nothing,
+    )
+
+
+def test_a_few_poses_are_some_of_each_setting_with_all_their_stations() -> None:
+    """80 poses of 20,000 values: ten hold 200,000, of settings 3 : 1 eight and two (or one more)."""
+    data = stations([16.0] * 60 + [100.0] * 20)
+    problem = Problem(data, None)  # type: ignore[arg-type]
+    numbers = subsample_of(problem, seed=3)
+    assert numbers is not None
+    poses = [data.stations[k].pose for k in numbers]
+    assert all(poses.count(one) == 2 for one in poses)
+    chosen = sorted(set(poses))
+    assert (sum(k < 60 for k in chosen), sum(k >= 60 for k in chosen)) == (8, 2)
+    assert len({np.diff(chosen)[i] for i in range(8)}) > 2  # not every so many of them
+    assert subsample_of(problem, seed=3) == numbers
+
+
+@pytest.mark.parametrize(
+    ("poses", "size", "few"),
+    [(24, 100, None), (26, 100, 10), (15, 200, None), (16, 200, 8), (500, 100, 10)],
+    ids=["values below half a million", "above", "half of the poses", "sixteen poses", "many poses"],
+)
+def test_all_poses_are_fitted_where_they_are_few(poses: int, size: int, few: int | None) -> None:
+    problem = Problem(stations([60.0] * poses, size), None)  # type: ignore[arg-type]
+    numbers = subsample_of(problem, seed=0)
+    assert (numbers if numbers is None else len(numbers)) == (few if few is None else 2 * few)
+
+
+def test_values_are_those_that_are_fitted() -> None:
+    data = stations([60.0] * 40)
+    used, unused = np.ones((100, 100), bool), np.zeros((100, 100), bool)
+    masks = [(used, used) if k % 4 == 0 else (unused, used) for k in range(80)]
+    assert subsample_of(Problem(data, None, masks=masks), seed=0) is None  # type: ignore[arg-type]
+
+
+def test_the_problem_of_some_stations_keeps_their_masks_and_shifts() -> None:
+    data, masks, shifts = stations([16.0, 60.0]), [(k, k) for k in range(4)], list("abcd")
+    some = at_stations(Problem(data, None, masks=masks, shifts=shifts), [1, 2])  # type: ignore[arg-type]
+    assert some.dataset.stations == data.stations[1:3]
+    assert (some.masks, some.shifts) == ([(1, 1), (2, 2)], ["b", "c"])
+
+
+def test_left_behind_is_what_is_worse_in_all_folds_and_by_far() -> None:
+    tried = {
+        "best": [100.0, 50.0, 70.0],
+        "worse by 30.5": [80.0, 45.0, 64.5],
+        "worse by 29.5": [80.0, 45.0, 65.5],
+        "better in one": [10.0, 51.0, 20.0],
+        "hopeless": [-900.0, -800.0, 20.0],
+    }
+    assert dominated(tried) == {"worse by 30.5", "hopeless"}
+    assert dominated(tried, least=500.0) == {"hopeless"}
+    assert dominated({}) == set()
+
+
+@pytest.fixture(scope="module")
+def spread(tmp_path_factory: pytest.TempPathFactory) -> tuple[Problem, Any]:
+    """A recording with stray light of two halos, and the camera that does not know of them."""
+    folder = tmp_path_factory.mktemp("spread")
+    board = scene(folder)
+    data = record(camera(folder, SPREAD, CYCLIC), board)
+    return Problem(data, board), camera(folder, CYCLIC)
+
+
+def found(spread: tuple[Problem, Any], effects: list[str]) -> tuple[Any, list[str]]:
+    problem, told = spread
+    said: list[str] = []
+    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=told)
+    result = search(problem, told, facts, effects=effects, most=1, progress=said.append)
+    return result, [one for one in said if one.startswith("fitting")]
+
+
+def test_a_few_poses_change_no_answer(spread: tuple[Problem, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same effect with the same parameters to half of their sigma; rivals need not be fitted."""
+    effects = ["scattering", "amplitude_nonlinearity", "radiometry", "incidence_angle"]
+    alone, said = found(spread, effects)
+    assert not any("few" in one for one in said)
+    rivals = [one.removeprefix("fitting ") for one in said]
+    assert rivals
+    monkeypatch.setattr(subsample, "_MANY_VALUES", 1000)
+    monkeypatch.setattr(subsample, "_FEW_VALUES", 1000)
+    few, said = found(spread, effects)
+    assert [one.effect for one in few.found] == [one.effect for one in alone.found] == ["scattering"]
+    assert said == [*(f"fitting {one} to a few poses" for one in rivals), "fitting scattering"]
+    values, sigma = few.fit.parameters, alone.fit.sigma
+    own = [path for path in values if path.startswith("effects.")]
+    assert len(own) == 10
+    for path in own:
+        assert values[path] == pytest.approx(alone.fit.parameters[path], abs=0.5 * sigma[path]), path
+    assert few.log_likelihood > alone.log_likelihood - 0.5
+
+
+def test_what_follows_time_or_moves_rays_is_fitted_to_all_poses(
+    spread: tuple[Problem, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(subsample, "_MANY_VALUES", 1000)
+    monkeypatch.setattr(subsample, "_FEW_VALUES", 1000)
+    _, said = found(spread, ["warm_up_drift", "camera_constant"])
+    assert said
+    assert not any("few" in one for one in said)
+
+
+def test_near_the_solution_widths_move_at_once(spread: tuple[Problem, Any], tmp_path: Path) -> None:
+    """From widths a third too wide: the same solution, in fewer steps than from a guess."""
+    problem, told = spread
+    before = fit(problem, told)
+    start = camera(tmp_path, CYCLIC, Scattering((Kernel(0.02, (5.5, 6.5)), Kernel(0.03, (18.0, 15.0)))))
+    ends = {near: fit(problem, start, warm=before, near=near, iterations=20) for near in (False, True)}
+    assert ends[True].converged
+    assert ends[True].iterations < ends[False].iterations
+    sigma = ends[True].sigma
+    for path, value in ends[True].parameters.items():
+        assert value == pytest.approx(ends[False].parameters[path], abs=0.2 * sigma[path]), path
+    weight = ends[True].parameters["effects.scattering.kernels.0.sigma.0"]
+    assert weight == pytest.approx(4.0, abs=4 * sigma["effects.scattering.kernels.0.sigma.0"])
+
+
+def test_a_bend_is_crossed_once_and_a_wrong_way_goes_back_to_its_beginning() -> None:
+    """Of a step that should gain 100, 9 worse is followed by another; a second one so is taken back."""
+    nothing: Any = None
+    eye = np.eye(1)
+
+    def solved(name: str) -> Solved:
+        # a step of 10 sigma, forecast 100
+        right, far = np.array([10.0]), np.array([np.inf])
+        return Solved(nothing, [name], eye, right, far, 0.0, {}, {})
+
+    work = GaussNewton.__new__(GaussNewton)
+    gone: list[tuple[str, float]] = []
+    work.__dict__.update(_warm=True, _near=True, _iterations=12, _objective=1000.0, _return=None)
+    work.__dict__.update(_tried=0, _damping=0.0, _solved=solved("before the bend"), _exhausted=False)
+    work.__dict__.update(
+        _go=lambda one: gone.append((one.labels[0], one.damping)), _find_errors=lambda _: None
+    )
+    beyond: Any = SimpleNamespace(objective=1009.0)
+    assert work._solved is not None
+    assert work._solved.forecast == pytest.approx(100.0)
+    assert work.went_too_far(SimpleNamespace(objective=1011.0), 3)  # type: ignore[arg-type]
+    assert work.went_too_far(beyond, 12)  # no other step would follow
+    assert not work.went_too_far(beyond, 3)
+    work.accept(beyond)
+    work.__dict__.update(_solved=solved("beyond the bend"))
+    assert work.went_too_far(beyond, 4)
+    work.shorten(final=False)
+    assert gone == [("before the bend", 0.01)]
+    # once more: the second step is the good one, and the next may cross a bend again
+    work.__dict__.update(_tried=0, _solved=solved("before the bend"))
+    work.accept(beyond)
+    better: Any = SimpleNamespace(objective=900.0)
+    assert not work.went_too_far(better, 5)
+    work.accept(better)
+    assert not work.went_too_far(SimpleNamespace(objective=905.0), 6)  # type: ignore[arg-type]
