@@ -1,8 +1,9 @@
 """Effects put into real recordings by the forward chain: does a diagnosis name them beside what is there?
 
-`python -m test.blind.planted FOLDER --out DIR` takes FOLDER/recording with FOLDER/camera.yaml and a scene file.
-Its even frames make a camera file by calibration; its odd frames are diagnosed with that file as they are (the
-null), and once with each effect in them. One line a case goes to DIR/results.jsonl, the table to DIR/summary.md.
+`python -m test.blind.planted FOLDER --out DIR` takes FOLDER/recording with FOLDER/camera.yaml and a scene
+file. Its even frames make a camera file by calibration; its odd frames are diagnosed with that file as
+they are (the null), and once with each effect in them. One line a case goes to DIR/results.jsonl, the
+table to DIR/summary.md.
 
 The smallest visible size of an effect is that at which it adds as much to chi-square, beside offsets of
 pixels and offset and tilts of each pose, as stays unexplained without it; effects are put in at 1.5 times it.
