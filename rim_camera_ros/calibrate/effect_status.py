@@ -174,11 +174,12 @@ def _absent(
         )
         posterior = _posterior(scores, span)
         size = sizes[k]
-        typical = float(np.sqrt(np.sum(size.distance * prior)))
-        bright = float(np.sqrt(np.sum(size.brightness * prior)))
+        # what offsets of pixels take on entirely is 0 up to rounding, on either side
+        typical = float(np.sqrt(max(np.sum(size.distance * prior), 0.0)))
+        bright = float(np.sqrt(max(np.sum(size.brightness * prior), 0.0)))
         visible = typical > LEAST_EFFECT or bright > LEAST_BRIGHTNESS
         shape = size.distance / max(LEAST_EFFECT, 1e-12) ** 2 + size.brightness / LEAST_BRIGHTNESS**2
-        ratio = float(np.sqrt(np.sum(shape * posterior) / max(float(np.sum(shape * prior)), 1e-300)))
+        ratio = float(np.sqrt(max(np.sum(shape * posterior), 0.0) / max(np.sum(shape * prior), 1e-300)))
         if visible:
             best_ratio = min(best_ratio, ratio)
         if visible and ratio < TOLD:

@@ -19,9 +19,10 @@ from rim_camera_ros.scene import load_scene, rotation_matrix
 from .kinect_residuals import Board, Terms, boards, judged
 from .kinect_step import FOLDER, frames_of
 
-pytestmark = pytest.mark.skipif(
-    not FOLDER.exists(), reason="../shared/recordings has no recording of the Kinect v2"
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not FOLDER.exists(), reason="../shared/recordings has no recording of the Kinect v2"),
+]
 
 #: The whole board as a rectangle: its poses are at its middle.
 BOARD = """
@@ -90,7 +91,22 @@ def test_depth_by_other_optics_takes_the_tilt_away_on_other_frames() -> None:
     assert np.sqrt(np.median(after)) * 1e3 < 2.2
 
 
-@pytest.mark.slow
+def test_what_looks_like_a_scale_is_that_tilt() -> None:
+    """Far boards were held elsewhere in the image."""
+    effect, context = DistanceScale(0.0, (-5.7, 28.5)), Context(load_camera(FOLDER / "camera.yaml"))
+    values = []
+    for one in (one for one in all_boards() if np.isfinite(one.tilt).all()):
+        bright = one.used & one.white & (one.edge > 2.0) & (one.amplitude > 3000)
+        term = np.asarray(effect.term(one.distance, one.amplitude, context))
+        values.append([np.median(x[bright]) for x in (one.distance, one.rest, one.rest - term)])
+    distance, before, after = np.array(values).T
+    (scale, offset), (rest, _) = (np.polyfit(distance, one, 1) for one in (before, after))
+    assert scale == pytest.approx(-0.02, abs=0.01)
+    assert offset == pytest.approx(0.035, abs=0.008)
+    assert abs(rest) < 0.008
+    assert np.std(after) < 0.55 * np.std(before)
+
+
 def test_what_explains_other_frames_down_to_their_noise() -> None:
     raw = judged(all_boards(), Terms())
     hyperbola = judged(all_boards(), Terms(hyperbola=True, rows=True))
@@ -107,7 +123,6 @@ def test_what_explains_other_frames_down_to_their_noise() -> None:
     assert np.median(np.abs(steps)) == pytest.approx(0.0015, abs=0.0003)
 
 
-@pytest.mark.slow
 def test_poses_from_images(tmp_path: Path) -> None:
     """Against those given, which have the same optics: by what their corners' noise makes."""
     (tmp_path / "board.yaml").write_text(BOARD)

@@ -98,7 +98,8 @@ def where(result: Diagnosis, found: Evidence) -> list[Part]:
 def _brightness(found: Evidence) -> list[Part]:
     from rim_camera_ros.reports.figures import Map, maps
 
-    if found.brightness_before is None:
+    # surfaces of unknown reflectivity have none anywhere
+    if found.brightness_before is None or not np.isfinite(found.brightness_before).any():
         return []
     before, after = found.brightness_before * 100, found.brightness_after * 100
     rms = [float(np.sqrt(np.nanmean(np.clip(one, -50, 50) ** 2))) for one in (before, after)]
