@@ -30,7 +30,7 @@ from rim_camera_ros.calibrate.reference_scale import NAME as REFERENCE
 from rim_camera_ros.calibrate.reference_scale import PATHS, FittedReference, fit_reference, with_reference
 from rim_camera_ros.calibrate.refinement import Refinement
 from rim_camera_ros.calibrate.refusal import refusals
-from rim_camera_ros.calibrate.several_scenes import joined
+from rim_camera_ros.calibrate.several_scenes import joined, placed_by_schedule
 from rim_camera_ros.calibrate.solution import Solution, high_correlations, stated
 from rim_camera_ros.calibrate.stations import Dataset, merged
 from rim_camera_ros.calibrate.validity import supported
@@ -142,6 +142,7 @@ def calibrate(
     total = sum(one.frames for one in recordings)
     reduce_all = reducer if reducer is not None else watch.reducer(total)
     datasets = reduce_all(request.recordings, camera, request.topics, scenes)
+    notes += placed_by_schedule(datasets, scenes)
     for one, own, recording in zip(datasets, scenes, recordings, strict=True):
         one.with_poses(own, recording.path)
         checks.require_fixed_poses(one, own, recording.path)
