@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.bags import Recording, Topics
 from rim_camera_ros.calibrate.held_out import wrapped
+from rim_camera_ros.calibrate.recordings import takes_schedule
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import without_poses
 from rim_camera_ros.errors import InputError
@@ -136,6 +137,8 @@ def require_scene(recordings: Sequence[RecordingFacts], scene: Scene | None) -> 
             if found
             else "give a scene file with the poses of its surfaces, free: [...] where they are not known",
         )
+    if takes_schedule(scene, {name for one in recordings for name in one.surfaces}, len(recordings)):
+        return scene
     for one in recordings:
         for name in scene.needs_truth:
             if name not in one.surfaces:
@@ -144,7 +147,8 @@ def require_scene(recordings: Sequence[RecordingFacts], scene: Scene | None) -> 
                     f"the scene takes the pose of '{name}' from the recording, which holds poses of: {held}",
                     file=one.path,
                     place=f"/ground_truth/{name}/pose",
-                    remedy="record the poses, or give the pose in the scene file",
+                    remedy="record the poses, give the pose in the scene file, or give one recording for "
+                    "each station of its schedule",
                 )
     return scene
 

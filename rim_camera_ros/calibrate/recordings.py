@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -189,6 +189,32 @@ def joined(scenes: Sequence[Scene], datasets: Sequence[Dataset]) -> tuple[Scene,
     light = max(one.stray_light for one in scenes)
     joint = JoinedScene(tuple(surfaces.values()), camera_motion=first.camera_motion, stray_light=light)
     return joint, placed
+
+
+def takes_schedule(scene: Scene, recorded: Set[str], recordings: int) -> bool:
+    """Return whether so many recordings, with poses of ``recorded`` surfaces, take those of the schedule."""
+    needed = set(scene.needs_truth)
+    return bool(needed) and not needed & recorded and len(scene.schedule) == recordings
+
+
+def placed_by_schedule(datasets: Sequence[Dataset], scenes: Sequence[Scene]) -> list[str]:
+    """Give recordings that hold no pose, one for each station of their scene's schedule, the poses of it.
+
+    The recordings are those of the stations in their order. Returns what is to be said of it.
+    """
+    scene = scenes[0]
+    needed = scene.needs_truth
+    recorded = {name for dataset in datasets for one in dataset.stations for name in one.truth}
+    if any(one != scene for one in scenes) or not takes_schedule(scene, recorded, len(datasets)):
+        return []
+    poses: dict[str, Pose] = {}
+    for dataset, station in zip(datasets, scene.schedule, strict=True):
+        poses = poses | {name: one.pose for name, one in station.poses.items() if name in needed}
+        dataset.stations = [replace(one, truth=poses) for one in dataset.stations]
+    return [
+        f"the recordings hold no pose: that of {' and '.join(needed)} is taken from the scene file's "
+        "schedule, a station for each recording, and is free within pose_sigma"
+    ]
 
 
 def _require_joinable(scene: Scene, first: Scene) -> None:

@@ -21,7 +21,7 @@ from rim_camera_ros.calibrate.integral import IntegralFit
 from rim_camera_ros.calibrate.joint import Outcome, by_search, exactly
 from rim_camera_ros.calibrate.large_sensor import LargeSensor
 from rim_camera_ros.calibrate.provenance import Source, checksum, provenance
-from rim_camera_ros.calibrate.recordings import Progress, Reducer, Watch, joined
+from rim_camera_ros.calibrate.recordings import Progress, Reducer, Watch, joined, placed_by_schedule
 from rim_camera_ros.calibrate.reference_scale import NAME as REFERENCE
 from rim_camera_ros.calibrate.reference_scale import PATHS, FittedReference, fit_reference, with_reference
 from rim_camera_ros.calibrate.refinement import Refinement
@@ -140,6 +140,7 @@ def calibrate(
     total = sum(one.frames for one in recordings)
     reduce_all = reducer if reducer is not None else watch.reducer(total)
     datasets = reduce_all(request.recordings, camera, request.topics, scenes)
+    notes += placed_by_schedule(datasets, scenes)
     for one, own, recording in zip(datasets, scenes, recordings, strict=True):
         one.with_poses(own, recording.path)
         checks.require_fixed_poses(one, own, recording.path)

@@ -105,7 +105,7 @@ class Dataset:
                 file=path,
                 place="scene with pose: truth",
                 remedy=f"record /ground_truth/{(absent or list(needed))[0]}/pose, "
-                "or state the pose in the scene file",
+                "state the pose in the scene file, or give one recording for each station of its schedule",
             )
         if lost:
             self.notes.append(f"left out: {lost} frames before the first pose of every surface")

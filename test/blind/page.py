@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -99,10 +99,7 @@ def page(
             [[tier, *map(written, rates)] for tier, *rates in found.tiers],
         ),
         _nulls(results),
-        "## Effects and scenes",
-        f"Named right, of how many; without the tier *{FAINT}*.",
-        _by_effect(found),
-        "## How small an effect may be",
+        "## Effects, and how small they may be",
         _visible(results, found, drawn),
         "## Confusion, and two common methods on the same recordings",
         _confusion(results, drawn),
@@ -174,21 +171,13 @@ def _nulls(results: Sequence[Result]) -> str:
     return text
 
 
-def _by_effect(found: Score) -> str:
-    scenes = sorted({scene for _, by_scene, _ in found.effects for scene in by_scene})
-    rows = [
-        [truth, *(_fraction(by_scene.get(scene)) for scene in scenes), _fraction(total)]
-        for truth, by_scene, total in found.effects
-    ]
-    return _table(["left out", *scenes, "all"], rows)
-
-
 def _fraction(one: Rate | None) -> str:
     return "" if one is None else f"{one.successes}/{one.count}"
 
 
 def _visible(results: Sequence[Result], found: Score, drawn: Sequence[str]) -> str:
     rows = []
+    right = {truth: total for truth, _, total in found.effects}
     for name in sorted(found.seen.points):
         ones = [
             one
@@ -200,6 +189,7 @@ def _visible(results: Sequence[Result], found: Score, drawn: Sequence[str]) -> s
         rows.append(
             [
                 name,
+                _fraction(right.get(name)),
                 f"{min(strengths):.2g} to {max(strengths):.2g}",
                 _point(found.seen.points[name], strengths),
                 _point(found.named.points[name], strengths),
@@ -209,7 +199,7 @@ def _visible(results: Sequence[Result], found: Score, drawn: Sequence[str]) -> s
     if not rows:
         return "No single effects in this run."
     text = prose.VISIBLE.format(slope=found.named.slope) + "\n\n"
-    text += _table(["left out", "sizes tried", "half noticed", "half named", "named at twice"], rows)
+    text += _table(["left out", "right", "sizes tried", "half noticed", "half named", "named at twice"], rows)
     if SENSITIVITY in drawn:
         text += f"\n\n![Share of cases noticed and named over the size of the effect](proof/{SENSITIVITY})"
     if IDENTIFIABILITY in drawn:
@@ -228,8 +218,6 @@ def _point(value: float, strengths: Sequence[float]) -> str:
 
 def _confusion(results: Sequence[Result], drawn: Sequence[str]) -> str:
     tables = [confusion(results, who) for who in WHO]
-    truths = sorted({t for one in tables for t in one}, key=lambda t: (t in ("outside", "null"), t))
-    rows = [[truth, *(_said(one.get(truth, Counter()), truth) for one in tables)] for truth in truths]
     totals = []
     for one in tables:
         right = sum(counts[right_word(truth)] for truth, counts in one.items())
@@ -239,23 +227,10 @@ def _confusion(results: Sequence[Result], drawn: Sequence[str]) -> str:
         null = one.get("null", Counter())
         alarms.append(written(Rate(sum(null.values()) - null["consistent"], sum(null.values()))))
     text = prose.CONFUSION + "\n\n"
-    text += _table(
-        ["left out", *WHO], [*rows, ["**first name right**", *totals], ["**alarms on nulls**", *alarms]]
-    )
+    text += _table(["", *WHO], [["first name right", *totals], ["alarms on nulls", *alarms]])
     if CONFUSION in drawn:
         text += f"\n\n![Three confusion matrices: left out against named first](proof/{CONFUSION})"
     return text
-
-
-def _said(counts: Mapping[str, int], truth: str) -> str:
-    right = right_word(truth)
-    wrong = sorted(
-        ((n, word) for word, n in counts.items() if word != right), key=lambda one: (-one[0], one[1])
-    )
-    total = sum(counts.values())
-    if not total:
-        return ""
-    return "; ".join([f"{counts.get(right, 0)}/{total}", *(f"{word} {n}" for n, word in wrong)])
 
 
 def _sizes(found: Score) -> str:
@@ -267,13 +242,14 @@ def _sizes(found: Score) -> str:
             label(small),
             _answer(small),
             _answer(large),
-            "yes" if same_verdict(small, large) else "**no**",
         ]
         for small, large in found.sizes
+        if not same_verdict(small, large)
     ]
     same = rate(same_verdict(*pair) for pair in found.sizes)
-    head = ["cases", "left out", "88 x 72", "176 x 144", "same"]
-    return prose.SIZES.format(same=written(same)) + "\n\n" + _table(head, rows)
+    head = ["cases", "left out", "88 x 72", "176 x 144"]
+    text = prose.SIZES.format(same=written(same))
+    return text + "\n\n" + _table(head, rows) if rows else text
 
 
 def _answer(result: Result) -> str:
@@ -316,24 +292,13 @@ def _trouble(results: Sequence[Result], not_run: Sequence[str]) -> str:
 def _misses(misses: Sequence[Result]) -> str:
     if not misses:
         return "None."
-    rows = []
+    tiers: dict[str, list[str]] = {}
     for one in misses:
-        truth, case = one["truth"], one["case"]
-        strengths = " + ".join(f"{value:.2g}" for value in truth["strength"].values())
-        rows.append(
-            [
-                case["name"],
-                str(case["seed"]),
-                label(one),
-                strengths,
-                truth["scene"],
-                "yes" if truth["masked"] else "no",
-                _answer(one),
-            ]
-        )
+        name, _, number = one["case"]["name"].rpartition("-")
+        tiers.setdefault(name, []).append(f"{number} {label(one)}: {_answer(one)}")
+    lines = [f"- {tier}: {'; '.join(found)}." for tier, found in tiers.items()]
     first = misses[0]["case"]
     forms, name = first["forms"], first["name"]
     seed = "" if first["master_seed"] == MASTER_SEED else f" --seed {first['master_seed']}"
     text = prose.MISSES.format(count=len(misses), forms=forms, seed=seed, name=name)
-    head = ["case", "seed", "left out", "strength", "scene", "masked", "said"]
-    return text + "\n\n" + _table(head, rows)
+    return text + "\n\n" + "\n".join(lines)

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.bags import Recording, RecordingWriter
-from rim_camera_ros.calibrate.coarser import coarser_camera
+from rim_camera_ros.fit.decimation import decimated_camera
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera, save_camera
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
@@ -188,7 +188,7 @@ def _calibrated(given: argparse.Namespace, scene: Path) -> Camera:
         small = given.out / "given"
         small.mkdir(exist_ok=True)
         save_camera(
-            coarser_camera(load_camera(given.folder / "camera.yaml"), given.step), small / "camera.yaml"
+            decimated_camera(load_camera(given.folder / "camera.yaml"), given.step), small / "camera.yaml"
         )
         with RecordingWriter(given.out / "even", force=True) as writer:
             for frame in half_of(given.folder, 0, given.step, given.every):

@@ -40,7 +40,8 @@ distribution-free 95 % interval does. The measures in full:
   not tied to a true one, unless it leads with a probability below 0.5."""
 
 VISIBLE = """\
-Sizes are RMS of the effect over the single-frame sigma of its pixels: where half of the cases are noticed,
+Right: of all cases but the faint ones. Sizes are RMS of the effect over the single-frame sigma of its pixels:
+where half of the cases are noticed,
 and where half are named right, by logistic curves with a slope common to all effects ({slope:.1f} per unit of
 ln(size); weak priors keep points finite where all cases are seen, or none: `<` and `>` mark points outside
 the sizes that were tried). The two curves are fitted one by one: where few cases lie between them the second
@@ -56,12 +57,14 @@ information criterion; *correlation* takes the candidate that correlates best wi
 file as it is. Both use the same library of candidates; neither can say `unknown`."""
 
 SIZES = """\
-The same seeds at 88 x 72 and at 176 x 144 (the noise is another one). The same answer in {same}."""
+The same seeds at 88 x 72 and at 176 x 144 (the noise is another one). The same answer in {same};
+the others:"""
 
 EFFORT = "CPU time of `rim diagnose` with one thread, start of the interpreter included."
 
 MISSES = """\
-{count} cases that were not named right, faint and concealed ones included. A name stands for all draws from
-the master seed; this makes a case anew, judges it and keeps recording, truth and report:
+{count} cases that were not named right, faint and concealed ones included: number, what was left out, answer.
+A name stands for all draws from the master seed; this makes a case anew, judges it and keeps recording, truth
+and report:
 
     python -m test.blind --forms {forms}{seed} --only {name} --keep --out case"""

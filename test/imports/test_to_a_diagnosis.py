@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +29,25 @@ from test.imports.drivers import (
     write_driver_bag,
 )
 
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def commands_of(page: str) -> list[list[str]]:
+    """Return the arguments of the commands of a page that lead from a driver's bag to a diagnosis."""
+    block = re.search(r"^    rim import my_bag.*\n(?:    rim .*\n)+", page, flags=re.MULTILINE)
+    assert block is not None
+    return [shlex.split(line, comments=True)[1:] for line in block[0].splitlines()]
+
 
 @pytest.mark.slow
-def test_from_a_femto_to_the_missing_effect(tmp_path: Path, capsys: Any) -> None:
+def test_from_a_femto_to_the_missing_effect(
+    tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A cyclic error of 30 mm, published as a Femto does: whole millimetres along z, compressed."""
-    truth = helpers.camera(tmp_path, CyclicError(harmonics=(Harmonic(order=4, amplitude=0.03, phase=0.6),)))
+    (tmp_path / "truth").mkdir()
+    truth = helpers.camera(
+        tmp_path / "truth", CyclicError(harmonics=(Harmonic(order=4, amplitude=0.03, phase=0.6),))
+    )
     board = helpers.scene(tmp_path)
     kind = Own("orbbec_camera_msgs/msg/Metadata", METADATA)
     lines: list[Line] = []
@@ -50,20 +66,18 @@ def test_from_a_femto_to_the_missing_effect(tmp_path: Path, capsys: Any) -> None
         told = pose(frame.pose_stamps["board"], frame.truth["board"])
         if not any(one.topic == told.topic and one.time == told.time for one in lines):
             lines.append(told)
-    bag = write_driver_bag(tmp_path / "femto_bag", lines, own, ros1=False)
-    imported, file = tmp_path / "bag", tmp_path / "mine.yaml"
-    assert run(capsys, "import", bag, "--out", imported)[0] == 0
-    options = ("--modulation-frequency", "20e6", "--reflectivity", "0.5")
-    status, _, notes = run(capsys, "camera", imported, "--out", file, *options)
-    assert status == 0, notes
-    mine = load_camera(file)
+    write_driver_bag(tmp_path / "my_bag", lines, own, ros1=False)
+    (tmp_path / "scene.yaml").rename(tmp_path / "board.yaml")
+    monkeypatch.chdir(tmp_path)
+    commands = commands_of((ROOT / "README.md").read_text())
+    assert [one[0] for one in commands] == ["import", "camera", "diagnose"]
+    assert commands_of((ROOT / "docs" / "drivers.md").read_text()) == commands
+    for one in commands:
+        status, _, notes = run(capsys, *one)
+        assert status == 0, notes
+    mine = load_camera(tmp_path / "camera.yaml")
     # 3 mm, 6 m counts, and 1 mm along z rounded
     assert mine.noise.sigma_distance(np.array([3000.0]))[0] == pytest.approx(0.0036, rel=0.15)
-    scene = tmp_path / "scene.yaml"
-    status, _, error = run(
-        capsys, "diagnose", imported, "--camera", file, "--scene", scene, "--out", tmp_path / "diagnosis"
-    )
-    assert status == 0, error
     report = json.loads((tmp_path / "diagnosis" / "report.json").read_text())
     assert report["verdict"] == "missing_physics"
     assert [one["effect"] for one in report["missing"]] == ["cyclic_error"]
