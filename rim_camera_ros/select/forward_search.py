@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import lean_camera, with_effects
-from rim_camera_ros.effects import OF_SURFACES, OPTICS, Physics, vocabulary
+from rim_camera_ros.effects import Physics, vocabulary
 from rim_camera_ros.effects.candidate import Candidate
 from rim_camera_ros.fit.gauss_newton import keeps_amplitude_error
 from rim_camera_ros.fit.problem import Fit, Problem
@@ -35,8 +35,15 @@ from rim_camera_ros.select.confounding import follows_time_in_quiet_pixels, show
 from rim_camera_ros.select.edge_pixels import Look, promising, sharper, with_edges
 from rim_camera_ros.select.effect_sizes import effect_size
 from rim_camera_ros.select.exploration import Exploration, explore, explored, further_equations
-from rim_camera_ros.select.subsample import at_stations, dominated, subsample_of
-from rim_camera_ros.select.trials import ITERATIONS, TOLERANCE, TrialFit, Workers, fit_trial
+from rim_camera_ros.select.subsample import dominated, subsample_of
+from rim_camera_ros.select.trials import (
+    ITERATIONS,
+    TOLERANCE,
+    Workers,
+    fitted_trials,
+    onwards,
+    trial_fit,
+)
 
 #: Leaders that may prove wrong when they are fitted, until the search ends.
 _MOST_FAILURES = 2
@@ -327,32 +334,10 @@ class Search:
             lost = dominated(by_fold, least=least)
         # they cost little: the nearer they come to their end, the fewer steps remain with all poses
         left = [choice for choice in able if choice not in lost]
-        ends = self.workers(fit_trial, [self._onwards(trials[choice]) for choice in left])
+        further = [onwards(trials[choice], self.folds, self.seed) for choice in left]
+        ends = fitted_trials(further, self.workers, self.say, to="a few poses")
         starts = {choice: one.fit.camera for choice, one in zip(left, ends, strict=True)}
         return [choice for choice in choices if choice not in lost], starts
-
-    def _onwards(self, trial: Trial) -> TrialFit:
-        fitted = trial.fitted.fit
-        views, folds = fitted.forward.views, self.folds
-        return TrialFit(
-            (), trial.problem, fitted.camera, fitted.point, folds, self.seed, near=True, views=views
-        )
-
-    def _request(self, choice: tuple[int, ...], few: Sequence[int] | None, start: Camera | None) -> TrialFit:
-        """Return the fit of candidates from a guess or a better start, to the stations ``few`` if given."""
-        fitted = self.step.fit
-        names = tuple(self._effect(k) for k in choice)
-        geometry = tuple(dict.fromkeys([*self.problem.geometry, *(n for n in names if n in OPTICS)]))
-        reflectance = self.problem.reflectance or not OF_SURFACES.isdisjoint(names)
-        problem = replace(self.problem, geometry=geometry, reflectance=reflectance)
-        if few is not None:
-            problem = at_stations(problem, few)
-        near, views = start is not None, fitted.forward.views
-        if start is None:
-            # first by itself: what loses need not be explored; rays from where they are, as a linear guess of
-            # them may put a texture's edges on other pixels
-            start = self.step.camera_with([k for k in choice if self._effect(k) not in OPTICS])
-        return TrialFit(names, problem, start, fitted.point, self.folds, self.seed, near=near, views=views)
 
     def _trials(
         self,
@@ -362,18 +347,14 @@ class Search:
         starts: Mapping[tuple[int, ...], Camera] | None = None,
     ) -> dict[tuple[int, ...], Trial]:
         """Fit candidates, each by itself."""
-        requests = [self._request(choice, few, (starts or {}).get(choice)) for choice in choices]
-
-        def told() -> Iterator[TrialFit]:
-            for number, one in enumerate(requests, 1):
-                where = "" if few is None else " to a few poses"
-                self.say(f"fitting {' and '.join(one.effects)}{where}, fit {number} of {len(requests)}")
-                yield one
-
+        requests = [
+            trial_fit(self.problem, self.step, choice, self.folds, self.seed, few, (starts or {}).get(choice))
+            for choice in choices
+        ]
         result = {}
-        for choice, one, fitted in zip(choices, requests, self.workers(fit_trial, told()), strict=True):
-            # what comes from elsewhere brings its own data
-            fitted.fit.forward.dataset, fitted.fit.forward.masks = one.problem.dataset, one.problem.masks
+        poses = "all poses" if few is None else "a few poses"
+        fits = fitted_trials(requests, self.workers, self.say, to=poses)
+        for choice, one, fitted in zip(choices, requests, fits, strict=True):
             likelihood = fitted.scores.log_likelihood()
             if len(choice) == 2:
                 likelihood -= self._threshold(choice)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from time import monotonic
 from typing import Any
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects import vocabulary
+from rim_camera_ros.effects import OF_SURFACES, OPTICS, vocabulary
 from rim_camera_ros.fit.data import level_of
 from rim_camera_ros.fit.problem import Point, Problem
 from rim_camera_ros.fit.views import Views
+from rim_camera_ros.select.compare import Trial
 from rim_camera_ros.select.exploration import Exploration, explore
+from rim_camera_ros.select.subsample import at_stations
 
 #: Iterations of fits that add an effect, and shares of the sigmas at which they end.
 ITERATIONS = 12
@@ -68,3 +71,60 @@ def fit_trial(trial: TrialFit) -> Exploration:
         camera, views = fitted.fit.camera, fitted.fit.forward.views
         fitted = explore(trial.response, camera, [], trial.folds, views=views, warm=fitted.fit, replicates=0)
     return fitted
+
+
+def fitted_trials(
+    trials: Sequence[TrialFit], workers: Workers, say: Callable[[str], None], *, to: str = "all poses"
+) -> Iterator[Exploration]:
+    """Yield the fits of trials in their order, and tell how many are done and how long the rest takes."""
+    begun, done, count = monotonic(), 0, len(trials)
+
+    def tell(words: str) -> None:
+        seconds = f", about {(monotonic() - begun) / done * (count - done):.0f} s left" if done else ""
+        say(f"fitting{words} to {to} ({done} of {count} fits done{seconds})")
+
+    def told() -> Iterator[TrialFit]:
+        for one in trials:
+            tell(" " + " and ".join(one.effects) if one.effects else "")
+            yield one
+
+    for trial, fitted in zip(trials, workers(fit_trial, told()), strict=True):
+        # what comes from elsewhere brings its own data
+        fitted.fit.forward.dataset, fitted.fit.forward.masks = trial.problem.dataset, trial.problem.masks
+        done += 1
+        tell("")
+        yield fitted
+
+
+def trial_fit(
+    problem: Problem,
+    step: Exploration,
+    choice: tuple[int, ...],
+    folds: Mapping[tuple[int, int], int],
+    seed: int,
+    few: Sequence[int] | None = None,
+    start: Camera | None = None,
+) -> TrialFit:
+    """Return the fit of some candidates of a ``step`` beside what it has, to the stations ``few`` if given.
+
+    It begins at a guess, or nearer by, at the camera ``start``.
+    """
+    names = tuple(step.candidates[k].effect for k in choice)
+    geometry = tuple(dict.fromkeys([*problem.geometry, *(n for n in names if n in OPTICS)]))
+    reflectance = problem.reflectance or not OF_SURFACES.isdisjoint(names)
+    problem = replace(problem, geometry=geometry, reflectance=reflectance)
+    if few is not None:
+        problem = at_stations(problem, few)
+    near, views = start is not None, step.fit.forward.views
+    if start is None:
+        # first by itself: what loses need not be explored; rays from where they are, as a linear guess of
+        # them may put a texture's edges on other pixels
+        start = step.camera_with([k for k in choice if step.candidates[k].effect not in OPTICS])
+    return TrialFit(names, problem, start, step.fit.point, folds, seed, near=near, views=views)
+
+
+def onwards(trial: Trial, folds: Mapping[tuple[int, int], int], seed: int) -> TrialFit:
+    """Return the fit that goes on from where a trial ended."""
+    fitted = trial.fitted.fit
+    views = fitted.forward.views
+    return TrialFit((), trial.problem, fitted.camera, fitted.point, folds, seed, near=True, views=views)

@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.bags import Recording, RecordingWriter
-from rim_camera_ros.fit.decimation import decimated_camera
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera, save_camera
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
@@ -34,6 +33,7 @@ from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.emitter_offset import EmitterOffset
 from rim_camera_ros.effects.scattering import Kernel, Scattering
+from rim_camera_ros.fit.decimation import decimated_camera
 from rim_camera_ros.frame import RawFrame
 
 from .imperfect.__main__ import RESULTS, SUMMARY, diagnose

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -112,7 +113,7 @@ def found(spread: tuple[Problem, Any], effects: list[str]) -> tuple[Any, list[st
     said: list[str] = []
     facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=told)
     result = search(problem, told, facts, effects=effects, most=1, progress=said.append)
-    return result, [one for one in said if one.startswith("fitting")]
+    return result, [one.partition(" (")[0] for one in said if re.match(r"fitting \S+ to ", one)]
 
 
 def test_a_few_poses_change_no_answer(spread: tuple[Problem, Any], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,13 +121,13 @@ def test_a_few_poses_change_no_answer(spread: tuple[Problem, Any], monkeypatch: 
     effects = ["scattering", "amplitude_nonlinearity", "radiometry", "incidence_angle"]
     alone, said = found(spread, effects)
     assert not any("few" in one for one in said)
-    rivals = [one.removeprefix("fitting ") for one in said]
+    rivals = [one.removeprefix("fitting ").removesuffix(" to all poses") for one in said]
     assert rivals
     monkeypatch.setattr(subsample, "_MANY_VALUES", 1000)
     monkeypatch.setattr(subsample, "_FEW_VALUES", 1000)
     few, said = found(spread, effects)
     assert [one.effect for one in few.found] == [one.effect for one in alone.found] == ["scattering"]
-    assert said == [*(f"fitting {one} to a few poses" for one in rivals), "fitting scattering"]
+    assert said == [*(f"fitting {one} to a few poses" for one in rivals), "fitting scattering to all poses"]
     values, sigma = few.fit.parameters, alone.fit.sigma
     own = [path for path in values if path.startswith("effects.")]
     assert len(own) == 10
