@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import added, in_order
-from rim_camera_ros.diagnose.formula import closed_form
+from rim_camera_ros.diagnose.formula import closed_form, product_form
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN, pair_terms
 from rim_camera_ros.diagnose.unknown import (
@@ -59,7 +59,7 @@ def best_rest(result: Result, samples: Mapping[str, Array], seed: int) -> Rest |
     if best is not None and best[0] > max(least, 1.5 * float(final.thresholds[best[1]])):
         gain, k = best
         threshold = float(final.thresholds[k])
-        covariates: tuple[str, ...] = (final.candidates[k].variant,)
+        covariates = tuple(final.candidates[k].variant.split(","))
         camera = in_order(final.candidates[k].build(final.fit.camera, final.scores.values(final.spans[k])))
         pairs = pair_terms(dict(samples), smooth_pairs(final))
         if pairs and gain > 2 * least:
@@ -83,7 +83,7 @@ def best_rest(result: Result, samples: Mapping[str, Array], seed: int) -> Rest |
                 )
         over = gain
         for j in range(baseline.named, len(baseline.candidates)):
-            if baseline.candidates[j].variant == covariates[0]:
+            if baseline.candidates[j].variant in (covariates[0], ",".join(covariates)):
                 over = max(over, float(baseline.gains[j]))
         options.append(Rest(over, covariates, camera, gain, threshold))
     if structures and structures[0].gain > least:
@@ -149,7 +149,13 @@ def describe(unknown: Rest, baseline: Exploration, result: Result, seed: int) ->
     curve = next(iter(where.curves.items()), None)
     formula, missed = None, 0.0
     magnitude = 0.0
-    if unknown.fine is not None:
+    fitted_table = effect_of(model, CovariateTable)
+    values = None if not modelled or fitted_table is None else fitted_table.values.values
+    if values is not None and fitted_table is not None and values.shape == (2, 2):
+        first, second = fitted_table.covariates
+        formula = product_form((first, second), fitted_table.knots, values)
+        magnitude = abs(float(values[1, 1] - values[1, 0] - values[0, 1] + values[0, 0])) / 4
+    elif unknown.fine is not None:
         magnitude = 2.0 * float(np.sqrt(np.mean(unknown.fine.slopes**2)))
     elif curve is not None:
         name, (x, y, sigma) = curve
@@ -160,7 +166,9 @@ def describe(unknown: Rest, baseline: Exploration, result: Result, seed: int) ->
         f"unknown physics: distances depend on {shown} in a way that no effect of the vocabulary explains, "
         f"by about ±{magnitude * 1e3:.3g} mm"
     )
-    if formula is not None:
+    if formula is not None and missed == 0.0:
+        sentence += f"; described by {formula}"
+    elif formula is not None:
         sentence += f"; described by {formula}, which misses its curve by {missed * 1e3:.2g} mm (RMS)"
     missing = Missing(
         UNKNOWN,

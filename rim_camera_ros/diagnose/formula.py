@@ -41,6 +41,17 @@ def require_formulas() -> None:
         )
 
 
+def product_form(names: tuple[str, str], knots: tuple[tuple[float, ...], ...], values: Array) -> str:
+    """Return a bilinear table in metres as the product that it is, without what depends on one name alone.
+
+    Of such a term the parts of one covariate are errors of poses and the fixed pattern; ``values`` (2, 2).
+    """
+    (a, b), (c, d) = knots
+    slope = (values[1, 1] - values[1, 0] - values[0, 1] + values[0, 0]) / ((b - a) * (d - c))
+    x, y = names
+    return f"{slope:.3g} ({x} - {(a + b) / 2:.4g}) ({y} - {(c + d) / 2:.4g}) [m]"
+
+
 def closed_form(name: str, x: Array, y: Array, sigma: Array) -> tuple[str, float]:
     """Return the sparse formula in metres that describes a curve best, and by how much it misses it (RMS, m).
 

@@ -23,7 +23,7 @@ from rim_camera_ros.diagnose.nuisances import (
 )
 from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.setup import Setup, check_setup
-from rim_camera_ros.diagnose.smooth import axes_of, single_terms
+from rim_camera_ros.diagnose.smooth import axes_of, gradient_terms, single_terms
 from rim_camera_ros.diagnose.variance import Variance, examine_variance, moving
 from rim_camera_ros.diagnose.verdict import Findings, verdict_of
 from rim_camera_ros.diagnose.where import of_residuals
@@ -138,7 +138,7 @@ def _diagnose(
     if other is not None:
         return with_setups(_of_another_setup(other, problem, camera, variance, seed), setups)
     samples = axes_of(forward, seed=seed)
-    smooth = single_terms(samples)
+    smooth = [*single_terms(samples), *gradient_terms(samples)]
     # the light of a second camera has a pattern and a phase of its own, which many effects can imitate
     alone = variance.pixels_vary_together
     one_pose = dataset.poses < 2

@@ -171,6 +171,20 @@ def single_terms(samples: dict[str, Array]) -> list[Candidate]:
     ]
 
 
+def gradient_terms(samples: dict[str, Array]) -> list[Candidate]:
+    """Return bilinear terms of what is the same in a whole frame and of the place in the array.
+
+    A gradient over the array that changes from pose to pose looks like tilts of the poses: only a term that
+    is fitted together with these shows that they follow temperature, time or setting.
+    """
+    return [
+        smooth_candidate([Axis(name, knots_at(samples[name], 2)) for name in (scalar, place)])
+        for scalar in samples
+        if scalar in SCALAR
+        for place in sorted(STATIC & samples.keys())
+    ]
+
+
 def pair_terms(samples: dict[str, Array], pairs: Sequence[tuple[str, str]]) -> list[Candidate]:
     """Return the smooth terms of pairs of covariates."""
     return [
