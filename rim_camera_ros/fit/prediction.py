@@ -22,6 +22,8 @@ Column = tuple[Array, Array | None]
 
 #: Under which the derivatives by the emitter's power are kept, beside those by the poses.
 _POWER = "power"
+#: Counts below which there is no light.
+_DARK = 1e-6
 
 
 @dataclass
@@ -95,7 +97,8 @@ class Prediction:
             light = self.before[effect.name]
             before = to_phasor(light.distance, light.amplitude, self.context.ambiguity)
             image = effect.apply(before, self.context)
-            dark = image == 0
+            # far from all light halos end in numbers that single precision has no inverse of
+            dark = np.abs(image) < _DARK
             inverse = np.where(dark, 0, 1.0 / np.where(dark, 1.0, image))
             found = (before.astype(np.complex64), inverse.astype(np.complex64))
             self._images[effect.name] = found
