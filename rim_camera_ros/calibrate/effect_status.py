@@ -1,4 +1,4 @@
-"""What the recordings say of each effect: fitted, absent up to a size, or not to be told from them."""
+"""What the recordings say of each effect: fitted, absent up to a size, or not determined by them."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from rim_camera_ros.select.evidence import Scores
 Array = NDArray[Any]
 Status = Literal["fitted", "kept", "absent", "undetermined", "left out"]
 
-#: An effect can be told where the data make its likely size this many times smaller than its prior.
-TOLD = 0.3
+#: An effect is determined where the data make its likely size this many times smaller than its prior.
+DETERMINED = 0.3
 #: Below this [m] (or this relative amplitude) an effect of common strength does not show in the recordings.
 LEAST_EFFECT = 0.0002
 LEAST_BRIGHTNESS = 0.002
@@ -164,7 +164,7 @@ def _absent(
 ) -> EffectStatus:
     if not own:
         return EffectStatus(name, "undetermined", undeterminable(name))
-    told: list[tuple[float, float, float]] = []
+    determined: list[tuple[float, float, float]] = []
     best_ratio = np.inf
     for k in own:
         span = np.array(spans[k], int)
@@ -182,12 +182,12 @@ def _absent(
         ratio = float(np.sqrt(max(np.sum(shape * posterior), 0.0) / max(np.sum(shape * prior), 1e-300)))
         if visible:
             best_ratio = min(best_ratio, ratio)
-        if visible and ratio < TOLD:
+        if visible and ratio < DETERMINED:
             gain = float(scores.gain(span))
-            told.append(
+            determined.append(
                 (_bound(size.distance, values, posterior), _bound(size.brightness, values, posterior), gain)
             )
-    if not told:
+    if not determined:
         why = (
             "it would hardly move anything in these recordings"
             if not np.isfinite(best_ratio)
@@ -198,8 +198,8 @@ def _absent(
             "undetermined",
             f"cannot be determined from these recordings: {why}; {vocabulary()[name].record()}",
         )
-    bound, brightness = max(one[0] for one in told), max(one[1] for one in told)
-    gain = max(one[2] for one in told)
+    bound, brightness = max(one[0] for one in determined), max(one[1] for one in determined)
+    gain = max(one[2] for one in determined)
     limits = [f"{bound * 1e3:.2g} mm RMS"] if bound > 5e-6 else []
     if brightness > 20 * bound:
         limits.append(f"{brightness * 100:.2g} % of the amplitude")

@@ -47,7 +47,7 @@ Key = tuple[int, int]
 #: Pixel values on which effects are tried that are not fitted.
 MOST_VALUES = 3_000_000
 #: Kept as in the file because the recordings do not speak of it.
-_KEPT_UNTOLD = "as in the file: these recordings do not determine it"
+_KEPT_UNDETERMINED = "as in the file: these recordings do not determine it"
 _KEPT_UNASKED = "as in the file: not among --effects"
 _LAMBERT = (
     "the surfaces do not reflect as Lambert says: their light over the angle of incidence is fitted as a "
@@ -58,10 +58,10 @@ _LAMBERT = (
 
 @dataclass
 class Outcome:
-    """The solution, and which effects joined; ``tell`` says what the recordings say of every effect."""
+    """The solution, and which effects joined; ``effect_statuses`` returns what they say of each."""
 
     solution: Solution
-    tell: Callable[[], list[EffectStatus]]
+    effect_statuses: Callable[[], list[EffectStatus]]
     found: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -70,7 +70,7 @@ def by_search(
     problem: Problem, camera: Camera, facts: Facts, *, views: Views, say: Say, seed: int = 0
 ) -> Outcome:
     """Fit what the camera file has and the recordings determine, and add what held-out poses ask for."""
-    kept = _untold(problem, camera, say)
+    kept = _undetermined(problem, camera, say)
     names = [name for name in [*registry(), *OPTICS] if name not in kept and _is_fitted(name)]
     free = replace(problem, effects=tuple(names))
     asked = [name for name in names if name not in camera.effects and name not in problem.geometry]
@@ -82,7 +82,7 @@ def by_search(
     named = list(last.candidates)[: len(last.spans)]
     ties = {one.effect: one.ties for one in result.found}
 
-    def tell() -> list[EffectStatus]:
+    def effect_statuses() -> list[EffectStatus]:
         return statuses(
             last.fit,
             last.scores,
@@ -96,7 +96,7 @@ def by_search(
 
     joined = [one.effect for one in result.found]
     notes = [_LAMBERT] if set(joined) & OF_SURFACES else []
-    return Outcome(solution, tell, [name for name in joined if name not in OF_SURFACES], notes)
+    return Outcome(solution, effect_statuses, [name for name in joined if name not in OF_SURFACES], notes)
 
 
 def exactly(
@@ -140,27 +140,27 @@ def exactly(
     say("fitting " + (", ".join(names) or "offsets of pixels"))
     step = explore(problem, camera, [], folds, views=views, replicates=0, progress=say)
     fitted, scores = step.fit, step.scores
-    untold = undetermined_effects(scores, [n for n in names if n in fitted.camera.effects])
-    for name in dict.fromkeys([*unseen, *untold]):
+    undetermined = undetermined_effects(scores, [n for n in names if n in fitted.camera.effects])
+    for name in dict.fromkeys([*unseen, *undetermined]):
         notes.append(f"{name} cannot be determined from these recordings: {undeterminable(name)}")
     asked = set(names) - {PixelMap.name}
-    if asked and asked <= {*unseen, *untold}:
+    if asked and asked <= {*unseen, *undetermined}:
         raise InputError(
             notes[-1], place="--effects", remedy="without --effects those are fitted that can be"
         )
     solution = _solved(fitted, scores, folds, camera_start, problem)
-    if untold:
-        remaining = tuple(n for n in names if n not in untold)
-        camera = _restored(fitted.camera, camera_start, untold)
+    if undetermined:
+        remaining = tuple(n for n in names if n not in undetermined)
+        camera = _restored(fitted.camera, camera_start, undetermined)
         again = replace(problem, effects=remaining)
         step = explore(again, camera, [], folds, views=views, replicates=0, progress=say)
         solution = _solved(step.fit, step.scores, folds, camera_start, again)
         fitted = step.fit
         problem = again
-        kept |= {name: _KEPT_UNTOLD for name in untold if name in camera_start.effects}
+        kept |= {name: _KEPT_UNDETERMINED for name in undetermined if name in camera_start.effects}
     final, pool_camera = problem, fitted.camera
 
-    def tell() -> list[EffectStatus]:
+    def effect_statuses() -> list[EffectStatus]:
         say("what else the recordings say")
         few, few_folds = _some_stations(final, folds)
         probe = explore(few, pool_camera, pool, few_folds, views=views, replicates=0, iterations=1)
@@ -180,7 +180,7 @@ def exactly(
             for one in found
         ]
 
-    return Outcome(solution, tell, [n for n in names if n not in camera_start.effects], notes)
+    return Outcome(solution, effect_statuses, [n for n in names if n not in camera_start.effects], notes)
 
 
 def checked_names(words: Sequence[str]) -> tuple[list[str], tuple[str, ...] | None]:
@@ -214,7 +214,7 @@ def _is_fitted(name: str) -> bool:
     return vocabulary()[name].estimated == "joint"
 
 
-def _untold(problem: Problem, camera: Camera, say: Say) -> dict[str, str]:
+def _undetermined(problem: Problem, camera: Camera, say: Say) -> dict[str, str]:
     """Return the effects of the camera file of which these recordings say nothing."""
     names = [name for name in camera.effects if _is_fitted(name)]
     if not names:
@@ -223,7 +223,7 @@ def _untold(problem: Problem, camera: Camera, say: Say) -> dict[str, str]:
     fitted = fit(problem, camera, iterations=2)
     count = len(fitted.parameters)
     scores = Scores(fitted.equations, range(count))
-    return dict.fromkeys(undetermined_effects(scores, names), _KEPT_UNTOLD)
+    return dict.fromkeys(undetermined_effects(scores, names), _KEPT_UNDETERMINED)
 
 
 def _with_absent(

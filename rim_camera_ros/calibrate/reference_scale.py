@@ -106,12 +106,12 @@ def fit_reference(solution: Solution, *, asked: bool) -> FittedReference | None:
     if told < _FEWEST:
         source = "topic /reference" if region is None else "reference pixels"
         text = f"{told} stations have a reading of the {source}, {_FEWEST} are needed"
-        return FittedReference(_untold(text, known=start is not None))
+        return FittedReference(_undetermined(text, known=start is not None))
     measured = _drifts(solution, readings)
     try:
         found = measured.scale()
     except InputError as error:
-        return FittedReference(_untold(str(error), known=start is not None))
+        return FittedReference(_undetermined(str(error), known=start is not None))
     words = "fitted" if start is not None else "fitted; not in the file before"
     start = InternalReference(nominal=found.nominal) if start is None else start
     folds = {}
@@ -129,7 +129,7 @@ def fit_reference(solution: Solution, *, asked: bool) -> FittedReference | None:
     return FittedReference(status, effect, folds, np.diag([found.nominal_sigma**2, found.scale_sigma**2]))
 
 
-def _untold(text: str, *, known: bool) -> EffectStatus:
+def _undetermined(text: str, *, known: bool) -> EffectStatus:
     if known:
         return EffectStatus(NAME, "kept", f"as in the file: {text}")
     return EffectStatus(NAME, "undetermined", f"cannot be determined from these recordings: {text}")

@@ -244,7 +244,7 @@ def _finished(
     only_integral: bool,
 ) -> Calibration:
     solution = outcome.solution
-    statuses = outcome.tell()
+    statuses = outcome.effect_statuses()
     fitted = solution.fit
     asked = request.effects is not None and REFERENCE in request.effects
     path: FittedReference | None = None

@@ -27,7 +27,7 @@ Array = NDArray[Any]
 Key = tuple[int, int]
 
 #: Posterior over prior sigma beyond which the data say nothing of a parameter.
-UNTOLD = 0.9
+BARELY_NARROWED = 0.9
 #: Correlations beyond this are named.
 HIGH_CORRELATION = 0.9
 #: Width [px] over which the smooth part of the fixed pattern is averaged.
@@ -112,17 +112,19 @@ class Solution:
         scale = np.array([self._unit(label) for label in self.labels])
         matrix = self.scores.covariance(self.scores.base) * self.factor
         wider = scale * np.sqrt([self.widened.get(label, 1.0) for label in self.labels])
-        told = np.sqrt(np.diag(matrix)) < UNTOLD * self.scores.prior[self.scores.base] * np.sqrt(self.factor)
+        narrowed = np.sqrt(np.diag(matrix)) < BARELY_NARROWED * self.scores.prior[self.scores.base] * np.sqrt(
+            self.factor
+        )
         matrix = matrix * wider[:, None] * wider[None, :]
         # how surfaces reflect is no number of the camera file
-        keep = np.flatnonzero(told & [not of_light(one) and not is_linear(one) for one in self.labels])
+        keep = np.flatnonzero(narrowed & [not of_light(one) and not is_linear(one) for one in self.labels])
         return [self.labels[i] for i in keep], np.asarray(matrix[np.ix_(keep, keep)])
 
-    def untold(self) -> list[str]:
+    def undetermined(self) -> list[str]:
         """Return the paths of fitted parameters of which the data say nothing: they stay as in the file."""
-        told, _ = self.covariance()
+        determined, _ = self.covariance()
         own = [one for one in self.labels if not of_light(one) and not is_linear(one)]
-        return [label for label in own if label not in set(told)]
+        return [label for label in own if label not in set(determined)]
 
     def _unit(self, label: str) -> float:
         return self.fit.camera.radiometry.gain if label == GAIN else 1.0

@@ -111,7 +111,7 @@ def parameters(result: Calibration) -> list[Part]:
             digits = significant(after.get(path), sigma[path])
             rows.append([name, number_of(before.get(path)), *digits, unit_of(result.camera, path)])
     words: list[Part] = []
-    untold = [] if result.integral else result.solution.untold()
+    untold = [] if result.integral else result.solution.undetermined()
     kept = [one for one in untold if one in before and before[one] == after.get(one)]
     for names, why in (
         (kept, "as in the file before"),
