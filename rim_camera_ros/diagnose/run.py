@@ -169,6 +169,7 @@ def _diagnose(
     beyond_stated = _other_lens(baseline.fit, camera)
     if beyond_stated is not None:
         assert camera.covariance is not None
+        result.forget()
         say("once more without the stated covariance of the optics")
         free = replace(camera, covariance=camera.covariance.without(["optics."]))
         noted = replace(dataset, notes=[*dataset.notes, beyond_stated])
@@ -222,6 +223,7 @@ def _diagnose(
     reason = None if variance.pixels_vary_together or codes is not None else reason
     if reason is not None and setup.may_do_without and against is None and again > 0:
         say("once more without what does not agree")
+        result.forget()
         kept = _without(problem.dataset, setup)
         return _diagnose(kept, scene, camera, None, seed, threads, workers, say, again - 1)
     by_background = only_background(result, unknown, variance, camera)

@@ -262,6 +262,11 @@ class Result:
         """The fit of the final camera."""
         return self.explorations[-1].fit
 
+    def forget(self) -> None:
+        """Let go of the sums per pixel, where the search is made anew."""
+        for one in self.explorations:
+            one.forget()
+
     def withdrawn(self) -> Result:
         """Return the result as if nothing had been found."""
         start = self.explorations[0]

@@ -261,8 +261,9 @@ class Search:
         if not ended or keeps_amplitude_error(self.step.fit.camera, camera):
             # or the next effect, whose fit goes on or estimates it anew, would gain what this one did
             fitted = self._fitted(self.problem, lean, fitted)
-        final = self._explored(fitted.fit, [one.effect for one in self.found], self.step, self.problem)
+        # the largest arrays of a search: not twice at once
         self.step.forget()
+        final = self._explored(fitted.fit, [one.effect for one in self.found], self.step, self.problem)
         self.explorations.append(final)
 
     def _why_not(self, trial: Trial, gain: float, threshold: float, need: float) -> str | None:
