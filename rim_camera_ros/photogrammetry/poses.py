@@ -179,7 +179,15 @@ def _adjusted(observations: Observations, optics: Optics) -> tuple[Adjusted, Bun
         other = _adjusted_from(observations, optics, mirrored)
     except RimError:
         return found
-    return min(found, other, key=lambda one: (one[2], float(np.mean(one[0].residuals ** 2))))
+    # beside wrong residuals no target looks like a gross error: those rejected count at their limit
+    scale = min(found[0].sigma_zero, other[0].sigma_zero)
+    return min(found, other, key=lambda one: _cost(one[0], one[2], scale))
+
+
+def _cost(adjusted: Adjusted, rejected: int, scale: float) -> float:
+    """Return the sum of squares of residuals, in units of ``scale`` of their sigmas."""
+    ratio = adjusted.sigma_zero / max(scale, 1e-300)
+    return adjusted.redundancy * ratio**2 + rejected * GROSS**2
 
 
 def _require_targets(points: Sequence[ImagePoint]) -> None:
