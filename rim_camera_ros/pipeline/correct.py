@@ -107,7 +107,7 @@ class Correction:
         are needed and the setting is unknown.
         """
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            work = self._undo(frame)
+            work = self._undo(frame, whole=True)
             sigma, flags = self._judged(work, frame.settings)
         return CorrectedFrame(
             stamp=frame.stamp,
@@ -121,7 +121,7 @@ class Correction:
     def correct_distance(self, frame: RawFrame) -> CorrectedDistance:
         """Return distance and amplitude as `correct` does, sooner: without sigma and flags."""
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            work = self._undo(frame)
+            work = self._undo(frame, whole=False)
             distance = work.light.distance
             if self._optics.spreads:
                 # elsewhere the amplitude's term is NaN there
@@ -210,8 +210,11 @@ class Correction:
 
     # --- steps ----------------------------------------------------------------------------------
 
-    def _undo(self, frame: RawFrame) -> _Work:
-        """Undo all effects; the distance is NaN where the raw values do not give one."""
+    def _undo(self, frame: RawFrame, *, whole: bool) -> _Work:
+        """Undo all effects; the distance is NaN where the raw values do not give one.
+
+        ``whole``: sigma and flags are asked for, too.
+        """
         folded = self._begin(frame)
         unit = 1.0 if frame.distance.dtype.kind == "f" else self.camera.sensor.lsb
         if self._reference is not None:
@@ -224,7 +227,7 @@ class Correction:
         offset = folded.offset()
         banded = folded.pixel_by_pixel and not self.exact
         if self._compiled and frame.distance.dtype == frame.amplitude.dtype == np.uint16:
-            work = self._read_counts(frame, folded, unit, offset, solve=banded)
+            work = self._read_counts(frame, folded, unit, offset, solve=banded, whole=whole or not banded)
         else:
             work = self._read(frame, folded, unit, offset, solve=banded)
         y, reading = work.light.distance, work.reading
@@ -241,22 +244,24 @@ class Correction:
         return work
 
     def _read_counts(
-        self, frame: RawFrame, folded: Folded, unit: float, offset: float, *, solve: bool
+        self, frame: RawFrame, folded: Folded, unit: float, offset: float, *, solve: bool, whole: bool
     ) -> _Work:
-        """Do what `_read` does with counts, in one pass over the pixels."""
-        y, amplitude, sigma, flags, found = kernels.read(
+        """Do what `_read` does with counts, in one pass over the pixels; ``whole``: sigma and flags, too."""
+        done = kernels.read(
             frame.distance,
             frame.amplitude,
-            entries=folded.amplitude.entries,
+            table=folded.amplitude.compiled,
             unit=unit,
             offset=offset,
             map_=folded.map,
             solver=folded.distance.compiled if solve else None,
+            whole=whole,
         )
-        some = found & Flag.SATURATED.value and not solve
-        saturated = (flags & np.uint8(Flag.SATURATED.value)) != 0 if some else None
-        reading = AmplitudeReading(amplitude, saturated, ByAmplitude(amplitude, y, sigma, flags), None)
-        return _Work(folded, reading, None, Light(y, amplitude))
+        some = done.found & Flag.SATURATED.value and not solve
+        saturated = (done.flags & np.uint8(Flag.SATURATED.value)) != 0 if some else None
+        says = ByAmplitude(done.amplitude, done.y, done.sigma, done.flags)
+        reading = AmplitudeReading(done.amplitude, saturated, says, None)
+        return _Work(folded, reading, None, Light(done.y, done.amplitude))
 
     def _read(self, frame: RawFrame, folded: Folded, unit: float, offset: float, *, solve: bool) -> _Work:
         """Return distances without the terms that raw values and place tell, and what amplitudes say.

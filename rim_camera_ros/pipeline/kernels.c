@@ -315,31 +315,46 @@ void rim_solve(const Solver *by, int64_t first, int64_t count, const float *y, f
     }
 }
 
+/* What the 65,536 counts of the amplitude say; `amplitude` is NULL where it is the counts themselves. */
+typedef struct {
+    const float *term, *amplitude, *sigma;
+    const uint8_t *flags;
+} Table;
+
 FOR_EACH_PROCESSOR
-static int32_t read_counts(int64_t count, const uint16_t *restrict raw, const uint16_t *restrict published,
-                           const float *restrict entries, float unit, float offset, const float *restrict map,
-                           float *restrict y, float *restrict amplitude, float *restrict sigma,
-                           uint8_t *restrict flags)
+static void read_distances(int64_t count, const uint16_t *restrict raw, const uint16_t *restrict published,
+                           const float *restrict term, float unit, float offset, float *restrict y)
 {
-    int32_t all = 0;
     for (int64_t i = 0; i < count; i++) {
-        const float *restrict entry = entries + 4 * (int64_t)published[i];
-        const int32_t flag = (int32_t)entry[2] | (raw[i] ? 0 : NO_MEASUREMENT);
-        y[i] = raw[i] ? (float)raw[i] * unit - entry[0] - offset : NAN;
-        sigma[i] = entry[1];
-        amplitude[i] = entry[3];
-        flags[i] = (uint8_t)flag;
-        all |= flag;
+        const float metres = (float)raw[i] * unit - term[published[i]] - offset;
+        y[i] = raw[i] ? metres : NAN;
     }
-    for (int64_t i = 0; map && i < count; i++)
-        y[i] -= map[i];
-    return all;
 }
 
-/* Counts to distances [m] less offset, map (or NULL) and the amplitude's term, solved where `by` is not NULL; the
- * rest of what the amplitudes say, of whose counts `entries` hold term, sigma, flags and amplitude. Returns all
- * flags that are set somewhere. */
-int32_t rim_read(int64_t count, const uint16_t *raw, const uint16_t *published, const float *entries, float unit,
+FOR_EACH_PROCESSOR
+static void convert(int64_t count, const uint16_t *restrict from, float *restrict to)
+{
+    for (int64_t i = 0; i < count; i++)
+        to[i] = (float)from[i];
+}
+
+FOR_EACH_PROCESSOR
+static void look_up(int64_t count, const uint16_t *restrict at, const float *restrict table, float *restrict to)
+{
+    for (int64_t i = 0; i < count; i++)
+        to[i] = table[at[i]];
+}
+
+FOR_EACH_PROCESSOR
+static void subtract(int64_t count, const float *restrict map, float *restrict y)
+{
+    for (int64_t i = 0; i < count; i++)
+        y[i] -= map[i];
+}
+
+/* Counts to distances [m] less offset, map (or NULL) and the amplitude's term, solved where `by` is not NULL; and to
+ * amplitudes, and sigmas and flags (or NULL both). Returns all flags that are set somewhere. */
+int32_t rim_read(int64_t count, const uint16_t *raw, const uint16_t *published, const Table *table, float unit,
                  float offset, const float *map, const Solver *by, float *y, float *amplitude, float *sigma,
                  uint8_t *flags)
 {
@@ -347,10 +362,22 @@ int32_t rim_read(int64_t count, const uint16_t *raw, const uint16_t *published, 
     int32_t all = 0;
     for (int64_t at = 0; at < count; at += block) {
         const int64_t size = count - at < block ? count - at : block;
-        all |= read_counts(size, raw + at, published + at, entries, unit, offset, map ? map + at : NULL, y + at,
-                           amplitude + at, sigma + at, flags + at);
+        read_distances(size, raw + at, published + at, table->term, unit, offset, y + at);
+        if (map)
+            subtract(size, map + at, y + at);
         if (by)
             rim_solve(by, at, size, y + at, y + at);
+        if (table->amplitude)
+            look_up(size, published + at, table->amplitude, amplitude + at);
+        else
+            convert(size, published + at, amplitude + at);
+        if (!flags)
+            continue;
+        look_up(size, published + at, table->sigma, sigma + at);
+        for (int64_t i = at; i < at + size; i++) {
+            flags[i] = (uint8_t)(table->flags[published[i]] | (raw[i] ? 0 : NO_MEASUREMENT));
+            all |= flags[i];
+        }
     }
     return all;
 }

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any
@@ -261,39 +262,72 @@ class CompiledSolver:
         return solved
 
 
+class _Table(ctypes.Structure):
+    _fields_ = [(name, _POINTER) for name in ("term", "amplitude", "sigma", "flags")]
+
+
+class CompiledTable:
+    """What the 65,536 counts of the amplitude say: `rim_camera_ros.pipeline.tables.ByAmplitude`, in float32.
+
+    ``amplitude`` is None where it is the counts themselves.
+    """
+
+    def __init__(
+        self, *, term: Image, amplitude: Image | None, sigma: Image, flags: NDArray[np.uint8]
+    ) -> None:
+        self._held = term, amplitude, sigma, flags
+        self.structure = _Table(*(None if one is None else one.ctypes.data for one in self._held))
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """What counts (H, W) say: distances ``y`` and ``sigma`` [m], ``amplitude`` [counts], ``flags``.
+
+    ``sigma`` and ``flags`` are empty where nobody asked for them; ``found``: flags that are set somewhere.
+    """
+
+    y: Image
+    amplitude: Image
+    sigma: Image
+    flags: NDArray[np.uint8]
+    found: int
+
+
 def read(
     distance: NDArray[np.uint16],
     amplitude: NDArray[np.uint16],
     *,
-    entries: Image,
+    table: CompiledTable,
     unit: float,
     offset: float,
     map_: Image | None,
     solver: CompiledSolver | None,
-) -> tuple[Image, Image, Image, NDArray[np.uint8], int]:
-    """Return what counts (H, W) say, new arrays, and all flags that are set somewhere.
+    whole: bool,
+) -> Counts:
+    """Read counts (H, W), into new arrays.
 
-    Distances [m] without what the amplitude (by ``entries``, see `rim_camera_ros.pipeline.tables`), a map
-    and an offset [m] add, solved where a solver is given; amplitude [counts], sigma [m], flags.
+    Distances are without what the amplitude, a map and an offset [m] add, and solved where a solver is given;
+    ``whole``: with sigma and flags.
     """
     raw, published = (np.ascontiguousarray(one, np.uint16) for one in (distance, amplitude))
-    y, light, sigma = (np.empty(raw.shape, np.float32) for _ in range(3))
-    flags = np.empty(raw.shape, np.uint8)
+    y, light = (np.empty(raw.shape, np.float32) for _ in range(2))
+    shape = raw.shape if whole else (0, 0)
+    sigma, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
     found = LIBRARY.rim_read(
         raw.size,
         raw.ctypes.data,  # perhaps not to be written
         published.ctypes.data,
-        _at(entries),
+        ctypes.byref(table.structure),
         unit,
         offset,
         None if map_ is None else _at(map_),
         None if solver is None else ctypes.byref(solver.structure),
         _at(y),
         _at(light),
-        _at(sigma),
-        _at(flags),
+        _at(sigma) if whole else None,
+        _at(flags) if whole else None,
     )
-    return y, light, sigma, flags, found
+    return Counts(y, light, sigma, flags, found)
 
 
 class _Judged(ctypes.Structure):

@@ -137,10 +137,11 @@ class AmplitudeModel:
         return level if raw.dtype.kind == "f" else int(np.ceil(level))
 
     @cached_property
-    def entries(self) -> NDArray[np.float32]:
-        """Term, sigma, flags and amplitude of each of the 65,536 counts, for the compiled reader."""
+    def compiled(self) -> kernels.CompiledTable:
+        """The table, for the compiled reader."""
         one = self.table
-        return np.stack([one.term, one.sigma, one.flags.astype(np.float32), one.amplitude], axis=1)
+        amplitude = None if self._response is None else one.amplitude
+        return kernels.CompiledTable(term=one.term, amplitude=amplitude, sigma=one.sigma, flags=one.flags)
 
     @cached_property
     def table(self) -> ByAmplitude:

@@ -71,6 +71,8 @@ def test_parameters(nodes: World, node: str) -> None:
     found_rows = table(PARAMETERS, f"`{node}_node` (node `{node}`)", "parameter")
     rows = {row[0].strip("`"): row[1:] for row in found_rows}
     running = {name for name in described if not name.startswith(_OF_EVERY_NODE)}
+    # of each surface three, sixty in the room
+    assert not [name for name in described if "ground_truth" in name]
     effects = {name for name in running if name.startswith("effects.")}
     assert running - effects == set(rows) - {"effects.<name>"}
     assert bool(effects) == ("effects.<name>" in rows)
