@@ -159,7 +159,7 @@ def test_page_of_a_consistent_recording_names_nothing(case: Case) -> None:
     assert case.consistent.verdict == "consistent"
     shown = text_of(rendered(case.consistent))
     assert "The simulation explains this recording" in shown
-    assert "What was left out" not in shown
+    assert "Missing physics" not in shown
     assert "→" not in shown
     assert "The curve that gave it away" not in shown
     assert "No effect is named." in shown

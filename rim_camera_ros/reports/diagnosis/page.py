@@ -171,7 +171,7 @@ def _further(result: Diagnosis) -> list[Part]:
             Text(
                 f"Beyond that, a smooth function of {name.replace('_', ' ')} still gains {gain:,.0f} nats"
                 f"{share}; chance does not. The form of what is named differs from the vocabulary's, or "
-                "something else is left out."
+                "something else is missing."
             )
         )
     return parts
