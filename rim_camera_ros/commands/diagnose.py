@@ -47,7 +47,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         commands,
         "diagnose",
         "Compare a recording with the simulation of its scene. Says where they differ, names the physics "
-        "that the camera file leaves out, models it, and shows on held-out poses that the simulation "
+        "that the camera file lacks, models it, and shows on held-out poses that the simulation "
         "improved. "
         "Writes report.html, report.json, where.npy and the improved camera.yaml into a folder.",
         _EXAMPLES,

@@ -9,7 +9,7 @@ from rim_camera_ros.diagnose.result import Diagnosis
 WORDS = {
     "consistent": "The simulation explains this recording.",
     "wrong_parameters": "Known effects explain this recording, with other parameters than the camera file's.",
-    "missing_physics": "The camera file leaves out physics that this recording shows.",
+    "missing_physics": "The camera file lacks physics that this recording shows.",
     "unknown_physics": "The recording shows something that no effect of the vocabulary explains.",
     "inconsistent_setup": "Recording, scene and camera file do not belong together; no physics is named.",
 }

@@ -21,6 +21,8 @@ from rim_camera_ros.scene import Texture
 Array = NDArray[np.float64]
 
 Kind = Literal["checkerboard", "charuco", "apriltag", "circles"]
+#: Least and greatest side of a square that is printed [m].
+SIDES = (0.001, 1.0)
 KINDS: tuple[Kind, ...] = get_args(Kind)
 #: Default dictionary of each kind with markers: few bits for small sensors, and Kalibr's.
 DICTIONARIES = {"charuco": "DICT_4X4_100", "apriltag": "DICT_APRILTAG_36h11"}
@@ -119,8 +121,9 @@ def design_board(
     if kind not in KINDS:
         raise InputError(f"no kind of board '{kind}'", place="KIND", remedy=nearest_name(kind, KINDS))
     made: Kind = kind
-    if not (np.isfinite(square) and square > 0):
-        raise InputError(f"a side of {square:g} m", place="--square", remedy="it must be positive")
+    low, high = SIDES
+    if not low <= square <= high:
+        raise InputError(f"a side of {square:g} m", place="--square", remedy=f"from {low:g} to {high:g} m")
     least = 4 if made == "checkerboard" else 2
     if min(columns, rows) < least or max(columns, rows) > 200:
         raise InputError(

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.frame import Pose
 
+#: Rejected points that are listed one by one.
+_LISTED = 10
+
 
 @dataclass(frozen=True)
 class OpticsCovariance:
@@ -97,11 +100,14 @@ class OpticsReport:
             lines.append(f"  not significant: {names} ({what})")
         for one, other, value in (*self.correlations, *self.pose_correlations):
             lines.append(f"  correlation {one} - {other}: {value:+.3f}")
-        for point in self.rejected:
+        worst = sorted(self.rejected, key=lambda one: -float(np.hypot(*one.residual)))
+        for point in worst[:_LISTED]:
             u, v = point.residual
             lines.append(
                 f"  rejected: target {point.target} at station {point.station}, {u:+.2f} {v:+.2f} px"
             )
+        if len(worst) > _LISTED:
+            lines.append(f"  rejected: {len(worst) - _LISTED} more with smaller residuals")
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
 
     def summary(self) -> dict[str, Any]:

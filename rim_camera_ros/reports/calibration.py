@@ -39,7 +39,7 @@ _MOODS: dict[str, tuple[str, Mood]] = {
     "kept": ("kept", ""),
     "absent": ("absent", ""),
     "undetermined": ("not determined", "warn"),
-    "left out": ("left out", ""),
+    "left out": ("not fitted", ""),
 }
 #: Effects that are named in the first sentence, at most.
 _MOST_OPEN = 2
@@ -125,7 +125,7 @@ def _cards(result: Calibration) -> list[Card]:
     chi_square = result.chi_square
     if chi_square is not None and not result.integral:
         words, mood = noise_words(chi_square)
-        label = f"of what is left at held-out poses (chi-square per value {chi_square:.3f})"
+        label = f"unexplained at held-out poses (chi-square per value {chi_square:.3f})"
         items.append(Card(words, label, mood))
     solution = result.solution
     if not result.integral:

@@ -146,6 +146,7 @@ def test_print_at_true_scale_and_its_scene(tmp_path: Path) -> None:
     ("words", "match"),
     [
         (["checkerbord"], r"KIND: no kind of board 'checkerbord' \(did you mean 'checkerboard'\?\)"),
+        (["checkerboard", "--square", "1e9"], r"a side of 1e\+09 m \(from 0.001 to 1 m\)"),
         (["checkerboard", "--columns", "2"], r"2 x 5 is no board \(from 4 to 200 each\)"),
         (
             ["checkerboard", "--paper", "a4"],

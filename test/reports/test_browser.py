@@ -24,7 +24,8 @@ from test.diagnose.helpers import CAMERA, CYCLIC, scene_text
 from .browser import CHROMIUM, open_page
 from .pages import faults_of, text_of
 
-NAMES = ("calibration", "diagnosis", "setup", "reproduction", "comparison")
+VERDICTS = ("consistent", "parameters", "unknown")
+NAMES = ("calibration", "diagnosis", "setup", *VERDICTS, "reproduction", "comparison")
 LONG = "a_folder_with_a_name_that_has_no_place_to_break/" * 3 + "recording"
 #: A calibration and a diagnosis come first, on machines that are busy.
 pytestmark = pytest.mark.timeout(1200)
@@ -48,6 +49,10 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     wrong = replace(
         found, verdict="inconsistent_setup", reason="18 of 18 poses disagree", missing=[], found=[]
     )
+    consistent = replace(found, verdict="consistent", missing=[], found=[])
+    parameters = replace(found, verdict="wrong_parameters", missing=[])
+    other = replace(found.missing[0], effect="unknown", parameters={}, interval={}, covariates=("row",))
+    unknown = replace(found, verdict="unknown_physics", missing=[other])
     made = calibrate(Request((bag,), known, scene, effects=("cyclic_error",), camera_name=LONG))
     from rim_camera_ros.reports.comparison import compare
     from rim_camera_ros.reports.comparison_page import comparison_page
@@ -58,6 +63,9 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         "calibration": calibration_page(made, title="camera.yaml"),
         "diagnosis": page(found, **named),
         "setup": page(wrong, **named),
+        "consistent": page(consistent, **named),
+        "parameters": page(parameters, **named),
+        "unknown": page(unknown, **named),
         "reproduction": html_page(reproduce(chosen(["dynamic_range", "ambiguity"]))),
         "comparison": comparison_page(two, names=(LONG, "b.yaml")),
     }
@@ -70,7 +78,15 @@ def test_the_html_of_every_page(pages: dict[str, str], name: str) -> None:
 
 @pytest.mark.skipif(CHROMIUM is None, reason=WITHOUT)
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)])
+@pytest.mark.parametrize(
+    ("width", "dark"),
+    [
+        (1280, False),
+        (390, True),
+        pytest.param(1280, True, marks=pytest.mark.slow),
+        pytest.param(390, False, marks=pytest.mark.slow),
+    ],
+)
 def test_every_page_in_a_browser(
     pages: dict[str, str], name: str, width: int, dark: bool, tmp_path: Path
 ) -> None:

@@ -86,12 +86,23 @@ def test_what_a_smooth_function_still_gains_is_told_beside_what_is_named(case: C
     assert "still gains" not in text_of(rendered(replace(case.missing, smooth_rest=None)))
 
 
+def test_what_stays_unexplained_comes_first(case: Case) -> None:
+    """More than half as much again as noise: whatever is named, that is not all."""
+    for chi, said in ((4.2, True), (1.2, False)):
+        accuracy = replace(case.missing.accuracy, chi2_after=chi, chi2_before=9.0)
+        shown = text_of(rendered(replace(case.missing, accuracy=accuracy)))
+        lead = "Unsure, as much of the difference stays unexplained (chi-square per value 4.200 after naming"
+        assert (lead in shown) == said
+        if said:
+            assert shown.index(lead) < shown.index("The simulation lacks odd harmonics")
+
+
 def test_page_tells_the_numbers_of_the_report(case: Case) -> None:
     content = case.page
     shown = text_of(content)
     report = as_json(case.missing)
     assert report["verdict"] == "missing_physics"
-    assert "The simulation leaves out odd harmonics of the modulation (cyclic_error)." in shown
+    assert "The simulation lacks odd harmonics of the modulation (cyclic_error)." in shown
     fit = report["fit"]
     assert f"{fit['rms_before'] * 1e3:.2f} → {fit['rms_after'] * 1e3:.2f} mm" in shown
     assert f"{fit['chi2_before']:.3f} → {fit['chi2_after']:.3f}" in shown
@@ -148,7 +159,7 @@ def test_page_of_a_consistent_recording_names_nothing(case: Case) -> None:
     assert case.consistent.verdict == "consistent"
     shown = text_of(rendered(case.consistent))
     assert "The simulation explains this recording" in shown
-    assert "What was left out" not in shown
+    assert "Missing physics" not in shown
     assert "→" not in shown
     assert "The curve that gave it away" not in shown
     assert "No effect is named." in shown

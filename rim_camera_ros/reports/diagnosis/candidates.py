@@ -108,7 +108,7 @@ def _alone(result: Diagnosis) -> list[Part]:
     absent = len([row for row in rows if row[3] == "named"]) == 0
     caption = (
         f"{_GAIN}Here of each effect alone, everything else fitted with it; logarithmic. "
-        "Red: its threshold; with nothing left out chance brings one effect or another beyond its own in "
+        "Red: its threshold; with nothing missing chance brings one effect or another beyond its own in "
         "about 2 % of recordings. "
         + ("No effect is named." if absent else "Coloured: what is named.")
         + " Sand: smooth functions without physics, as a check of the vocabulary. "
@@ -138,7 +138,7 @@ def nulls(result: Diagnosis) -> list[Part]:
         return []
     caption = (
         "Grey: the best gain of any effect in recordings simulated from the fitted camera, with noise and "
-        "errors of poses like those found but nothing left out. Red: what the best effect must exceed; "
+        "errors of poses like those found but nothing missing. Red: what the best effect must exceed; "
         "dashed: what any effect exceeds by chance in 2 % of the cases. Effects that gain much by chance "
         "have high thresholds of their own (marks above)."
     )

@@ -88,7 +88,7 @@ def _cards(result: Diagnosis) -> list[Card]:
         left, mood = noise_words(fit.chi2_before)
         before = f"chi-square per value {words.chi(fit.chi2_before)}"
         rms, label = f"{fit.rms_before * 1e3:.2f} mm", f"RMS difference of {whose}; {noise}"
-    cards = [Card(rms, label), Card(left, f"what is left at {whose} ({before})", mood)]
+    cards = [Card(rms, label), Card(left, f"unexplained at {whose} ({before})", mood)]
     sizes = [
         one.magnitude
         for one in result.missing
@@ -98,7 +98,7 @@ def _cards(result: Diagnosis) -> list[Card]:
         unknown = any(one.effect == UNKNOWN for one in result.missing)
         sign = "±" if unknown else "up to "
         rest = "" if unknown else " (99 % of the pixel values are moved less)"
-        cards.append(Card(sign + millimetres(max(sizes)), f"size of what was left out{rest}"))
+        cards.append(Card(sign + millimetres(max(sizes)), f"size of what is missing{rest}"))
     variance = result.variance
     if variance.repeated:
         wrong = variance.noise_is_wrong or variance.pixels_vary_together
@@ -171,7 +171,7 @@ def _further(result: Diagnosis) -> list[Part]:
             Text(
                 f"Beyond that, a smooth function of {name.replace('_', ' ')} still gains {gain:,.0f} nats"
                 f"{share}; chance does not. The form of what is named differs from the vocabulary's, or "
-                "something else is left out."
+                "something else is missing."
             )
         )
     return parts

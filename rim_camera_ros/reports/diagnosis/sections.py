@@ -60,7 +60,7 @@ def where(result: Diagnosis, found: Evidence) -> list[Part]:
     shown = pixels.max(initial=0.0) > 0
     caption = ""
     if shown:
-        what = "what was left out" if result.missing else "what is still unexplained"
+        what = "the missing physics" if result.missing else "what is still unexplained"
         caption = (
             f"Left: RMS over the poses of {what} (where.npy holds its square); outside of the smallest "
             f"region with 90 % of it paler: the region is {percent(region(pixels).mean())} of the array"
@@ -78,7 +78,7 @@ def where(result: Diagnosis, found: Evidence) -> list[Part]:
     if found.rms_before is not None:
         caption += f" {_AS_IF}"
     if np.isfinite(found.rms_after).any():
-        title = "what was left out" if result.missing else "unexplained"
+        title = "missing physics" if result.missing else "unexplained"
         picture = page_maps.where(pixels if shown else None, found.rms_before, found.rms_after, title=title)
         alt = "Maps over the image of what differs, before and after"
         parts.append(Figure(picture, alt, caption))

@@ -51,7 +51,7 @@ def hypotheses(report: Mapping[str, Any]) -> list[Part]:
         [
             _HYPOTHESES.get(one["hypothesis"], str(one["hypothesis"]).replace("_", " ")),
             str(one.get("surface") or "-"),
-            f"{float(one['gain'] or 0.0):,.0f}",
+            f"{round(float(one['gain'] or 0.0)):,}",
         ]
         for one in ranked
     ]

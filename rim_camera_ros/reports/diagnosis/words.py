@@ -82,7 +82,7 @@ def verdict(result: Diagnosis) -> str:
     """Return the verdict as one sentence."""
     match result.verdict:
         case "consistent":
-            return "The simulation explains this recording: nothing that it leaves out is visible."
+            return "The simulation explains this recording: no missing physics is visible."
         case "inconsistent_setup":
             reason = (result.reason or "the recording contradicts the scene").rstrip(".")
             return f"Recording, scene and camera file do not belong together: {reason}."
@@ -102,7 +102,7 @@ def verdict(result: Diagnosis) -> str:
         for names in result.indistinguishable
         if any(one.effect in names for one in result.missing)
     ]
-    return f"The simulation leaves out {joined([*sure, *unsure])}."
+    return f"The simulation lacks {joined([*sure, *unsure])}."
 
 
 def doubts(result: Diagnosis) -> list[str]:
@@ -110,6 +110,11 @@ def doubts(result: Diagnosis) -> list[str]:
     fit, found = result.accuracy, []
     if result.verdict == "inconsistent_setup":
         return []
+    if fit.chi2_after > _LEFT:
+        found.append(
+            f"much of the difference stays unexplained (chi-square per value {chi(fit.chi2_after)} after "
+            f"naming, {noise_words(fit.chi2_after)[0]}; noise alone: 1)"
+        )
     if result.indistinguishable:
         found.append("this recording cannot tell some effects apart")
     elif result.missing and result.missing[0].probability < _SURE:
@@ -118,8 +123,6 @@ def doubts(result: Diagnosis) -> list[str]:
         found.append("there are too few poses to check it on others")
     elif fit.got_worse:
         found.append("poses that took no part in the fit speak against it")
-    elif fit.chi2_after > _LEFT:
-        found.append(f"what is left is {noise_words(fit.chi2_after)[0]}")
     return found
 
 
