@@ -147,6 +147,8 @@ class Camera:
     """A camera file's content. ``effects`` maps names to parameter objects of `rim_camera_ros.effects`.
 
     ``minimum_amplitude`` None means: where the noise that the amplitude term adds exceeds the range noise.
+    ``measurement``: None for one modulation frequency, else an object of `rim_camera_ros.measurement`;
+    ``channels``: of several frequencies the ordinary camera of each.
     """
 
     sensor: Sensor
@@ -159,6 +161,8 @@ class Camera:
     validity: Validity = field(default_factory=Validity)
     covariance: Covariance | None = None
     provenance: Mapping[str, Any] = _EMPTY
+    measurement: Any = None
+    channels: tuple[Camera, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -217,6 +221,12 @@ class Camera:
                 place="frame_info",
                 remedy="give the camera file of that frequency: each is calibrated by itself",
             )
+
+    @property
+    def noise_range(self) -> float:
+        """R in metres of the amplitude's noise, sigma_A = 2 pi A sigma_d / R (`Noise.circular_range`)."""
+        stated = self.noise.circular_range
+        return self.sensor.ambiguity if stated is None else stated
 
     @property
     def background(self) -> float:

@@ -14,8 +14,11 @@ from typing import Any
 import numpy as np
 
 from rim_camera_ros.camera import Camera, Covariance, Radiometry, Sensor, Validity
-from rim_camera_ros.effects import SECTIONS, Effect, registry
+from rim_camera_ros.effects import SECTIONS, Effect, known_effects
 from rim_camera_ros.errors import InputError, nearest_name
+from rim_camera_ros.measurement import TYPES, Measurement, measurement_of
+from rim_camera_ros.measurement.per_frequency import documents, merged
+from rim_camera_ros.measurement.several_frequencies import SeveralFrequencies
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.optics import Optics
 from rim_camera_ros.parameters import ArrayFile, arrays_of, decode, encode, flatten, quantity, with_values
@@ -46,6 +49,7 @@ class _File:
     validity: Validity = field(default_factory=Validity)
     covariance: Covariance | None = None
     provenance: Any = None
+    measurement: Any = None
 
 
 def load_camera(path: str | os.PathLike[str]) -> Camera:
@@ -64,6 +68,28 @@ def load_camera(path: str | os.PathLike[str]) -> Camera:
             f"not a camera file: format is {document.data.get('format')!r}",
             f"expected format: {CAMERA_FORMAT}",
         )
+    parts = documents(document)
+    if len(parts) == 1:
+        return _checked(_camera(document), document)
+    stated = document.data.get("measurement") or {"type": SeveralFrequencies.type}
+    measurement = _decode_measurement(stated, document)
+    if not isinstance(measurement, SeveralFrequencies):
+        raise document.error(
+            ("measurement", "type"), "has one modulation frequency", f"give type: {SeveralFrequencies.type}"
+        )
+    return _checked(measurement.camera_of(tuple(_camera(one) for one in parts)), document)
+
+
+def _checked(camera: Camera, document: Document) -> Camera:
+    try:
+        measurement_of(camera).check(camera)
+    except ValueError as error:
+        raise document.error(("measurement",), str(error)) from None
+    return camera
+
+
+def _camera(document: Document) -> Camera:
+    """Return the camera of a document with one modulation frequency."""
     content = decode(_File, document.data, document)
     provenance = content.provenance if content.provenance is not None else {}
     if not isinstance(provenance, dict):
@@ -71,6 +97,7 @@ def load_camera(path: str | os.PathLike[str]) -> Camera:
     values = {one.name: getattr(content, one.name) for one in fields(_File) if one.name != "format"}
     values["effects"] = _EMPTY
     values["provenance"] = MappingProxyType(provenance)
+    values["measurement"] = _decode_measurement(content.measurement, document)
     camera = Camera(**values)
     try:
         camera.rays  # noqa: B018 -- the lens model must be invertible
@@ -92,7 +119,7 @@ def _decode_effects(data: Any, camera: Camera, document: Document) -> Mapping[st
         return _EMPTY
     if not isinstance(data, dict):
         raise document.error(("effects",), "expected a group of effects by name")
-    known = registry()
+    known = known_effects()
     for name in data:
         if name in SECTIONS:
             raise document.error(
@@ -113,12 +140,27 @@ def _decode_effects(data: Any, camera: Camera, document: Document) -> Mapping[st
     return MappingProxyType(effects)
 
 
+def _decode_measurement(data: Any, document: Document) -> Measurement | None:
+    if data is None:
+        return None
+    if not isinstance(data, dict) or "type" not in data:
+        raise document.error(("measurement",), "expected a group of keys with a type", f"one of: {_types()}")
+    if data["type"] not in TYPES:
+        raise document.error(("measurement", "type"), "unknown type", f"one of: {_types()}")
+    keys = {key: value for key, value in data.items() if key != "type"}
+    return decode(TYPES[data["type"]], keys, document, ("measurement",))
+
+
+def _types() -> str:
+    return ", ".join(TYPES)
+
+
 def with_effects(camera: Camera, effects: Mapping[str, Effect]) -> Camera:
     """Return the camera with these effects, ordered along the light and checked.
 
     Raises `InputError` for an unknown name or parameters that do not fit the camera.
     """
-    known = registry()
+    known = known_effects()
     for name in effects:
         if name not in known:
             raise InputError(f"unknown effect '{name}'", remedy=nearest_name(name, known))
@@ -202,9 +244,11 @@ def save_camera(camera: Camera, path: str | os.PathLike[str], *, comment: str = 
     Raises `RimError` where it cannot be written; arrays that were not there before are removed then.
     """
     path = Path(path)
-    arrays = [one for effect in camera.effects.values() for one in arrays_of(effect)]
-    if camera.covariance is not None:
-        arrays.append(camera.covariance.matrix)
+    arrays = list(arrays_of(camera.measurement))
+    for part in camera.channels or (camera,):
+        arrays += [one for effect in part.effects.values() for one in arrays_of(effect)]
+        if part.covariance is not None:
+            arrays.append(part.covariance.matrix)
     new = [path.parent / one.file for one in arrays if not (path.parent / one.file).exists()]
     try:
         for one in arrays:
@@ -252,7 +296,8 @@ def _with_own_arrays(camera: Camera, stem: str) -> Camera:
     covariance = camera.covariance
     if covariance is not None:
         covariance = replace(covariance, matrix=name("covariance", covariance.matrix))
-    return replace(camera, effects=MappingProxyType(effects), covariance=covariance)
+    channels = tuple(_with_own_arrays(one, stem) for one in camera.channels)
+    return replace(camera, effects=MappingProxyType(effects), covariance=covariance, channels=channels)
 
 
 def _with_arrays(effect: Effect, place: str, name: Callable[[str, ArrayFile], ArrayFile]) -> Effect:
@@ -263,7 +308,10 @@ def _with_arrays(effect: Effect, place: str, name: Callable[[str, ArrayFile], Ar
 
 def _document(camera: Camera) -> dict[str, Any]:
     """Return a camera file's content as plain data."""
-    data: dict[str, Any] = {"format": CAMERA_FORMAT, "device": camera.device}
+    if camera.channels:
+        data = merged([_document(one) for one in camera.channels])
+        return {**data, "measurement": {"type": camera.measurement.type, **encode(camera.measurement)}}
+    data = {"format": CAMERA_FORMAT, "device": camera.device}
     for section in ("sensor", "optics", "radiometry", "noise"):
         data[section] = encode(getattr(camera, section))
     data["minimum_amplitude"] = camera.minimum_amplitude
@@ -275,6 +323,8 @@ def _document(camera: Camera) -> dict[str, Any]:
         data["covariance"] = encode(camera.covariance)
     if camera.provenance:
         data["provenance"] = encode(camera.provenance)
+    if camera.measurement is not None:
+        data["measurement"] = {"type": camera.measurement.type, **encode(camera.measurement)}
     return data
 
 

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.errors import InputError
+
 NANOSECONDS = 1_000_000_000
 
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
@@ -24,10 +26,11 @@ class Flag(enum.IntFlag):
     MIXED_PIXEL = 4
     OUTSIDE_CALIBRATION = 8
     NO_MEASUREMENT = 16
+    AMBIGUOUS = 32
 
 
 #: Bits with which a pixel has no corrected distance and no point.
-INVALID = Flag.LOW_AMPLITUDE | Flag.SATURATED | Flag.NO_MEASUREMENT
+INVALID = Flag.LOW_AMPLITUDE | Flag.SATURATED | Flag.NO_MEASUREMENT | Flag.AMBIGUOUS
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,9 @@ class RawFrame:
 
     ``distance`` (H, W): uint16 counts (one count = ``distance_lsb``; 0 = no measurement) or float32
     metres (NaN or 0 = no measurement). ``amplitude`` (H, W): uint16 or float32 counts.
+    ``sigma`` (H, W): 1-sigma of the distance in metres where it is known of this very frame, else None.
+    ``images``: what the device measures beyond these, by role (see `rim_camera_ros.bags.topics`); where it
+    holds ``distance_1`` but no ``distance_0``, distance and amplitude are those of the first frequency.
     ``stamp`` in nanoseconds. ``truth`` holds the poses of scene surfaces that are valid for this
     frame (the last message of each surface at or before the stamp); ``pose_stamps`` their stamps.
     """
@@ -93,11 +99,28 @@ class RawFrame:
     pose_stamps: Mapping[str, int] = _NOTHING
     intrinsics: Intrinsics | None = None
     device: str = ""
+    images: Mapping[str, NDArray[Any]] = _NOTHING
+    sigma: NDArray[Any] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width) in pixels."""
         return (int(self.distance.shape[0]), int(self.distance.shape[1]))
+
+    @property
+    def by_role(self) -> dict[str, NDArray[Any]]:
+        """Every image by the role of its topic."""
+        first = "_0" if "distance_1" in self.images and "distance_0" not in self.images else ""
+        return {f"distance{first}": self.distance, f"amplitude{first}": self.amplitude, **self.images}
+
+    def require_one_distance(self) -> None:
+        """Raise `InputError` where distance and amplitude are those of one of several frequencies."""
+        if "distance" not in self.by_role:
+            raise InputError(
+                "it holds the images of several modulation frequencies, the camera file has one",
+                place="sensor.modulation_frequency",
+                remedy="give the camera file of these frequencies",
+            )
 
     def with_truth_of(self, surfaces: Set[str]) -> RawFrame:
         """Return the frame without the poses of other surfaces; itself where it has no others."""

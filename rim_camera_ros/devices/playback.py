@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from rim_camera_ros.bags import Recording, Topics
+from rim_camera_ros.bags.topics import SAMPLES
 from rim_camera_ros.devices.pace import Pace
 from rim_camera_ros.devices.simulator import checked_rate
 from rim_camera_ros.errors import DeviceError, InputError, RimError
@@ -61,12 +62,18 @@ class Playback:
         self._recorded_rate = DEFAULT_RATE
         self._pace = Pace()
         self._stream: Iterator[_Recorded] | None = None
+        self._roles: tuple[str, ...] = ("distance", "amplitude")
         self.assumptions: list[str] = []
 
     @property
     def frame_rate(self) -> float:
         """Frames per second: as set, or the recording's mean times ``rate``."""
         return self._given_rate if self._given_rate is not None else self._recorded_rate * self.rate
+
+    @property
+    def image_roles(self) -> tuple[str, ...]:
+        """Roles of the images of its frames, as its first frame has them."""
+        return self._roles
 
     def open(self) -> None:
         """Open the recording and read its first frame; a no-op when it is open.
@@ -79,6 +86,8 @@ class Playback:
         self._poses: dict[str, tuple[int, int]] = {}
         stream = self._rounds()
         self._first = next(stream, None)
+        if self._first is not None:
+            self._roles = tuple(one for one in self._first.frame.by_role if one not in SAMPLES)
         self._stream = stream
 
     def next_frame(self) -> RawFrame | None:

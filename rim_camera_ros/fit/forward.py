@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.chain import Chain, deliver, ideal_amplitude
-from rim_camera_ros.effects import registry
+from rim_camera_ros.effects import effects_of, registry
 from rim_camera_ros.effects.base import (
     Context,
     Signal,
@@ -85,7 +85,7 @@ class Forward:
         # the last is that of a ray that meets nothing, which has the number -1
         self._undescribed = np.array([*(not one.is_described for one in scene.surfaces), False])
         self._chain = Chain.of(camera.effects.values(), of_means=True)
-        self._order = {name: i for i, name in enumerate(registry())}
+        self._order = {name: i for i, name in enumerate(effects_of(camera))}
         self._of_geometry = [name for name, one in registry().items() if one.remembers_geometry]
 
     def __getstate__(self) -> dict[str, Any]:
@@ -353,7 +353,7 @@ class Forward:
     def _variances(self, amplitude: Array, context: Context) -> tuple[Array, Array]:
         """Return the variances of one frame's distance [m^2] and amplitude [counts^2]."""
         sigma = self.camera.noise.sigma_distance(amplitude, background=self.camera.background)
-        by_amplitude = sigma_amplitude(sigma, amplitude, ambiguity=context.ambiguity)
+        by_amplitude = sigma_amplitude(sigma, amplitude, ambiguity=self.camera.noise_range)
         return sigma**2, by_amplitude**2
 
     def _latent(
@@ -368,7 +368,7 @@ class Forward:
         if model.tau == 0.0:
             return predicted, 1.0
         sigma = self.camera.noise.sigma_distance(predicted, background=self.camera.background)
-        noise = 2 * np.pi / self.camera.sensor.ambiguity * sigma / np.sqrt(n)
+        noise = 2 * np.pi / self.camera.noise_range * sigma / np.sqrt(n)
         share = model.tau**2 / (model.tau**2 + noise**2)
         measured = self._expanded(station.amplitude.astype(float))
         with np.errstate(divide="ignore", invalid="ignore"):

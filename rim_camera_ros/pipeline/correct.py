@@ -160,8 +160,13 @@ class Correction:
         """Return the minimum amplitude in counts that holds at these settings."""
         return self._fold(settings).amplitude.minimum
 
-    def carry_on(self, before: Correction) -> None:
-        """Take over what another correction knows of the past: lagging temperature, filtered reference."""
+    def carry_on(self, before: Any) -> None:
+        """Take over what another correction knows of the past: lagging temperature, filtered reference.
+
+        One of another way of measuring knows nothing of use.
+        """
+        if not isinstance(before, Correction):
+            return
         self._memory = dict(before._memory)
         self._start, self._last = before._start, before._last
 
@@ -176,6 +181,7 @@ class Correction:
                 f"{expected[1]} x {expected[0]}",
                 remedy="give the camera file of this sensor",
             )
+        frame.require_one_distance()
         self.camera.check_modulation(frame.settings)
         if self._last is not None and frame.stamp < self._last:
             self._memory.clear()
@@ -231,6 +237,8 @@ class Correction:
         else:
             work = self._read(frame, folded, unit, offset, solve=banded)
         y, reading = work.light.distance, work.reading
+        if frame.sigma is not None:
+            reading.sigma = frame.sigma.astype(self._dtype)
         if banded:
             work.light = self._optics.undo(y, reading.amplitude, folded.context)
             return work
