@@ -147,6 +147,7 @@ class Camera:
     """A camera file's content. ``effects`` maps names to parameter objects of `rim_camera_ros.effects`.
 
     ``minimum_amplitude`` None means: where the noise that the amplitude term adds exceeds the range noise.
+    ``measurement``: None for one modulation frequency, else an object of `rim_camera_ros.measurement`.
     """
 
     sensor: Sensor
@@ -159,6 +160,7 @@ class Camera:
     validity: Validity = field(default_factory=Validity)
     covariance: Covariance | None = None
     provenance: Mapping[str, Any] = _EMPTY
+    measurement: Any = None
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -16,6 +16,7 @@ import numpy as np
 from rim_camera_ros.camera import Camera, Covariance, Radiometry, Sensor, Validity
 from rim_camera_ros.effects import SECTIONS, Effect, registry
 from rim_camera_ros.errors import InputError, nearest_name
+from rim_camera_ros.measurement import TYPES, Measurement
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.optics import Optics
 from rim_camera_ros.parameters import ArrayFile, arrays_of, decode, encode, flatten, quantity, with_values
@@ -46,6 +47,7 @@ class _File:
     validity: Validity = field(default_factory=Validity)
     covariance: Covariance | None = None
     provenance: Any = None
+    measurement: Any = None
 
 
 def load_camera(path: str | os.PathLike[str]) -> Camera:
@@ -71,6 +73,7 @@ def load_camera(path: str | os.PathLike[str]) -> Camera:
     values = {one.name: getattr(content, one.name) for one in fields(_File) if one.name != "format"}
     values["effects"] = _EMPTY
     values["provenance"] = MappingProxyType(provenance)
+    values["measurement"] = _decode_measurement(content.measurement, document)
     camera = Camera(**values)
     try:
         camera.rays  # noqa: B018 -- the lens model must be invertible
@@ -111,6 +114,21 @@ def _decode_effects(data: Any, camera: Camera, document: Document) -> Mapping[st
             except ValueError as error:
                 raise document.error(("effects", name), str(error)) from None
     return MappingProxyType(effects)
+
+
+def _decode_measurement(data: Any, document: Document) -> Measurement | None:
+    if data is None:
+        return None
+    if not isinstance(data, dict) or "type" not in data:
+        raise document.error(("measurement",), "expected a group of keys with a type", f"one of: {_types()}")
+    if data["type"] not in TYPES:
+        raise document.error(("measurement", "type"), "unknown type", f"one of: {_types()}")
+    keys = {key: value for key, value in data.items() if key != "type"}
+    return decode(TYPES[data["type"]], keys, document, ("measurement",))
+
+
+def _types() -> str:
+    return ", ".join(TYPES)
 
 
 def with_effects(camera: Camera, effects: Mapping[str, Effect]) -> Camera:
@@ -202,7 +220,7 @@ def save_camera(camera: Camera, path: str | os.PathLike[str], *, comment: str = 
     Raises `RimError` where it cannot be written; arrays that were not there before are removed then.
     """
     path = Path(path)
-    arrays = [one for effect in camera.effects.values() for one in arrays_of(effect)]
+    arrays = [one for part in (*camera.effects.values(), camera.measurement) for one in arrays_of(part)]
     if camera.covariance is not None:
         arrays.append(camera.covariance.matrix)
     new = [path.parent / one.file for one in arrays if not (path.parent / one.file).exists()]
@@ -275,6 +293,8 @@ def _document(camera: Camera) -> dict[str, Any]:
         data["covariance"] = encode(camera.covariance)
     if camera.provenance:
         data["provenance"] = encode(camera.provenance)
+    if camera.measurement is not None:
+        data["measurement"] = {"type": camera.measurement.type, **encode(camera.measurement)}
     return data
 
 

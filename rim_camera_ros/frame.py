@@ -81,6 +81,7 @@ class RawFrame:
 
     ``distance`` (H, W): uint16 counts (one count = ``distance_lsb``; 0 = no measurement) or float32
     metres (NaN or 0 = no measurement). ``amplitude`` (H, W): uint16 or float32 counts.
+    ``images``: what the device measures beyond these, by role (see `rim_camera_ros.bags.topics`).
     ``stamp`` in nanoseconds. ``truth`` holds the poses of scene surfaces that are valid for this
     frame (the last message of each surface at or before the stamp); ``pose_stamps`` their stamps.
     """
@@ -93,6 +94,7 @@ class RawFrame:
     pose_stamps: Mapping[str, int] = _NOTHING
     intrinsics: Intrinsics | None = None
     device: str = ""
+    images: Mapping[str, NDArray[Any]] = _NOTHING
 
     @property
     def shape(self) -> tuple[int, int]:

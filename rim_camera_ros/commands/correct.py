@@ -29,7 +29,7 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera
 from rim_camera_ros.frame import CorrectedFrame, RawFrame
 from rim_camera_ros.info.text import several
-from rim_camera_ros.pipeline.correct import Correction
+from rim_camera_ros.measurement import FrameCorrection, measurement_of
 from rim_camera_ros.yaml_files import write_whole
 
 _EXAMPLES = """
@@ -84,7 +84,9 @@ def run(given: argparse.Namespace) -> int:
     """Correct, and write what was asked for."""
     camera = _checked(given)
     without = [one.strip() for one in given.without.split(",") if one.strip()]
-    correction = Correction(camera, without=without, minimum_amplitude=given.minimum_amplitude)
+    correction = measurement_of(camera).correction(
+        camera, without=without, minimum_amplitude=given.minimum_amplitude
+    )
     single = given.ply is not None or given.npz is not None
     if given.frame != 0 and not single:
         raise InputError(
@@ -157,7 +159,7 @@ def _checked(given: argparse.Namespace) -> Camera:
     return camera_of(given.camera)
 
 
-def _corrected(correction: Correction, raw: RawFrame, given: argparse.Namespace) -> CorrectedFrame:
+def _corrected(correction: FrameCorrection, raw: RawFrame, given: argparse.Namespace) -> CorrectedFrame:
     try:
         return correction.correct(raw)
     except InputError as error:
@@ -165,7 +167,7 @@ def _corrected(correction: Correction, raw: RawFrame, given: argparse.Namespace)
 
 
 def _write_frame(
-    given: argparse.Namespace, correction: Correction, index: int, corrected: CorrectedFrame
+    given: argparse.Namespace, correction: FrameCorrection, index: int, corrected: CorrectedFrame
 ) -> list[str]:
     points = correction.cloud(corrected)
     written = []

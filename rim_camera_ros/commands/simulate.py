@@ -28,8 +28,9 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.frame import NANOSECONDS, RawFrame
 from rim_camera_ros.info.text import several
+from rim_camera_ros.measurement import FrameSimulation, measurement_of
 from rim_camera_ros.phasor import Waveform, parse_waveform
-from rim_camera_ros.pipeline.simulate import Exposure, Simulation
+from rim_camera_ros.pipeline.simulate import Exposure
 
 #: Stamp of the first frame: ROS time 0 means "no time".
 START = NANOSECONDS
@@ -93,7 +94,8 @@ def run(given: argparse.Namespace) -> int:
     if given.poses is not None and (given.rate or given.integration_time):
         raise InputError("--rate and --integration-time come from the recording that --poses names")
     try:
-        simulation = Simulation(camera, scene, seed=given.seed, waveform=waveform)
+        measurement = measurement_of(camera)
+        simulation = measurement.simulation(camera, scene, seed=given.seed, waveform=waveform)
         with ExitStack() as stack:
             bag = None
             if given.poses is not None:
@@ -125,7 +127,7 @@ def _waveform(text: str | None) -> Waveform | None:
 
 
 def _exposures(
-    given: argparse.Namespace, simulation: Simulation, bag: Recording | None
+    given: argparse.Namespace, simulation: FrameSimulation, bag: Recording | None
 ) -> tuple[Iterable[Exposure], int | None]:
     """Return the exposures and, where it is known, their number."""
     scene, camera = simulation.scene, simulation.camera
@@ -147,7 +149,7 @@ def _exposures(
     return islice(iter(timeline), total), total
 
 
-def _like(bag: Recording, path: Path, simulation: Simulation) -> Iterator[Exposure]:
+def _like(bag: Recording, path: Path, simulation: FrameSimulation) -> Iterator[Exposure]:
     """Yield the exposures of a recording; an error names the recording and the frame."""
     last: list[int] = []
 

@@ -12,8 +12,8 @@ from rim_camera_ros.devices.pace import Pace
 from rim_camera_ros.devices.timeline import Timeline
 from rim_camera_ros.errors import DeviceError, InputError
 from rim_camera_ros.frame import NANOSECONDS, RawFrame
+from rim_camera_ros.measurement import measurement_of
 from rim_camera_ros.phasor import Waveform
-from rim_camera_ros.pipeline.simulate import Simulation
 from rim_camera_ros.scene import Scene
 
 #: Share by which the time that a frame took is exceeded when the next one is begun.
@@ -89,7 +89,9 @@ class Simulator:
         """
         if self._timeline is not None:
             return
-        self._simulation = Simulation(self.camera, self.scene, seed=self.seed, waveform=self.waveform)
+        self._simulation = measurement_of(self.camera).simulation(
+            self.camera, self.scene, seed=self.seed, waveform=self.waveform
+        )
         self._begin = self._start if self._start is not None else time.time_ns()
         timeline = Timeline(
             self.scene,

@@ -10,7 +10,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.info.text import number, section, span, table, words
-from rim_camera_ros.pipeline.correct import Correction
+from rim_camera_ros.measurement import measurement_of
 
 #: Amplitudes in counts at which the noise is stated.
 _AMPLITUDES = (100.0, 300.0, 1000.0, 3000.0, 10000.0)
@@ -23,7 +23,8 @@ def camera_facts(camera: Camera) -> dict[str, Any]:
     middle = rays[sensor.height // 2], rays[:, sensor.width // 2]
     times = _integration_times(camera)
     sigma = camera.noise.sigma_distance(np.array(_AMPLITUDES), background=camera.background)
-    correction = Correction(camera)
+    measurement = measurement_of(camera)
+    correction = measurement.correction(camera)
     return {
         "device": camera.device,
         "width": sensor.width,
@@ -55,6 +56,7 @@ def camera_facts(camera: Camera) -> dict[str, Any]:
         },
         "parameters_with_sigma": len(camera.covariance.parameters) if camera.covariance else 0,
         "provenance": dict(camera.provenance),
+        "measurement": dict(measurement.rows(camera)),
     }
 
 
@@ -78,6 +80,7 @@ def camera_text(facts: dict[str, Any]) -> str:
             + (f", nothing delivered below {number(threshold, 'counts')}" if threshold else ""),
         ),
     ]
+    lines += facts["measurement"].items()
     suppression = facts["background_suppression_db"]
     if suppression is not None:
         most = facts["saturation_counts"] * 10.0 ** (suppression / 20.0)

@@ -33,6 +33,7 @@ from rim_camera_ros.nodes.correction.aside import Aside
 from rim_camera_ros.nodes.correction.freshness import Freshness
 from rim_camera_ros.nodes.correction.input import Input, MemoryInput, MessageInput, Receiver
 from rim_camera_ros.nodes.correction.parameters import (
+from rim_camera_ros.measurement import FrameCorrection
     BESIDE,
     EFFECT,
     PEOPLE,
@@ -236,7 +237,7 @@ class CorrectionNode:
             self._folders.check(values["camera"], kind="calibration", place="camera")
         used, last, seen = self._camera, self._last, list(self._seen.values())
 
-        def build() -> tuple[Camera, Correction]:
+        def build() -> tuple[Camera, FrameCorrection]:
             camera = load_camera(find_camera(values["camera"])) if anew else used
             correction = correction_of(camera, values)
             if last is not None and last.shape == camera.shape:

@@ -9,12 +9,12 @@ from rim_camera_ros.devices.timeline import DEFAULT_INTEGRATION_TIME
 from rim_camera_ros.effects import registry
 from rim_camera_ros.errors import InputError, nearest_name
 from rim_camera_ros.frame import RawFrame, Settings
+from rim_camera_ros.measurement import FrameCorrection, measurement_of
 from rim_camera_ros.nodes.common.folders import FOLDERS
 from rim_camera_ros.nodes.common.lifecycle import AUTOSTART
 from rim_camera_ros.nodes.common.parameters import Spec, Values
 from rim_camera_ros.nodes.common.qos import CHOICES, SENSOR_DATA
 from rim_camera_ros.nodes.correction.freshness import MAXIMUM_AGE, QUEUE_DEPTH
-from rim_camera_ros.pipeline.correct import Correction
 
 EFFECT = "effects."
 
@@ -73,7 +73,7 @@ def effect_spec(name: str, on: bool) -> Spec:
     )
 
 
-def correction_of(camera: Camera, values: Values) -> Correction:
+def correction_of(camera: Camera, values: Values) -> FrameCorrection:
     """Return the correction that parameters describe; `InputError` for what does not fit the camera."""
     on = {name for name in registry() if values[EFFECT + name]}
     foreign = sorted(on - set(camera.effects))
@@ -88,12 +88,12 @@ def correction_of(camera: Camera, values: Values) -> Correction:
         raise InputError(
             f"{minimum:g} counts", place="minimum_amplitude", remedy="0 or more, or -1 for the camera file's"
         )
-    return Correction(
+    return measurement_of(camera).correction(
         camera, without=set(camera.effects) - on, minimum_amplitude=None if minimum < 0 else minimum
     )
 
 
-def warm_up(correction: Correction) -> None:
+def warm_up(correction: FrameCorrection) -> None:
     """Make the tables of the most likely setting, which take longer than a frame may, before frames come."""
     camera = correction.camera
     counts = np.full(camera.shape, 1000, np.uint16)
@@ -102,5 +102,8 @@ def warm_up(correction: Correction) -> None:
         integration_time=integration_time, uptime=0.0, ambient_temperature=0.0, reference_distance=0.0
     )
     # from the far future: every real frame lies before it and begins anew
-    correction.correct(RawFrame(stamp=2**62, distance=counts, amplitude=counts, settings=settings))
+    images = dict.fromkeys(measurement_of(camera).image_roles(camera)[2:], counts)
+    correction.correct(
+        RawFrame(stamp=2**62, distance=counts, amplitude=counts, settings=settings, images=images)
+    )
     correction.notes.clear()

@@ -13,11 +13,11 @@ from std_msgs.msg import Header
 from rim_camera_ros.bags.image_transport import compressed, compressed_depth
 from rim_camera_ros.bags.topics import CAMERA_INFO, COMPRESSED, IMAGE, ROLES
 from rim_camera_ros.frame import CorrectedDistance, CorrectedFrame, RawFrame
+from rim_camera_ros.measurement import FrameCorrection
 from rim_camera_ros.nodes.common import messages, qos
 from rim_camera_ros.nodes.common.handover import CorrectedCloud, Handover
 from rim_camera_ros.nodes.common.lifecycle import ManagedNode
 from rim_camera_ros.nodes.common.parameters import Values
-from rim_camera_ros.pipeline.correct import Correction
 from rim_camera_ros.pipeline.rectification import rectifier
 
 #: Topics that are no roles of recordings: name, message type.
@@ -61,7 +61,7 @@ class CorrectedPublishers:
             self._node.destroy_publisher(one)
 
     def publish(
-        self, correction: Correction, frame: RawFrame, frame_id: str, *, whole: bool
+        self, correction: FrameCorrection, frame: RawFrame, frame_id: str, *, whole: bool
     ) -> CorrectedFrame | None:
         """Correct a frame and publish what somebody listens to.
 
@@ -110,7 +110,7 @@ class CorrectedPublishers:
             self._of["flags_compressed"].publish(messages.compressed_image(compressed(frame.flags), head))
 
     def _publish_depth(
-        self, correction: Correction, depth: NDArray[np.float32], wanted: Set[str], head: Header
+        self, correction: FrameCorrection, depth: NDArray[np.float32], wanted: Set[str], head: Header
     ) -> None:
         images = {"depth": depth}
         if wanted & _RECTIFIED:

@@ -1,0 +1,30 @@
+"""How devices measure: one frequency, or another type that the camera file's ``measurement`` names.
+
+Outside this package and `rim_camera_ros.devices` nothing asks which type a camera is of: it asks the
+`Measurement` what it needs.
+"""
+
+from __future__ import annotations
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.measurement.base import (
+    FrameCorrection,
+    FrameSimulation,
+    Measurement,
+    OneFrequency,
+    Part,
+)
+
+#: Types by their name in a camera file; each a frozen dataclass of the keys of the group ``measurement``.
+TYPES: dict[str, type[Measurement]] = {}
+
+_ORDINARY = OneFrequency()
+
+
+def measurement_of(camera: Camera) -> Measurement:
+    """Return how a camera measures."""
+    found: Measurement = _ORDINARY if camera.measurement is None else camera.measurement
+    return found
+
+
+__all__ = ["TYPES", "FrameCorrection", "FrameSimulation", "Measurement", "Part", "measurement_of"]

@@ -1,0 +1,149 @@
+"""The interface of a way of measuring, and the ordinary one: distance and amplitude at one frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.frame import CorrectedDistance, CorrectedFrame, RawFrame, Settings
+from rim_camera_ros.phasor import Waveform
+from rim_camera_ros.scene import Geometry, Scene
+
+if TYPE_CHECKING:
+    from rim_camera_ros.pipeline.simulate import Exposure
+
+
+class FrameSimulation(Protocol):
+    """Makes raw frames of a scene; `rim_camera_ros.pipeline.simulate.Simulation` is the ordinary one."""
+
+    camera: Camera
+    scene: Scene
+    notes: set[str]
+
+    def frame(self, exposure: Exposure) -> RawFrame:
+        """Return one raw frame with settings and truth."""
+
+    def geometry(self, poses: Mapping[str, Any]) -> Geometry:
+        """Return what the pixels see."""
+
+    def true_distance(self, exposure: Exposure) -> NDArray[np.float64]:
+        """Return the true radial distance (H, W) in metres, NaN where nothing is seen."""
+
+
+class FrameCorrection(Protocol):
+    """Corrects raw frames; `rim_camera_ros.pipeline.correct.Correction` is the ordinary one."""
+
+    camera: Camera
+    notes: set[str]
+
+    def correct(self, frame: RawFrame) -> CorrectedFrame:
+        """Return the corrected frame."""
+
+    def correct_distance(self, frame: RawFrame) -> CorrectedDistance:
+        """Return distance and amplitude as `correct` does, without sigma and flags."""
+
+    def cloud(
+        self, frame: CorrectedDistance, *, out: NDArray[np.float32] | None = None
+    ) -> NDArray[np.float32]:
+        """Return the organised cloud (H, W, 4) float32: x y z [m], intensity [counts]."""
+
+    def depth(self, frame: CorrectedDistance) -> NDArray[np.float32]:
+        """Return the depth along z in metres (H, W) float32."""
+
+    def minimum_for(self, settings: Settings) -> float:
+        """Return the minimum amplitude in counts that holds at these settings."""
+
+    def carry_on(self, before: Any) -> None:
+        """Take over what another correction of this camera knows of the past."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Images of a camera that are calibrated and diagnosed by themselves, as an ordinary camera's.
+
+    ``name`` is empty where they are all there is; ``roles``: the roles of distance and amplitude by those
+    of an ordinary camera.
+    """
+
+    camera: Camera
+    name: str = ""
+    roles: Mapping[str, str] | None = None
+
+
+class Measurement(Protocol):
+    """How a device measures: the images of an exposure, what simulates them and what corrects them.
+
+    The object is the group ``measurement`` of a camera file, by its ``type``.
+    """
+
+    #: its name in a camera file
+    type: ClassVar[str]
+
+    def image_roles(self, camera: Camera) -> tuple[str, ...]:
+        """Return the roles of the images that every raw exposure has."""
+
+    def simulation(
+        self,
+        camera: Camera,
+        scene: Scene,
+        *,
+        seed: int = 0,
+        waveform: Waveform | None = None,
+        noise: bool = True,
+        quantised: bool = True,
+    ) -> FrameSimulation:
+        """Return what simulates frames of the camera. Raises `InputError` for what it cannot simulate."""
+
+    def correction(
+        self, camera: Camera, *, without: Iterable[str] = (), minimum_amplitude: float | None = None
+    ) -> FrameCorrection:
+        """Return what corrects frames of the camera."""
+
+    def parts(self, camera: Camera) -> tuple[Part, ...]:
+        """Return the images that are calibrated and diagnosed, with the ordinary camera of each."""
+
+    def joined(self, camera: Camera, parts: tuple[Camera, ...]) -> Camera:
+        """Return the camera whose `parts` have become these."""
+
+    def rows(self, camera: Camera) -> list[tuple[str, str]]:
+        """Return what `rim info` says of the way of measuring: labels and texts."""
+
+
+@dataclass(frozen=True)
+class OneFrequency:
+    """Continuous modulation at one frequency (Kahlmann 2007, sec. 2.3.1), or a distance already resolved."""
+
+    type: ClassVar[str] = "one_frequency"
+
+    def image_roles(self, camera: Camera) -> tuple[str, ...]:
+        """Return distance and amplitude."""
+        return ("distance", "amplitude")
+
+    def simulation(self, camera: Camera, scene: Scene, **options: Any) -> FrameSimulation:
+        """Return the chain of effects, forward."""
+        from rim_camera_ros.pipeline.simulate import Simulation
+
+        return Simulation(camera, scene, **options)
+
+    def correction(self, camera: Camera, **options: Any) -> FrameCorrection:
+        """Return the chain of effects, in reverse."""
+        from rim_camera_ros.pipeline.correct import Correction
+
+        return Correction(camera, **options)
+
+    def parts(self, camera: Camera) -> tuple[Part, ...]:
+        """Return the camera itself."""
+        return (Part(camera),)
+
+    def joined(self, camera: Camera, parts: tuple[Camera, ...]) -> Camera:
+        """Return its only part."""
+        return parts[0]
+
+    def rows(self, camera: Camera) -> list[tuple[str, str]]:
+        """Return nothing: the sensor's rows say it."""
+        return []
