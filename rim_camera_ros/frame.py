@@ -81,7 +81,8 @@ class RawFrame:
 
     ``distance`` (H, W): uint16 counts (one count = ``distance_lsb``; 0 = no measurement) or float32
     metres (NaN or 0 = no measurement). ``amplitude`` (H, W): uint16 or float32 counts.
-    ``images``: what the device measures beyond these, by role (see `rim_camera_ros.bags.topics`).
+    ``images``: what the device measures beyond these, by role (see `rim_camera_ros.bags.topics`); where it
+    holds ``distance_1`` but no ``distance_0``, distance and amplitude are those of the first frequency.
     ``stamp`` in nanoseconds. ``truth`` holds the poses of scene surfaces that are valid for this
     frame (the last message of each surface at or before the stamp); ``pose_stamps`` their stamps.
     """
@@ -100,6 +101,12 @@ class RawFrame:
     def shape(self) -> tuple[int, int]:
         """(height, width) in pixels."""
         return (int(self.distance.shape[0]), int(self.distance.shape[1]))
+
+    @property
+    def by_role(self) -> dict[str, NDArray[Any]]:
+        """Every image by the role of its topic."""
+        first = "_0" if "distance_1" in self.images and "distance_0" not in self.images else ""
+        return {f"distance{first}": self.distance, f"amplitude{first}": self.amplitude, **self.images}
 
     def with_truth_of(self, surfaces: Set[str]) -> RawFrame:
         """Return the frame without the poses of other surfaces; itself where it has no others."""

@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from rim_camera_ros.bags.images import decode_image, encode_image
-from rim_camera_ros.bags.topics import DEFAULT_NAMESPACE, ROLES, Topics
+from rim_camera_ros.bags.topics import DEFAULT_NAMESPACE, KNOWN_ROLES, ROLES, Topics
 
 if TYPE_CHECKING:
     from rim_camera_ros.bags.recording import Recording, RecordingSummary, TopicSummary
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DEFAULT_NAMESPACE",
+    "KNOWN_ROLES",
     "ROLES",
     "Recording",
     "RecordingSummary",

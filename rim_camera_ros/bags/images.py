@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.bags.topics import FURTHER_IMAGES
 from rim_camera_ros.errors import InputError
 
 _SAMPLES = {
@@ -25,6 +26,7 @@ ENCODINGS = {
     "flags": ("8UC1", "mono8"),
     "corrected_distance": ("32FC1",),
     "depth": ("32FC1",),
+    **dict.fromkeys(FURTHER_IMAGES, ("16UC1", "mono16", "32FC1")),
 }
 
 #: Counts of one step of a mono8 amplitude image (ROS 1 SwissRanger: the upper eight bits).

@@ -11,6 +11,7 @@ from typing import Any, Literal
 from numpy.typing import NDArray
 
 from rim_camera_ros.bags import messages
+from rim_camera_ros.bags.images import ENCODINGS
 from rim_camera_ros.bags.topics import POSE_ROLES, is_swissranger_intensity
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Intrinsics, Pose, RawFrame, Settings
@@ -22,7 +23,6 @@ Backwards = Literal["error", "count"]
 PENDING_STAMPS = 64
 PENDING_BYTES = 128 << 20
 
-_IMAGES = ("distance", "amplitude")
 _LONGEST_HISTORY = 20_000
 
 
@@ -81,6 +81,8 @@ class Pairing:
         self._backwards = on_backwards
         self._say = say
         roles = {role for role, _ in routes.values()}
+        self._images = tuple(role for role in ENCODINGS if role in roles)
+        self._lead = self._images[0] if self._images else "distance"
         self._expected = tuple(role for role in ("camera_info", "frame_info") if role in roles)
         self._waits = bool(roles & {"temperature", "ambient", "reference", *POSE_ROLES})
         self._pending: dict[int, _Exposure] = {}
@@ -123,7 +125,7 @@ class Pairing:
         frames: list[RawFrame] = []
         exposure = self._exposure(role, stamp, place, frames)
         if exposure is not None:
-            if role in _IMAGES:
+            if role in self._images:
                 exposure.images[role] = value
                 exposure.size += value.nbytes
                 self._bytes += value.nbytes
@@ -150,10 +152,10 @@ class Pairing:
                 self._say(reason)
             return intrinsics
         image = self._image(role, topic, message, place)
-        partner = _IMAGES[role == "distance"]
         exposure = self._pending.get(stamp)
-        other = exposure.images.get(partner) if exposure is not None else None
-        if other is not None and other.shape != image.shape:
+        others = exposure.images.items() if exposure is not None else ()
+        partner, other = next(((name, one) for name, one in others if name != role), ("", image))
+        if other.shape != image.shape:
             raise InputError(
                 f"the {role} is {_size(image.shape)}, the {partner} {_size(other.shape)}",
                 place=place,
@@ -166,7 +168,7 @@ class Pairing:
         image = messages.image_array(message, role=role, place=place, mono8_amplitude=eight)
         if eight and message.encoding in ("mono8", "8UC1"):
             self._say(f"{topic} is mono8: one step is 256 counts")
-        if role == "distance" and not self._frame_id:
+        if role == self._lead and not self._frame_id:
             self._frame_id = message.header.frame_id
         layout = (image.shape, str(message.encoding))
         before = self._layout.setdefault(role, layout)
@@ -188,13 +190,13 @@ class Pairing:
         """Return what is being collected for a stamp, None for a message that is not needed."""
         exposure = self._pending.get(stamp)
         if exposure is not None and exposure.has(role):
-            if self._backwards == "count" and len(exposure.images) == 2:
+            if self._backwards == "count" and len(exposure.images) == len(self._images):
                 frames += self.flush()  # a short loop: its next round has come
                 exposure = None
-            elif role != "distance" or self._backwards == "count":
+            elif role != self._lead or self._backwards == "count":
                 self.skipped[f"{role} twice with one stamp"] += 1
                 return None
-        if role == "distance":
+        if role == self._lead:
             if self._last is not None and stamp <= self._last:
                 if self._backwards == "error":
                     raise InputError(
@@ -206,7 +208,7 @@ class Pairing:
             self._last = stamp
         if exposure is None:
             exposure = self._pending[stamp] = _Exposure(stamp)
-        if role == "distance":
+        if role == self._lead:
             self._order.append(exposure)
         return exposure
 
@@ -216,30 +218,33 @@ class Pairing:
                 self._emit(frames)
         while len(self._pending) > PENDING_STAMPS or (self._bytes > PENDING_BYTES and len(self._pending) > 1):
             oldest = next(iter(self._pending.values()))
-            if "distance" in oldest.images:
+            if self._lead in oldest.images:
                 while self._emit(frames) is not oldest:
                     pass
             else:
                 self._drop(oldest.stamp)
 
     def _complete(self, exposure: _Exposure) -> bool:
-        return len(exposure.images) == 2 and all(role in exposure.others for role in self._expected)
+        return len(exposure.images) == len(self._images) and all(
+            role in exposure.others for role in self._expected
+        )
 
     def _drop(self, stamp: int) -> None:
         exposure = self._pending.pop(stamp)
         self._bytes -= exposure.size
-        what = "amplitude" if "amplitude" in exposure.images else " and ".join(exposure.others)
-        self.skipped[f"{what} without distance"] += 1
+        what = next(iter(exposure.images), " and ".join(exposure.others))
+        self.skipped[f"{what} without {self._lead}"] += 1
 
     def _emit(self, frames: list[RawFrame]) -> _Exposure:
-        """Take the first exposure that waits and make a frame of it if it has both images."""
+        """Take the first exposure that waits and make a frame of it if it has all images."""
         exposure = self._order.popleft()
         del self._pending[exposure.stamp]
         self._bytes -= exposure.size
-        if "amplitude" in exposure.images:
+        missing = next((role for role in self._images if role not in exposure.images), None)
+        if missing is None:
             frames.append(self._frame(exposure))
         else:
-            self.skipped["distance without amplitude"] += 1
+            self.skipped[f"{self._lead} without {missing}"] += 1
         return exposure
 
     def _frame(self, exposure: _Exposure) -> RawFrame:
@@ -265,8 +270,9 @@ class Pairing:
                 history.forget(min(earliest, stamp))
         return RawFrame(
             stamp=stamp,
-            distance=exposure.images["distance"],
-            amplitude=exposure.images["amplitude"],
+            distance=exposure.images[self._images[0]],
+            amplitude=exposure.images[self._images[1]],
+            images={role: exposure.images[role] for role in self._images[2:]},
             settings=settings,
             truth=truth,
             pose_stamps=pose_stamps,
@@ -303,7 +309,7 @@ class Pairing:
         )
 
     def _fitting(self, intrinsics: Intrinsics, exposure: _Exposure) -> Intrinsics | None:
-        shape = exposure.images["distance"].shape
+        shape = exposure.images[self._lead].shape
         if (intrinsics.height, intrinsics.width) == shape:
             return intrinsics
         self._say(

@@ -15,10 +15,13 @@ from rim_camera_ros.bags.mcap import guarded
 from rim_camera_ros.bags.pairing import Backwards, Pairing
 from rim_camera_ros.bags.storage import Storage, open_storage, unpack_message
 from rim_camera_ros.bags.topics import (
+    FURTHER_IMAGES,
+    KNOWN_ROLES,
     POSE_ROLES,
     RAW_ROLES,
     ROLES,
     Topics,
+    image_roles,
     require_images,
     resolve,
 )
@@ -100,7 +103,7 @@ class Recording:
         self._storage = storage
         self._types = types
         self.assumptions[:] = said
-        if self._topics["distance"] in types:
+        if self._topics[self._lead] in types:
             self.assumptions += [said for role, said in _WITHOUT.items() if self._topics[role] not in types]
         return self
 
@@ -129,13 +132,13 @@ class Recording:
     @property
     def frame_count(self) -> int:
         """Number of distance images, without reading them."""
-        info = self._opened().topics.get(self._topics["distance"])
+        info = self._opened().topics.get(self._topics[self._lead])
         return info.count if info else 0
 
     def summary(self) -> RecordingSummary:
         """Return what the recording holds; no image is decoded, and no topic needs to be there."""
         storage = self._opened()
-        by_name = {self._topics[role]: role for role in ROLES}
+        by_name = {self._topics[role]: role for role in KNOWN_ROLES}
         topics = tuple(
             TopicSummary(name, info.msgtype, info.count, self._role(name, by_name))
             for name, info in sorted(storage.topics.items())
@@ -150,7 +153,7 @@ class Recording:
             message_count=sum(one.count for one in topics),
             frame_count=self.frame_count,
             topics=topics,
-            roles={role: self._topics[role] for role in ROLES if role in found} | self._pose_patterns(),
+            roles={role: self._topics[role] for role in KNOWN_ROLES if role in found} | self._pose_patterns(),
             truth_surfaces=self.truth_surfaces,
             assumptions=tuple(self.assumptions),
             damage=storage.damage,
@@ -216,7 +219,7 @@ class Recording:
                     del waiting[min(waiting)]
 
     def _frames(self, storage: Storage, on_backwards: Backwards) -> Iterator[RawFrame]:
-        routes = {self._topics[role]: (role, "") for role in RAW_ROLES}
+        routes = {self._topics[role]: (role, "") for role in (*RAW_ROLES, *FURTHER_IMAGES)}
         routes |= {topic: (role, surface) for topic, (surface, role) in self._pose_topics().items()}
         routes = {topic: route for topic, route in routes.items() if topic in self._types}
         pairing = Pairing(routes, on_backwards, self._say)
@@ -247,7 +250,7 @@ class Recording:
         if count == 0:
             reasons = ", ".join(f"{number} {reason}" for reason, number in pairing.skipped.items())
             raise InputError(
-                f"no frame in it: {reasons or 'no message on ' + self._topics['distance']}",
+                f"no frame in it: {reasons or 'no message on ' + self._topics[self._lead]}",
                 file=self.path,
                 remedy="distance and amplitude of a frame must carry the same stamp"
                 if reasons
@@ -258,7 +261,7 @@ class Recording:
         if name in self._pose_topics():
             return self._pose_topics()[name][1]
         role = by_name.get(name)
-        return role if role and ROLES[role][1] == self._types[name] else None
+        return role if role and KNOWN_ROLES[role][1] == self._types[name] else None
 
     def _pose_topics(self) -> dict[str, tuple[str, str]]:
         """Return surface and role of the topics with poses, by their names.
@@ -280,6 +283,11 @@ class Recording:
             for name, (_, role) in self._pose_topics().items()
         )
         return {role: pattern for role, pattern in found if pattern is not None}
+
+    @property
+    def _lead(self) -> str:
+        """The role of the image that comes with every frame."""
+        return image_roles(self._topics, self._types)[0]
 
     def _say(self, sentence: str) -> None:
         if sentence not in self.assumptions:

@@ -45,6 +45,21 @@ ROLES: Mapping[str, tuple[str, str]] = MappingProxyType(
     }
 )
 
+#: Most modulation frequencies of a camera.
+FREQUENCIES = 4
+
+#: Images that only some devices measure, as `ROLES`: of each of several modulation frequencies.
+FURTHER_IMAGES: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        f"{kind}_{i}": (f"{kind}_{i}/image_raw", IMAGE)
+        for i in range(FREQUENCIES)
+        for kind in ("distance", "amplitude")
+    }
+)
+
+#: All roles.
+KNOWN_ROLES: Mapping[str, tuple[str, str]] = MappingProxyType({**ROLES, **FURTHER_IMAGES})
+
 #: Roles of poses, whose topics hold the placeholder of the surface's name.
 POSE_ROLES = ("truth", "truth_with_covariance")
 
@@ -84,8 +99,8 @@ def _clean_name(name: str, place: str) -> str:
 
 def _clean_role(role: str, place: str) -> str:
     text = role.strip().replace(" ", "_")
-    if text not in ROLES:
-        raise InputError(f"no role '{role}'", place=place, remedy=nearest_name(text, ROLES))
+    if text not in KNOWN_ROLES:
+        raise InputError(f"no role '{role}'", place=place, remedy=nearest_name(text, KNOWN_ROLES))
     return text
 
 
@@ -122,7 +137,7 @@ class Topics:
         object.__setattr__(self, "namespace", namespace)
         object.__setattr__(self, "overrides", overrides)
         users: dict[str, str] = {}
-        for role in ROLES:
+        for role in KNOWN_ROLES:
             other = users.setdefault(self[role], role)
             if other != role:
                 raise InputError(f"{self[role]} is both {other} and {role}", place="--topic")
@@ -134,7 +149,7 @@ class Topics:
         """Return the topic name of a role; KeyError for an unknown one."""
         if role in self.overrides:
             return self.overrides[role]
-        name = ROLES[role][0]
+        name = KNOWN_ROLES[role][0]
         return name if name.startswith("/") else f"{self.namespace}/{name}"
 
     @classmethod
@@ -233,7 +248,8 @@ def is_swissranger_intensity(topic: str) -> bool:
 
 
 def _with_namespace(topics: Topics, types: Mapping[str, str], assumptions: list[str]) -> Topics:
-    suffixes = tuple("/" + one for one in (ROLES["distance"][0], SWISSRANGER_DISTANCE))
+    names = (ROLES["distance"][0], FURTHER_IMAGES["distance_0"][0], SWISSRANGER_DISTANCE)
+    suffixes = tuple("/" + one for one in names)
     found = {
         name.removesuffix(suffix)
         for name, kind in types.items()
@@ -258,8 +274,9 @@ def require_images(topics: Topics, types: Mapping[str, str]) -> None:
     Raises InputError that names the missing topic, the topics there are and the remedy, or a topic
     whose message type is not that of its role.
     """
-    for role in RAW_ROLES:
-        name, expected = topics[role], ROLES[role][1]
+    needed = image_roles(topics, types)
+    for role in dict.fromkeys((*RAW_ROLES, *FURTHER_IMAGES)):
+        name, expected = topics[role], KNOWN_ROLES[role][1]
         if name in types:
             if types[name] != expected:
                 raise InputError(
@@ -267,14 +284,26 @@ def require_images(topics: Topics, types: Mapping[str, str]) -> None:
                     place=f"topic {name}",
                     remedy=f"--topic {role}=name",
                 )
-        elif role in ("distance", "amplitude") or role in topics.overrides:
+        elif role in needed or role in topics.overrides:
             raise _missing(role, topics, types)
 
 
+def image_roles(topics: Topics, types: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the roles of the images that a raw frame of a recording (topic: message type) needs.
+
+    Those of every frequency up to the last of which there is an image, where there are any of frequencies.
+    """
+    numbers = [int(role.rpartition("_")[2]) for role in FURTHER_IMAGES if topics[role] in types]
+    resolved = ("distance", "amplitude") if not numbers or topics["distance"] in types else ()
+    count = 2 * (max(numbers) + 1) if numbers else 0
+    return (*resolved, *list(FURTHER_IMAGES)[:count])
+
+
 def _missing(role: str, topics: Topics, types: Mapping[str, str]) -> InputError:
-    other = {"distance": "amplitude", "amplitude": "distance"}.get(role)
-    without = f"{other} without {role}: " if other and topics[other] in types else ""
-    kind = ROLES[role][1]
+    kind, _, number = role.partition("_")
+    other = {"distance": "amplitude", "amplitude": "distance"}.get(kind, "") + (number and f"_{number}")
+    without = f"{other} without {role}: " if other in KNOWN_ROLES and topics[other] in types else ""
+    kind = KNOWN_ROLES[role][1]
     same = [name for name, one in types.items() if one == kind]
     short = kind.replace("/msg/", "/")
     there = f"topics of type {short}: {listed(same)}" if same else f"no {short}; topics: {listed(types)}"

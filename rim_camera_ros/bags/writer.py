@@ -28,7 +28,7 @@ from rim_camera_ros.bags.bag1 import BAG1_MAGIC
 from rim_camera_ros.bags.compress import ZSTD_MAGIC
 from rim_camera_ros.bags.images import ENCODINGS
 from rim_camera_ros.bags.storage import METADATA, SQLITE_MAGIC
-from rim_camera_ros.bags.topics import CAMERA_INFO, POSE_ROLES, ROLES, Topics
+from rim_camera_ros.bags.topics import CAMERA_INFO, KNOWN_ROLES, POSE_ROLES, ROLES, Topics
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.frame import CorrectedFrame, Intrinsics, Pose, RawFrame, Settings
 from rim_camera_ros.temporary import Temporary, temporary_folder
@@ -135,8 +135,8 @@ class RecordingWriter:
         self._write_settings(frame.settings, frame.stamp, frame.device)
         if frame.intrinsics is not None:
             self._write_intrinsics(frame.intrinsics, frame.stamp, ("distance",))
-        self._write_image("distance", frame.distance, frame.stamp)
-        self._write_image("amplitude", frame.amplitude, frame.stamp)
+        for role, image in frame.by_role.items():
+            self._write_image(role, image, frame.stamp)
 
     def write_corrected(
         self,
@@ -236,7 +236,7 @@ class RecordingWriter:
         self._write_role(role, stamp, image)
 
     def _write_role(self, role: str, stamp: int, message: Any) -> None:
-        self._write(self.topics[role], ROLES[role][1], stamp, message, role)
+        self._write(self.topics[role], KNOWN_ROLES[role][1], stamp, message, role)
 
     def _write(self, topic: str, msgtype: str, stamp: int, message: Any, role: str | None) -> None:
         self._write_bytes(topic, msgtype, stamp, lambda: messages.encode(message, msgtype), role)

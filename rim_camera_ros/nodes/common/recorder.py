@@ -17,8 +17,8 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
-from rim_camera_ros.bags import ROLES, RecordingWriter, Topics
-from rim_camera_ros.bags.topics import CAMERA_INFO, POSE_ROLES
+from rim_camera_ros.bags import KNOWN_ROLES, ROLES, RecordingWriter, Topics
+from rim_camera_ros.bags.topics import CAMERA_INFO, FURTHER_IMAGES, POSE_ROLES
 from rim_camera_ros.coverage.frames import Message
 from rim_camera_ros.coverage.live import LAST_WORDS, LiveCoverage
 from rim_camera_ros.coverage.picture import Report
@@ -79,13 +79,14 @@ class Recorder:
         self._held_bytes = 0
         self._first_image: float | None = None
         self.frames = 0
+        self._lead = ""
         self.node = rclpy.create_node("recorder")
         self._known: dict[str, tuple[QoSProfile, Any]] = {}
         self._routes = {
             topics.info_beside(role): ("camera_info", CAMERA_INFO) for role in ("distance", "depth")
         }
         self._routes |= {
-            topics[role]: (role, kind) for role, (_, kind) in ROLES.items() if role not in POSE_ROLES
+            topics[role]: (role, kind) for role, (_, kind) in KNOWN_ROLES.items() if role not in POSE_ROLES
         }
 
     def look(self) -> None:
@@ -125,15 +126,17 @@ class Recorder:
         seconds, nanoseconds = layout.unpack_from(data)
         stamp = max(seconds * NANOSECONDS + nanoseconds, 0)
         message = _Message(role, topic, kind, stamp, data)
-        if self._held is None or role not in _OF_FRAMES:
+        if self._held is None or not (role in _OF_FRAMES or role in FURTHER_IMAGES):
             self._write(message)
             return
         self._held.append(message)
         self._held_bytes += len(data)
-        if role == "distance" and self._first_image is None:
+        # of several frequencies the first stands for the frame
+        part = role.removesuffix("_0")
+        if part == "distance" and self._first_image is None:
             self._first_image = time.monotonic()
         parts = self._parts.setdefault(stamp, set())
-        parts.add(role)
+        parts.add(part)
         if parts >= _PARTS:
             self._begin(stamp)
         elif self._held_bytes > _HELD_BYTES:
@@ -154,7 +157,9 @@ class Recorder:
         if self._watch is not None:
             surface = self._topics.surface_of(message.topic, role=message.role) or ""
             self._watch(Message(message.role, surface, message.kind, message.data))
-        if message.role == "distance":
+        if message.role in ("distance", "distance_0"):
+            self._lead = self._lead or message.role
+        if message.role == self._lead:
             self.frames += 1
             if self.frames == self._wanted:
                 self._last = message.stamp
