@@ -16,7 +16,7 @@ import numpy as np
 from rim_camera_ros.camera import Camera, Covariance, Radiometry, Sensor, Validity
 from rim_camera_ros.effects import SECTIONS, Effect, registry
 from rim_camera_ros.errors import InputError, nearest_name
-from rim_camera_ros.measurement import TYPES, Measurement
+from rim_camera_ros.measurement import TYPES, Measurement, measurement_of
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.optics import Optics
 from rim_camera_ros.parameters import ArrayFile, arrays_of, decode, encode, flatten, quantity, with_values
@@ -80,6 +80,10 @@ def load_camera(path: str | os.PathLike[str]) -> Camera:
     except ValueError as error:
         raise document.error(("optics", "d"), str(error).removeprefix("optics.d: ")) from None
     camera = replace(camera, effects=_decode_effects(content.effects, camera, document))
+    try:
+        measurement_of(camera).check(camera)
+    except ValueError as error:
+        raise document.error(("measurement",), str(error)) from None
     if camera.covariance is not None:
         known = camera_numbers(camera)
         for i, name in enumerate(camera.covariance.parameters):

@@ -81,6 +81,7 @@ class RawFrame:
 
     ``distance`` (H, W): uint16 counts (one count = ``distance_lsb``; 0 = no measurement) or float32
     metres (NaN or 0 = no measurement). ``amplitude`` (H, W): uint16 or float32 counts.
+    ``sigma`` (H, W): 1-sigma of the distance in metres where it is known of this very frame, else None.
     ``images``: what the device measures beyond these, by role (see `rim_camera_ros.bags.topics`); where it
     holds ``distance_1`` but no ``distance_0``, distance and amplitude are those of the first frequency.
     ``stamp`` in nanoseconds. ``truth`` holds the poses of scene surfaces that are valid for this
@@ -96,6 +97,7 @@ class RawFrame:
     intrinsics: Intrinsics | None = None
     device: str = ""
     images: Mapping[str, NDArray[Any]] = _NOTHING
+    sigma: NDArray[Any] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:

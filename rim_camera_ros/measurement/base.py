@@ -84,6 +84,9 @@ class Measurement(Protocol):
     #: its name in a camera file
     type: ClassVar[str]
 
+    def check(self, camera: Camera) -> None:
+        """Raise ValueError where the keys, or effects of the file, do not fit this way of measuring."""
+
     def image_roles(self, camera: Camera) -> tuple[str, ...]:
         """Return the roles of the images that every raw exposure has."""
 
@@ -119,6 +122,9 @@ class OneFrequency:
     """Continuous modulation at one frequency (Kahlmann 2007, sec. 2.3.1), or a distance already resolved."""
 
     type: ClassVar[str] = "one_frequency"
+
+    def check(self, camera: Camera) -> None:
+        """Accept every camera."""
 
     def image_roles(self, camera: Camera) -> tuple[str, ...]:
         """Return distance and amplitude."""

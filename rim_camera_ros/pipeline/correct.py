@@ -231,6 +231,8 @@ class Correction:
         else:
             work = self._read(frame, folded, unit, offset, solve=banded)
         y, reading = work.light.distance, work.reading
+        if frame.sigma is not None:
+            reading.sigma = frame.sigma.astype(self._dtype)
         if banded:
             work.light = self._optics.undo(y, reading.amplitude, folded.context)
             return work

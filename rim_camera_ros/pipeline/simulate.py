@@ -29,6 +29,7 @@ from rim_camera_ros.pipeline.reference import SimulatedReference
 from rim_camera_ros.scene import Geometry, Scene, see
 
 _MOTION_STEPS = 1e-9
+Image = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -168,6 +169,17 @@ class Simulation:
             notes=self.notes,
         )
 
+    def light(self, exposure: Exposure) -> Image:
+        """Return the complex image (H, W) of the light that the optics deliver, in counts.
+
+        After the effects that stay as they are while the scene does: emission, multipath, mixed pixels,
+        scattering; before motion and whatever comes behind the pixels.
+        """
+        signal = self._delivered(
+            list(takewhile(_is_steady, self.camera.effects.values())), self.context(exposure)
+        )
+        return to_phasor(signal.distance, signal.amplitude, self.camera.sensor.ambiguity)
+
     def signal(self, context: Context) -> Signal:
         """Return the noise-free signal after all effects."""
         steady = list(takewhile(lambda one: one.steady, self._chain.light))
@@ -218,7 +230,7 @@ class Simulation:
         """
         context = self.context(exposure)
         signal = self.signal(context)
-        distance, amplitude = self._with_noise(signal, context)
+        distance, amplitude, images = self.measured(signal, context, exposure)
         settings, distance = self._reference(distance, context)
         counts_d, counts_a = self._read_out(distance, amplitude)
         if not self.quantised:
@@ -235,7 +247,18 @@ class Simulation:
             pose_stamps=dict.fromkeys(exposure.poses, stamp),
             intrinsics=self.camera.intrinsics,
             device=self.camera.device,
+            images=images,
         )
+
+    def measured(
+        self, signal: Signal, context: Context, exposure: Exposure
+    ) -> tuple[Image, Image, Mapping[str, Image]]:
+        """Return distance [m] (NaN: none), amplitude [counts] before clipping, and what else is measured.
+
+        The last by role (`RawFrame.images`); none here. Ways of measuring that do not demodulate a phase
+        differ in this alone.
+        """
+        return (*self._with_noise(signal, context), {})
 
     def _with_noise(self, signal: Signal, context: Context) -> tuple[Any, Any]:
         """Noise at the delivered amplitude, circular in the complex plane; amplitude after the read-out."""
