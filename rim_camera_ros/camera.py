@@ -221,6 +221,12 @@ class Camera:
             )
 
     @property
+    def noise_range(self) -> float:
+        """R in metres of the noise of the amplitude, sigma_A = 2 pi A sigma_d / R (`noise.circular_range`)."""
+        stated = self.noise.circular_range
+        return self.sensor.ambiguity if stated is None else stated
+
+    @property
     def background(self) -> float:
         """Counts of unmodulated light that the effects state, which add noise only."""
         return float(sum(effect.unmodulated_light for effect in self.effects.values()))

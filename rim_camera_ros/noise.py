@@ -19,6 +19,13 @@ class Noise:
     floor: float = quantity("m", "distance noise of the brightest pixels", default=0.0045, minimum=0.0)
     shot: float = quantity("m*sqrt(counts)", "photon shot noise", default=0.0, minimum=0.0)
     amplitude: float = quantity("m*counts", "noise in proportion to 1 / A", default=28.0, minimum=0.0)
+    circular_range: float | None = quantity(
+        "m",
+        "R of the amplitude's noise, sigma_A = 2 pi A sigma_d / R; null: the ambiguity range, with which noise "
+        "is circular in the complex plane",
+        default=None,
+        above=0.0,
+    )
 
     def sigma_distance(self, amplitude: NDArray[Any], *, background: float = 0.0) -> NDArray[Any]:
         """Return the 1-sigma of one distance in metres for amplitudes in counts; inf where A <= 0.

@@ -353,7 +353,7 @@ class Forward:
     def _variances(self, amplitude: Array, context: Context) -> tuple[Array, Array]:
         """Return the variances of one frame's distance [m^2] and amplitude [counts^2]."""
         sigma = self.camera.noise.sigma_distance(amplitude, background=self.camera.background)
-        by_amplitude = sigma_amplitude(sigma, amplitude, ambiguity=context.ambiguity)
+        by_amplitude = sigma_amplitude(sigma, amplitude, ambiguity=self.camera.noise_range)
         return sigma**2, by_amplitude**2
 
     def _latent(
@@ -368,7 +368,7 @@ class Forward:
         if model.tau == 0.0:
             return predicted, 1.0
         sigma = self.camera.noise.sigma_distance(predicted, background=self.camera.background)
-        noise = 2 * np.pi / self.camera.sensor.ambiguity * sigma / np.sqrt(n)
+        noise = 2 * np.pi / self.camera.noise_range * sigma / np.sqrt(n)
         share = model.tau**2 / (model.tau**2 + noise**2)
         measured = self._expanded(station.amplitude.astype(float))
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -14,9 +14,10 @@ from rim_camera_ros.measurement.base import (
     OneFrequency,
     Part,
 )
+from rim_camera_ros.measurement.single_photon import SinglePhoton
 
 #: Types by their name in a camera file; each a frozen dataclass of the keys of the group ``measurement``.
-TYPES: dict[str, type[Measurement]] = {}
+TYPES: dict[str, type[Measurement]] = {one.type: one for one in (SinglePhoton,)}
 
 _ORDINARY = OneFrequency()
 

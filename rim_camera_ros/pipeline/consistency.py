@@ -119,7 +119,7 @@ class NoiseWatch:
         sigma = camera.noise.sigma_distance(light, background=camera.background)
         # noise is circular, so this choice leaves the noise of the distance as it is
         brighter = np.abs(last.amplitude.astype(np.float32) - frame.amplitude)
-        sigma_amplitude = noise_of_amplitude(sigma, amplitude, ambiguity=camera.sensor.ambiguity)
+        sigma_amplitude = noise_of_amplitude(sigma, amplitude, ambiguity=camera.noise_range)
         at_rest = brighter <= _AT_REST * math.sqrt(2) * np.maximum(sigma_amplitude, _ROUNDING)
         pixels = np.count_nonzero(usable)
         usable &= at_rest & (sigma > 0)

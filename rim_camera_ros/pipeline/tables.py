@@ -85,12 +85,12 @@ class AmplitudeModel:
     def _default_minimum(self) -> float:
         """Return the greatest amplitude at which the amplitude term's noise exceeds the range noise.
 
-        With noise circular in the complex plane that is |d term / dA| * 2 pi A / L > 1.
+        That is |d term / dA| * 2 pi A / R > 1, R = L with noise circular in the complex plane.
         """
         if not self._terms:
             return 0.0
         amplitude = np.arange(1.0, FULL_SCALE)
-        excess = np.abs(self._slope(amplitude)) * (2 * np.pi / self._camera.sensor.ambiguity) * amplitude
+        excess = np.abs(self._slope(amplitude)) * (2 * np.pi / self._camera.noise_range) * amplitude
         noisy = np.flatnonzero(~(excess <= 1.0))
         return float(amplitude[noisy[-1]]) if noisy.size else 0.0
 
@@ -104,7 +104,7 @@ class AmplitudeModel:
         sigma = camera.noise.sigma_distance(safe, background=camera.background)
         if self._terms:
             added = np.nan_to_num(self._slope(safe)) * sigma_amplitude(
-                sigma, safe, ambiguity=camera.sensor.ambiguity
+                sigma, safe, ambiguity=camera.noise_range
             )
             sigma = np.hypot(sigma, added)
         flags = np.zeros(published.shape, np.uint8)

@@ -31,15 +31,9 @@ _REACH = 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class SinglePhotonDetector:
-    """Pulse, diode and clock of a direct time-of-flight pixel.
+class PulseAndDiode:
+    """Light pulse, diode and bins, whatever the rate of the pulses."""
 
-    A cycle begins with a light pulse and lasts until the next one. A pixel that is ready at its beginning
-    records the time of the first avalanche, in one of ``bins`` equal bins; it then misses as many whole
-    cycles as its dead time touches, and is ready again at the beginning of the next one.
-    """
-
-    pulse_rate: float = quantity("Hz", "light pulses per second", default=50e6, minimum=1e3)
     bins: int = quantity("-", "bins of the histogram over a cycle", default=128, minimum=8, maximum=4096)
     pulse_width: float = quantity(
         "s", "light pulse, full width at half maximum", default=150e-12, minimum=0.0, maximum=1e-6
@@ -63,6 +57,18 @@ class SinglePhotonDetector:
     afterpulse_time_constant: float = quantity(
         "s", "decay of the trapped carriers", default=100e-9, above=0.0, maximum=1e-3
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SinglePhotonDetector(PulseAndDiode):
+    """Pulse, diode and clock of a direct time-of-flight pixel.
+
+    A cycle begins with a light pulse and lasts until the next one. A pixel that is ready at its beginning
+    records the time of the first avalanche, in one of ``bins`` equal bins; it then misses as many whole
+    cycles as its dead time touches, and is ready again at the beginning of the next one.
+    """
+
+    pulse_rate: float = quantity("Hz", "light pulses per second", default=50e6, minimum=1e3)
 
     @property
     def period(self) -> float:
@@ -133,12 +139,33 @@ class SinglePhotonDetector:
         exposure if none hid another; ``background``: those of unmodulated light, likewise; ``exposure`` [s];
         ``temperature`` [degC] of the diodes. Dark counts and afterpulses are added.
         """
-        cycles = self.cycles(exposure)
+        photons = self.response(np.asarray(distance, float) * (2.0 / SPEED_OF_LIGHT))
+        photons *= np.asarray(signal, float)
+        return self.detected(photons, background=background, exposure=exposure, temperature=temperature)
+
+    def detected(
+        self,
+        photons: Array,
+        *,
+        background: Array | float,
+        exposure: float,
+        temperature: float | None = None,
+    ) -> Array:
+        """Return the rates as `rates` does, for photons (bins, pixels) of the pulse in an exposure."""
         even = (np.asarray(background, float) + self.dark_rate(temperature) * exposure) / self.bins
-        rates = self.response(np.asarray(distance, float) * (2.0 / SPEED_OF_LIGHT))
-        rates *= np.asarray(signal, float) / cycles
-        rates += even / cycles
-        return self.with_afterpulses(rates)
+        return self.with_afterpulses((photons + even) / self.cycles(exposure))
+
+    def transfer(self, harmonics: Array) -> Array:
+        """Return what pulse, jitter and bins make of harmonics (k,) of the pulse rate, complex [-].
+
+        The photons of a bin are the inverse discrete Fourier transform of S_k* times these, where S_k is the
+        complex image of the light at k times the pulse rate: a Gaussian of `time_sigma`, averaged over
+        the width of a bin and taken in its middle.
+        """
+        turns = np.asarray(harmonics, float) / self.bins
+        width = 2.0 * np.pi * np.asarray(harmonics, float) * self.time_sigma / self.period
+        result: Array = np.exp(-0.5 * width**2 + 1j * np.pi * turns) * np.sinc(turns)
+        return result
 
     def with_afterpulses(self, rates: Array) -> Array:
         """Return rates (bins, pixels) per cycle with those of the afterpulses of all detections.

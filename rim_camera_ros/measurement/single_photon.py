@@ -1,0 +1,153 @@
+"""Arrays of single-photon diodes: direct time of flight by histograms (Kahlmann 2007, sec. 2.3.3)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.frame import Settings
+from rim_camera_ros.measurement.base import FrameCorrection, FrameSimulation, Part
+from rim_camera_ros.noise import Noise
+from rim_camera_ros.phasor import SPEED_OF_LIGHT, Waveform
+from rim_camera_ros.scene import Scene
+from rim_camera_ros.single_photon.detector import PulseAndDiode, SinglePhotonDetector
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+#: Standard deviations of the pulse that a period must have room for.
+_ROOM = 16.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SinglePhoton(PulseAndDiode):
+    """Histograms of the times of first photons; pulses come at the sensor's modulation frequency.
+
+    The amplitude is the number of signal photons of an exposure. The level of ``background_light`` is that of
+    the other photons which come within the pulse's effective width, 4 sqrt(pi) sigma_t.
+    """
+
+    type: ClassVar[str] = "single_photon"
+    #: effects of demodulating a phase, which a direct measurement does not have
+    foreign: ClassVar[tuple[str, ...]] = ("cyclic_error", "interference", "motion")
+
+    def detector(self, camera: Camera) -> SinglePhotonDetector:
+        """Return pulse, diode and clock."""
+        keys = {one.name: getattr(self, one.name) for one in fields(PulseAndDiode)}
+        return SinglePhotonDetector(pulse_rate=camera.sensor.modulation_frequency, **keys)
+
+    def check(self, camera: Camera) -> None:
+        """Raise ValueError for a pulse longer than the period allows, or effects of demodulation."""
+        detector = self.detector(camera)
+        if detector.period < _ROOM * detector.time_sigma:
+            raise ValueError(
+                f"a period of {detector.period * 1e9:.3g} ns has no room for pulses of "
+                f"{detector.time_sigma * 1e9:.3g} ns (1-sigma with the jitter): lower modulation_frequency"
+            )
+        check_effects(camera, self.foreign, "a direct measurement of time")
+
+    def image_roles(self, camera: Camera) -> tuple[str, ...]:
+        """Return distance and amplitude; the role ``histogram`` comes on request."""
+        return ("distance", "amplitude")
+
+    def simulation(
+        self, camera: Camera, scene: Scene, *, waveform: Waveform | None = None, **options: Any
+    ) -> FrameSimulation:
+        """Return the chain of effects with photons counted at its end."""
+        from rim_camera_ros.single_photon.simulation import SinglePhotonSimulation
+
+        check_waveform(waveform)
+        return SinglePhotonSimulation(camera, scene, **options)
+
+    def correction(
+        self, camera: Camera, *, without: Iterable[str] = (), minimum_amplitude: float | None = None
+    ) -> FrameCorrection:
+        """Return the chain of effects in reverse, after the evaluation of the histogram where there is one."""
+        from rim_camera_ros.pipeline.resolved import ResolvedCorrection
+        from rim_camera_ros.single_photon.estimation import PulseEstimator
+
+        detector = self.detector(camera)
+        estimator = PulseEstimator(detector)
+
+        def resolve(planes: NDArray[Any], settings: Settings) -> tuple[Any, Any, Any]:
+            cycles = detector.cycles(camera.sensor.exposure_seconds(camera.integration_time(settings)))
+            found = estimator.estimate(planes.reshape(len(planes), -1), cycles=cycles)
+            shape = planes.shape[1:]
+            return tuple(one.reshape(shape) for one in (found.distance, found.signal, found.sigma))  # type: ignore[return-value]
+
+        return ResolvedCorrection(
+            camera,
+            resolve,
+            role="histogram",
+            count=detector.bins,
+            without=without,
+            minimum_amplitude=minimum_amplitude,
+        )
+
+    def parts(self, camera: Camera) -> tuple[Part, ...]:
+        """Return the camera itself: distance and amplitude are those of an ordinary one."""
+        return (Part(camera),)
+
+    def joined(self, camera: Camera, parts: tuple[Camera, ...]) -> Camera:
+        """Return its only part."""
+        return parts[0]
+
+    def coincident(self, camera: Camera) -> float:
+        """Return the share of a period that is the pulse's effective width, 4 sqrt(pi) sigma_t / T.
+
+        With that of the other light, sigma^2 = (c sigma_t / 2)^2 b / S^2 is the bound under much other light.
+        """
+        detector = self.detector(camera)
+        return 4.0 * math.sqrt(math.pi) * detector.time_sigma / detector.period
+
+    def unmodulated(self, camera: Camera) -> float:
+        """Return the photons of unmodulated light in an exposure, at whatever time in the period."""
+        return camera.background / self.coincident(camera)
+
+    def noise(self, camera: Camera) -> Noise:
+        """Return the noise of a distance without a histogram: the limits of the Cramer-Rao bound.
+
+        shot = c sigma_t / 2 of photons of the pulse, and the dark counts of an exposure, as other light.
+        """
+        detector = self.detector(camera)
+        shot = SPEED_OF_LIGHT * detector.time_sigma / 2.0
+        stated = camera.sensor.integration_time
+        seconds = 0.0 if stated is None else camera.sensor.exposure_seconds(stated)
+        dark = self.coincident(camera) * detector.dark_rate() * seconds
+        return Noise(
+            floor=0.0, shot=shot, amplitude=shot * math.sqrt(dark), circular_range=2.0 * math.pi * shot
+        )
+
+    def rows(self, camera: Camera) -> list[tuple[str, str]]:
+        """Return what is known of pulse, diode and bins."""
+        detector = self.detector(camera)
+        return [
+            (
+                "single photons",
+                f"{detector.bins} bins of {detector.bin_width * 1e12:.4g} ps; pulse {self.pulse_width * 1e12:g} ps, "
+                f"jitter {self.jitter * 1e12:g} ps, dead time {self.dead_time * 1e9:g} ns",
+            ),
+            (
+                "dark counts",
+                f"{self.dark_count_rate:g} Hz at {self.dark_count_temperature:g} degC, twice as many "
+                f"{self.dark_count_doubling:g} degC warmer",
+            ),
+        ]
+
+
+def check_effects(camera: Camera, foreign: Iterable[str], way: str) -> None:
+    """Raise ValueError where a camera file has effects that a way of measuring does not have."""
+    found = [name for name in foreign if name in camera.effects]
+    if found:
+        raise ValueError(f"effects.{found[0]} does not act on {way}: remove it")
+
+
+def check_waveform(waveform: Waveform | None) -> None:
+    """Raise `InputError` where the samples of a demodulation are asked for."""
+    from rim_camera_ros.errors import InputError
+
+    if waveform is not None:
+        raise InputError("a waveform is for demodulated light, this camera has pulses", place="waveform")

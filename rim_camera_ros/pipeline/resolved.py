@@ -1,0 +1,104 @@
+"""Correction of cameras whose distances are evaluated from images that are linear in the light."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.scattering import Scattering
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.frame import CorrectedDistance, CorrectedFrame, RawFrame, Settings
+from rim_camera_ros.pipeline.correct import Correction
+
+Image = NDArray[Any]
+#: Distance [m], amplitude [counts] and sigma [m], all (H, W), of images (n, H, W) at these settings.
+Resolve = Callable[[Image, Settings], tuple[Image, Image, Image]]
+
+
+class ResolvedCorrection(Correction):
+    """Evaluates distance, amplitude and sigma anew where a frame holds what they are made of.
+
+    ``role``: of the images (H, W, ``count``) that are linear in the light; ``resolve`` evaluates them.
+    Stray light is undone in them, image by image; in distance and amplitude alone it cannot be, because
+    light of another distance may be told apart or not. Otherwise as `Correction`.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        resolve: Resolve,
+        *,
+        role: str,
+        count: int,
+        without: Iterable[str] = (),
+        minimum_amplitude: float | None = None,
+    ) -> None:
+        apart = frozenset({Scattering.name})
+        given = frozenset(without)
+        rest = {name: one for name, one in camera.effects.items() if name not in apart}
+        # a name that is in no file is refused as for every camera
+        known = given - (apart & camera.effects.keys())
+        super().__init__(replace(camera, effects=rest), without=known, minimum_amplitude=minimum_amplitude)
+        scattering = camera.effects.get(Scattering.name)
+        self._scattering = scattering if isinstance(scattering, Scattering) and not given & apart else None
+        self._resolve, self._role, self._count = resolve, role, count
+        self.camera = camera
+
+    def correct(self, frame: RawFrame) -> CorrectedFrame:
+        """Return the corrected frame; `InputError` as `Correction.correct`, or for images of another size."""
+        return super().correct(self._evaluated(frame))
+
+    def correct_distance(self, frame: RawFrame) -> CorrectedDistance:
+        """Return distance and amplitude as `correct` does."""
+        return super().correct_distance(self._evaluated(frame))
+
+    def _evaluated(self, frame: RawFrame) -> RawFrame:
+        images = frame.images.get(self._role)
+        if images is None:
+            if self._scattering is not None:
+                self.notes.add(f"scattering is not undone: that needs the {self._role} of each frame")
+            return frame
+        expected = (*self.camera.shape, self._count)
+        if images.shape != expected:
+            raise InputError(
+                f"the {self._role} is {_size(images.shape)}, but the camera file is for {_size(expected)}",
+                place=self._role,
+                remedy="give the camera file of this sensor, with its measurement",
+            )
+        planes = np.moveaxis(images, -1, 0)
+        if self._scattering is not None:
+            planes = _without_stray_light(planes.astype(np.float32), self._scattering)
+        distance, amplitude, sigma = self._resolve(planes, frame.settings)
+        response: Any = self.camera.effects.get("amplitude_nonlinearity")
+        published = amplitude if response is None else response.compressed(amplitude)
+        # what the device marked as missing or saturated stays so
+        published = np.where(frame.amplitude >= self.camera.sensor.saturation, frame.amplitude, published)
+        return replace(
+            frame,
+            distance=np.where(frame.distance > 0, distance, np.float32(np.nan)),
+            amplitude=published.astype(np.float32, copy=False),
+            sigma=sigma,
+        )
+
+
+def _without_stray_light(planes: Image, scattering: Scattering) -> Image:
+    """Undo scattering in images (n, H, W), two at a time as parts of a complex image."""
+    operator = scattering.operator(planes.shape[1:], np.float32)
+    for first in range(0, len(planes) - 1, 2):
+        pair = operator.solve(np.ascontiguousarray(planes[first : first + 2].transpose(1, 0, 2)))
+        planes[first : first + 2] = pair.transpose(1, 0, 2)
+    if len(planes) % 2:
+        last = np.stack([planes[-1], np.zeros_like(planes[-1])], axis=1)
+        planes[-1] = operator.solve(last)[:, 0]
+    return planes
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    """Return (H, W, n) in words."""
+    count = shape[2] if len(shape) > 2 else 1
+    return f"{shape[1]} x {shape[0]} px of {count} values"
