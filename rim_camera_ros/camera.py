@@ -222,7 +222,7 @@ class Camera:
 
     @property
     def noise_range(self) -> float:
-        """R in metres of the noise of the amplitude, sigma_A = 2 pi A sigma_d / R (`noise.circular_range`)."""
+        """R in metres of the amplitude's noise, sigma_A = 2 pi A sigma_d / R (`Noise.circular_range`)."""
         stated = self.noise.circular_range
         return self.sensor.ambiguity if stated is None else stated
 

@@ -21,8 +21,8 @@ class Noise:
     amplitude: float = quantity("m*counts", "noise in proportion to 1 / A", default=28.0, minimum=0.0)
     circular_range: float | None = quantity(
         "m",
-        "R of the amplitude's noise, sigma_A = 2 pi A sigma_d / R; null: the ambiguity range, with which noise "
-        "is circular in the complex plane",
+        "R of the amplitude's noise, sigma_A = 2 pi A sigma_d / R; null: the ambiguity range, with which "
+        "noise is circular in the complex plane",
         default=None,
         above=0.0,
     )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.bags.topics import FURTHER_IMAGES
+from rim_camera_ros.bags.topics import FURTHER_IMAGES, SAMPLES
 from rim_camera_ros.errors import InputError
 
 _SAMPLES = {
@@ -18,7 +19,10 @@ _SAMPLES = {
     "mono8": "u1",
 }
 
-#: Encodings that a role's image may have.
+#: Encodings of images of several values a pixel.
+_SEVERAL = re.compile(r"(16U|32F)C([1-9][0-9]{0,3})")
+
+#: Encodings that a role's image may have; for those of `SAMPLES` see `_SEVERAL`.
 ENCODINGS = {
     "distance": ("16UC1", "mono16", "32FC1"),
     "amplitude": ("16UC1", "mono16", "32FC1"),
@@ -61,22 +65,30 @@ def decode_image(
     ``data`` is anything with the buffer protocol. The array is a view of it (padding between the
     rows included, so it need not be contiguous) unless the byte order is foreign or a sample is
     not aligned; a view of immutable data is read-only. ``role`` limits the encodings to those of
-    `ENCODINGS`; ``mono8_amplitude`` allows a mono8 amplitude as well, returned as uint16 counts
-    (256 each). ``place`` is put into the error.
+    `ENCODINGS`; those of `SAMPLES` are returned as (height, width, n). ``mono8_amplitude`` allows a mono8
+    amplitude as well, returned as uint16 counts (256 each). ``place`` is put into the error.
 
     Raises InputError for an encoding that is unknown or not the role's, a size of 0, a step shorter
     than a row and data whose length is not height x step.
     """
     widen = False
-    if role is not None and encoding not in ENCODINGS[role]:
+    if role in SAMPLES:
+        if _layout(encoding)[0] is None:
+            raise InputError(
+                f"encoding '{encoding}' is not one for the role {role}",
+                place=place,
+                remedy="accepted: 16UCn and 32FCn, n values a pixel",
+            )
+    elif role is not None and encoding not in ENCODINGS[role]:
         widen = role == "amplitude" and mono8_amplitude and encoding in ("mono8", "8UC1")
         if not widen:
             raise _wrong_encoding(encoding, role, place)
-    if encoding not in _SAMPLES:
+    kind, channels = _layout(encoding)
+    if kind is None:
         known = ", ".join(_SAMPLES)
         raise InputError(f"encoding '{encoding}' is not supported", place=place, remedy=f"known: {known}")
-    sample = np.dtype(_SAMPLES[encoding]).newbyteorder(">" if is_bigendian else "<")
-    row = width * sample.itemsize
+    sample = np.dtype(kind).newbyteorder(">" if is_bigendian else "<")
+    row = width * channels * sample.itemsize
     if height <= 0 or width <= 0:
         raise InputError(f"an image of {width} x {height} pixels", place=place)
     if step < row:
@@ -93,6 +105,8 @@ def decode_image(
             place=place,
         )
     image: NDArray[Any] = flat.reshape(height, step)[:, :row].view(sample)
+    if role in SAMPLES:
+        image = image.reshape(height, width, channels)
     if widen:
         return image.astype(np.uint16) * np.uint16(MONO8_COUNTS)
     if not sample.isnative:
@@ -100,22 +114,34 @@ def decode_image(
     return image if image.flags.aligned else image.copy()
 
 
+def _layout(encoding: str) -> tuple[str | None, int]:
+    """Return the type of the values, None for an unknown one, and how many a pixel has."""
+    if encoding in _SAMPLES:
+        return _SAMPLES[encoding], 1
+    found = _SEVERAL.fullmatch(encoding)
+    if found is None:
+        return None, 0
+    return {"16U": "u2", "32F": "f4"}[found[1]], int(found[2])
+
+
 def encode_image(array: NDArray[Any]) -> ImageData:
-    """Return the message fields of a (height, width) array of uint8, uint16 or float32.
+    """Return the message fields of an array of uint8, uint16 or float32.
+
+    (height, width), or (height, width, n) for n values a pixel.
 
     The data are a view of the array when it is contiguous and little-endian.
     Raises InputError for another type or number of dimensions.
     """
-    encoding = {"u1": "8UC1", "u2": "16UC1", "f4": "32FC1"}.get(array.dtype.str[1:])
-    if encoding is None or array.ndim != 2 or array.size == 0:
+    kind = {"u1": "8U", "u2": "16U", "f4": "32F"}.get(array.dtype.str[1:])
+    if kind is None or array.ndim not in (2, 3) or array.size == 0:
         raise InputError(
             f"an array of type {array.dtype} and shape {array.shape} is no image",
-            remedy="uint8, uint16 or float32, (height, width)",
+            remedy="uint8, uint16 or float32, (height, width) or (height, width, values)",
         )
-    height, width = array.shape
+    height, width, channels = (*array.shape, 1)[:3]
     plain = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
-    step = width * plain.itemsize
-    return ImageData(encoding, height, width, step, False, plain.reshape(-1).view(np.uint8))
+    step = width * channels * plain.itemsize
+    return ImageData(f"{kind}C{channels}", height, width, step, False, plain.reshape(-1).view(np.uint8))
 
 
 def _wrong_encoding(encoding: str, role: str, place: str | None) -> InputError:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.bags import messages
 from rim_camera_ros.bags.images import ENCODINGS
-from rim_camera_ros.bags.topics import POSE_ROLES, is_swissranger_intensity
+from rim_camera_ros.bags.topics import POSE_ROLES, SAMPLES, is_swissranger_intensity
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Intrinsics, Pose, RawFrame, Settings
 
@@ -83,7 +83,7 @@ class Pairing:
         roles = {role for role, _ in routes.values()}
         self._images = tuple(role for role in ENCODINGS if role in roles)
         self._lead = self._images[0] if self._images else "distance"
-        self._expected = tuple(role for role in ("camera_info", "frame_info") if role in roles)
+        self._expected = tuple(role for role in ("camera_info", "frame_info", *SAMPLES) if role in roles)
         self._waits = bool(roles & {"temperature", "ambient", "reference", *POSE_ROLES})
         self._pending: dict[int, _Exposure] = {}
         self._order: deque[_Exposure] = deque()
@@ -127,10 +127,11 @@ class Pairing:
         if exposure is not None:
             if role in self._images:
                 exposure.images[role] = value
-                exposure.size += value.nbytes
-                self._bytes += value.nbytes
             else:
                 exposure.others[role] = value
+            if hasattr(value, "nbytes"):
+                exposure.size += value.nbytes
+                self._bytes += value.nbytes
         self._release(frames)
         return frames
 
@@ -155,7 +156,7 @@ class Pairing:
         exposure = self._pending.get(stamp)
         others = exposure.images.items() if exposure is not None else ()
         partner, other = next(((name, one) for name, one in others if name != role), ("", image))
-        if other.shape != image.shape:
+        if other.shape[:2] != image.shape[:2]:
             raise InputError(
                 f"the {role} is {_size(image.shape)}, the {partner} {_size(other.shape)}",
                 place=place,
@@ -272,7 +273,8 @@ class Pairing:
             stamp=stamp,
             distance=exposure.images[self._images[0]],
             amplitude=exposure.images[self._images[1]],
-            images={role: exposure.images[role] for role in self._images[2:]},
+            images={role: exposure.images[role] for role in self._images[2:]}
+            | {role: others[role] for role in SAMPLES if role in others},
             settings=settings,
             truth=truth,
             pose_stamps=pose_stamps,

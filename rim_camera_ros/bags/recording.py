@@ -20,6 +20,7 @@ from rim_camera_ros.bags.topics import (
     POSE_ROLES,
     RAW_ROLES,
     ROLES,
+    SAMPLES,
     Topics,
     image_roles,
     require_images,
@@ -219,7 +220,7 @@ class Recording:
                     del waiting[min(waiting)]
 
     def _frames(self, storage: Storage, on_backwards: Backwards) -> Iterator[RawFrame]:
-        routes = {self._topics[role]: (role, "") for role in (*RAW_ROLES, *FURTHER_IMAGES)}
+        routes = {self._topics[role]: (role, "") for role in (*RAW_ROLES, *FURTHER_IMAGES, *SAMPLES)}
         routes |= {topic: (role, surface) for topic, (surface, role) in self._pose_topics().items()}
         routes = {topic: route for topic, route in routes.items() if topic in self._types}
         pairing = Pairing(routes, on_backwards, self._say)

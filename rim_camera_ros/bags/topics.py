@@ -57,8 +57,14 @@ FURTHER_IMAGES: Mapping[str, tuple[str, str]] = MappingProxyType(
     }
 )
 
+#: Images of several values a pixel, as `ROLES`: what distance and amplitude were evaluated from. A frame may
+#: come without them.
+SAMPLES: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {"histogram": ("histogram/image_raw", IMAGE), "gates": ("gates/image_raw", IMAGE)}
+)
+
 #: All roles.
-KNOWN_ROLES: Mapping[str, tuple[str, str]] = MappingProxyType({**ROLES, **FURTHER_IMAGES})
+KNOWN_ROLES: Mapping[str, tuple[str, str]] = MappingProxyType({**ROLES, **FURTHER_IMAGES, **SAMPLES})
 
 #: Roles of poses, whose topics hold the placeholder of the surface's name.
 POSE_ROLES = ("truth", "truth_with_covariance")
@@ -275,7 +281,7 @@ def require_images(topics: Topics, types: Mapping[str, str]) -> None:
     whose message type is not that of its role.
     """
     needed = image_roles(topics, types)
-    for role in dict.fromkeys((*RAW_ROLES, *FURTHER_IMAGES)):
+    for role in dict.fromkeys((*RAW_ROLES, *FURTHER_IMAGES, *SAMPLES)):
         name, expected = topics[role], KNOWN_ROLES[role][1]
         if name in types:
             if types[name] != expected:

@@ -28,7 +28,7 @@ from rim_camera_ros.bags.bag1 import BAG1_MAGIC
 from rim_camera_ros.bags.compress import ZSTD_MAGIC
 from rim_camera_ros.bags.images import ENCODINGS
 from rim_camera_ros.bags.storage import METADATA, SQLITE_MAGIC
-from rim_camera_ros.bags.topics import CAMERA_INFO, KNOWN_ROLES, POSE_ROLES, ROLES, Topics
+from rim_camera_ros.bags.topics import CAMERA_INFO, KNOWN_ROLES, POSE_ROLES, ROLES, SAMPLES, Topics
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.frame import CorrectedFrame, Intrinsics, Pose, RawFrame, Settings
 from rim_camera_ros.temporary import Temporary, temporary_folder
@@ -231,7 +231,7 @@ class RecordingWriter:
 
     def _write_image(self, role: str, array: NDArray[Any], stamp: int) -> None:
         image = messages.image_message(array, stamp, self.frame_id)
-        if image.encoding not in ENCODINGS[role]:
+        if role not in SAMPLES and image.encoding not in ENCODINGS[role]:
             raise InputError(f"an array of type {array.dtype} is no {role} image", file=self.path)
         self._write_role(role, stamp, image)
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 from rim_camera_ros.bags import Recording, RecordingWriter
 from rim_camera_ros.bags.messages import stamp_text
+from rim_camera_ros.bags.topics import SAMPLES
 from rim_camera_ros.commands.common import (
     Progress,
     add_command,
@@ -78,6 +80,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="work at the level of the four samples: sinusoid, square:DUTY, harmonics:3=0.1,5=-0.02; the "
         "cyclic error then emerges (leave cyclic_error out of the camera file)",
     )
+    parser.add_argument(
+        "--samples",
+        action="store_true",
+        help="also write what distances are evaluated from, where the camera has it: histograms, gates",
+    )
     add_topics(parser)
     add_output(parser)
     parser.set_defaults(run=run)
@@ -107,7 +114,7 @@ def run(given: argparse.Namespace) -> int:
             progress = stack.enter_context(Progress("simulated", total, quiet=given.quiet))
             count = 0
             for exposure in progress.over(exposures):
-                writer.write_raw(simulation.frame(exposure))
+                writer.write_raw(_chosen(simulation.frame(exposure), samples=given.samples))
                 count += 1
     except InputError as error:
         raise error.located(given.scene) from None
@@ -115,6 +122,13 @@ def run(given: argparse.Namespace) -> int:
     if not given.quiet:
         print(f"{several(count, 'frame')} simulated: {given.out}")
     return 0
+
+
+def _chosen(frame: RawFrame, *, samples: bool) -> RawFrame:
+    """Return the frame with its samples only where they are asked for: they are a hundred times its size."""
+    if samples:
+        return frame
+    return replace(frame, images={role: one for role, one in frame.images.items() if role not in SAMPLES})
 
 
 def _waveform(text: str | None) -> Waveform | None:

@@ -65,7 +65,7 @@ class SinglePhoton(PulseAndDiode):
     def correction(
         self, camera: Camera, *, without: Iterable[str] = (), minimum_amplitude: float | None = None
     ) -> FrameCorrection:
-        """Return the chain of effects in reverse, after the evaluation of the histogram where there is one."""
+        """Return the chain of effects in reverse, after the evaluation of a histogram where there is one."""
         from rim_camera_ros.pipeline.resolved import ResolvedCorrection
         from rim_camera_ros.single_photon.estimation import PulseEstimator
 
@@ -127,8 +127,9 @@ class SinglePhoton(PulseAndDiode):
         return [
             (
                 "single photons",
-                f"{detector.bins} bins of {detector.bin_width * 1e12:.4g} ps; pulse {self.pulse_width * 1e12:g} ps, "
-                f"jitter {self.jitter * 1e12:g} ps, dead time {self.dead_time * 1e9:g} ns",
+                f"{detector.bins} bins of {detector.bin_width * 1e12:.4g} ps; pulse "
+                f"{self.pulse_width * 1e12:g} ps, jitter {self.jitter * 1e12:g} ps, dead time "
+                f"{self.dead_time * 1e9:g} ns",
             ),
             (
                 "dark counts",

@@ -67,7 +67,6 @@ class ResolvedCorrection(Correction):
         if images.shape != expected:
             raise InputError(
                 f"the {self._role} is {_size(images.shape)}, but the camera file is for {_size(expected)}",
-                place=self._role,
                 remedy="give the camera file of this sensor, with its measurement",
             )
         planes = np.moveaxis(images, -1, 0)

@@ -39,7 +39,7 @@ class PulseAndDiode:
         "s", "light pulse, full width at half maximum", default=150e-12, minimum=0.0, maximum=1e-6
     )
     jitter: float = quantity(
-        "s", "1-sigma of the time of an avalanche", default=300e-12, above=0.0, maximum=1e-6
+        "s", "1-sigma of the time of an avalanche", default=300e-12, minimum=1e-12, maximum=1e-6
     )
     dead_time: float = quantity(
         "s", "after an avalanche nothing is detected", default=40e-9, minimum=0.0, maximum=1e-6

@@ -88,8 +88,8 @@ class PulseEstimator:
 
         step = 1e-3
         slope = (at(places + step) - at(places - step)) / (2 * step)
-        response, slope = (np.ascontiguousarray(one.T, np.float32) for one in (at(places), slope))
-        return response, slope
+        tables = [np.ascontiguousarray(one.T, np.float32) for one in (at(places), slope)]
+        return tables[0], tables[1]
 
     def estimate(self, histogram: Array, *, cycles: int) -> PulseEstimates:
         """Return the estimates of histograms (bins, pixels) of whole counts, of exposures of ``cycles``.
