@@ -147,7 +147,8 @@ class Camera:
     """A camera file's content. ``effects`` maps names to parameter objects of `rim_camera_ros.effects`.
 
     ``minimum_amplitude`` None means: where the noise that the amplitude term adds exceeds the range noise.
-    ``measurement``: None for one modulation frequency, else an object of `rim_camera_ros.measurement`.
+    ``measurement``: None for one modulation frequency, else an object of `rim_camera_ros.measurement`;
+    ``channels``: of several frequencies the ordinary camera of each.
     """
 
     sensor: Sensor
@@ -161,6 +162,7 @@ class Camera:
     covariance: Covariance | None = None
     provenance: Mapping[str, Any] = _EMPTY
     measurement: Any = None
+    channels: tuple[Camera, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:

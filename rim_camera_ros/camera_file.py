@@ -17,6 +17,8 @@ from rim_camera_ros.camera import Camera, Covariance, Radiometry, Sensor, Validi
 from rim_camera_ros.effects import SECTIONS, Effect, registry
 from rim_camera_ros.errors import InputError, nearest_name
 from rim_camera_ros.measurement import TYPES, Measurement, measurement_of
+from rim_camera_ros.measurement.per_frequency import documents, merged
+from rim_camera_ros.measurement.several_frequencies import SeveralFrequencies
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.optics import Optics
 from rim_camera_ros.parameters import ArrayFile, arrays_of, decode, encode, flatten, quantity, with_values
@@ -66,6 +68,28 @@ def load_camera(path: str | os.PathLike[str]) -> Camera:
             f"not a camera file: format is {document.data.get('format')!r}",
             f"expected format: {CAMERA_FORMAT}",
         )
+    parts = documents(document)
+    if len(parts) == 1:
+        return _checked(_camera(document), document)
+    stated = document.data.get("measurement") or {"type": SeveralFrequencies.type}
+    measurement = _decode_measurement(stated, document)
+    if not isinstance(measurement, SeveralFrequencies):
+        raise document.error(
+            ("measurement", "type"), "has one modulation frequency", f"give type: {SeveralFrequencies.type}"
+        )
+    return _checked(measurement.camera_of(tuple(_camera(one) for one in parts)), document)
+
+
+def _checked(camera: Camera, document: Document) -> Camera:
+    try:
+        measurement_of(camera).check(camera)
+    except ValueError as error:
+        raise document.error(("measurement",), str(error)) from None
+    return camera
+
+
+def _camera(document: Document) -> Camera:
+    """Return the camera of a document with one modulation frequency."""
     content = decode(_File, document.data, document)
     provenance = content.provenance if content.provenance is not None else {}
     if not isinstance(provenance, dict):
@@ -80,10 +104,6 @@ def load_camera(path: str | os.PathLike[str]) -> Camera:
     except ValueError as error:
         raise document.error(("optics", "d"), str(error).removeprefix("optics.d: ")) from None
     camera = replace(camera, effects=_decode_effects(content.effects, camera, document))
-    try:
-        measurement_of(camera).check(camera)
-    except ValueError as error:
-        raise document.error(("measurement",), str(error)) from None
     if camera.covariance is not None:
         known = camera_numbers(camera)
         for i, name in enumerate(camera.covariance.parameters):
@@ -224,9 +244,11 @@ def save_camera(camera: Camera, path: str | os.PathLike[str], *, comment: str = 
     Raises `RimError` where it cannot be written; arrays that were not there before are removed then.
     """
     path = Path(path)
-    arrays = [one for part in (*camera.effects.values(), camera.measurement) for one in arrays_of(part)]
-    if camera.covariance is not None:
-        arrays.append(camera.covariance.matrix)
+    arrays = list(arrays_of(camera.measurement))
+    for part in camera.channels or (camera,):
+        arrays += [one for effect in part.effects.values() for one in arrays_of(effect)]
+        if part.covariance is not None:
+            arrays.append(part.covariance.matrix)
     new = [path.parent / one.file for one in arrays if not (path.parent / one.file).exists()]
     try:
         for one in arrays:
@@ -274,7 +296,8 @@ def _with_own_arrays(camera: Camera, stem: str) -> Camera:
     covariance = camera.covariance
     if covariance is not None:
         covariance = replace(covariance, matrix=name("covariance", covariance.matrix))
-    return replace(camera, effects=MappingProxyType(effects), covariance=covariance)
+    channels = tuple(_with_own_arrays(one, stem) for one in camera.channels)
+    return replace(camera, effects=MappingProxyType(effects), covariance=covariance, channels=channels)
 
 
 def _with_arrays(effect: Effect, place: str, name: Callable[[str, ArrayFile], ArrayFile]) -> Effect:
@@ -285,7 +308,10 @@ def _with_arrays(effect: Effect, place: str, name: Callable[[str, ArrayFile], Ar
 
 def _document(camera: Camera) -> dict[str, Any]:
     """Return a camera file's content as plain data."""
-    data: dict[str, Any] = {"format": CAMERA_FORMAT, "device": camera.device}
+    if camera.channels:
+        data = merged([_document(one) for one in camera.channels])
+        return {**data, "measurement": {"type": camera.measurement.type, **encode(camera.measurement)}}
+    data = {"format": CAMERA_FORMAT, "device": camera.device}
     for section in ("sensor", "optics", "radiometry", "noise"):
         data[section] = encode(getattr(camera, section))
     data["minimum_amplitude"] = camera.minimum_amplitude

@@ -24,10 +24,11 @@ class Flag(enum.IntFlag):
     MIXED_PIXEL = 4
     OUTSIDE_CALIBRATION = 8
     NO_MEASUREMENT = 16
+    AMBIGUOUS = 32
 
 
 #: Bits with which a pixel has no corrected distance and no point.
-INVALID = Flag.LOW_AMPLITUDE | Flag.SATURATED | Flag.NO_MEASUREMENT
+INVALID = Flag.LOW_AMPLITUDE | Flag.SATURATED | Flag.NO_MEASUREMENT | Flag.AMBIGUOUS
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,6 +150,8 @@ class Effect(Physics):
     per_pixel: ClassVar[frozenset[str]] = frozenset()
     #: names of parameters that are widths or lags
     shapes: ClassVar[frozenset[str]] = frozenset()
+    #: whether it depends on the distance itself, not only on the distance modulo the ambiguity range
+    absolute: ClassVar[bool] = False
 
     @abstractmethod
     def simulate(self, signal: Signal, context: Context) -> Signal:

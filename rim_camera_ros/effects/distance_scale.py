@@ -33,6 +33,7 @@ class DistanceScale(DistanceTerm):
     title = "modulation clock error, or depth made by other optics"
     observable = "known distances over a range of metres; for the principal point known tilts over the array"
     refuted_by = "residuals without a trend over distance"
+    absolute = True
 
     drawn_over = ("distance",)
     scales_distance = True

@@ -39,6 +39,7 @@ class EmitterOffset(Effect):
     title = "emitter beside the lens"
     observable = "near surfaces (below 1 m) at several distances and directions"
     refuted_by = "a distance error that does not decrease with distance as 1 / d beyond its constant part"
+    absolute = True
 
     steady = True
     discrepancy_is_determined = False

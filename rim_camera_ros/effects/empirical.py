@@ -36,6 +36,7 @@ class Empirical(DistanceTerm):
     title = "smooth function of covariates"
     observable = "recordings in which its covariates vary while the rest is known"
     refuted_by = "residuals that do not depend on its covariates"
+    absolute = True
 
     estimated = "covariates"
     stated_by_pixels = True

@@ -23,6 +23,7 @@ class IntegralTable(DistanceTerm):
     title = "error by position"
     observable = "a board at known poses throughout the volume"
     refuted_by = "residuals at one place that differ between surfaces"
+    absolute = True
 
     estimated = "positions"
     needs_all_pixels = True

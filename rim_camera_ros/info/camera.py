@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.info.text import number, section, span, table, words
-from rim_camera_ros.measurement import measurement_of
+from rim_camera_ros.measurement import Part, measurement_of
 
 #: Amplitudes in counts at which the noise is stated.
 _AMPLITUDES = (100.0, 300.0, 1000.0, 3000.0, 10000.0)
@@ -25,6 +26,7 @@ def camera_facts(camera: Camera) -> dict[str, Any]:
     sigma = camera.noise.sigma_distance(np.array(_AMPLITUDES), background=camera.background)
     measurement = measurement_of(camera)
     correction = measurement.correction(camera)
+    effects = _effects(measurement.parts(camera))
     return {
         "device": camera.device,
         "width": sensor.width,
@@ -47,8 +49,8 @@ def camera_facts(camera: Camera) -> dict[str, Any]:
             "any" if time is None else f"{time:g}": correction.minimum_for(Settings(integration_time=time))
             for time in times
         },
-        "effects": {name: effect.sentence() for name, effect in camera.effects.items()},
-        "undone": {name: effect.undo for name, effect in camera.effects.items()},
+        "effects": {name: effect.sentence() for name, effect in effects.items()},
+        "undone": {name: effect.undo for name, effect in effects.items()},
         "validity": {
             name: list(value)
             for name in ("distance", "amplitude", "integration_time", "temperature", "region")
@@ -80,7 +82,7 @@ def camera_text(facts: dict[str, Any]) -> str:
             + (f", nothing delivered below {number(threshold, 'counts')}" if threshold else ""),
         ),
     ]
-    lines += facts["measurement"].items()
+    lines = [*(dict(lines) | facts["measurement"]).items()]
     suppression = facts["background_suppression_db"]
     if suppression is not None:
         most = facts["saturation_counts"] * 10.0 ** (suppression / 20.0)
@@ -142,6 +144,16 @@ def camera_text(facts: dict[str, Any]) -> str:
             )
         )
     return "\n\n".join(parts)
+
+
+def _effects(parts: Sequence[Part]) -> dict[str, Effect]:
+    """Return the effects by name, with the part's name where the parts differ in it."""
+    result: dict[str, Effect] = {}
+    for name in dict.fromkeys(name for one in parts for name in one.camera.effects):
+        found = [(one.camera.effects[name], one.name) for one in parts if name in one.camera.effects]
+        same = len(found) == len(parts) and all(one == found[0][0] for one, _ in found)
+        result |= {name: found[0][0]} if same else {f"{name}, {part}": one for one, part in found}
+    return result
 
 
 def _mark(undo: str) -> str:

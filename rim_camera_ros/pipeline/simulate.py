@@ -92,6 +92,16 @@ class Simulation:
         self._kept: _Kept | None = None
         self._around: tuple[Geometry, FootprintLight] | None = None
 
+    def beside(self, camera: Camera, stream: int) -> Simulation:
+        """Return a simulation of another camera in the same place, of the same power and with its own noise.
+
+        ``stream``: another number for each. What the pixels see is computed once for both.
+        """
+        other = replace(self, camera=camera)
+        other._rng = np.random.Generator(np.random.SFC64([self.seed, stream]))
+        other._seen = self._seen
+        return other
+
     # --- scene ----------------------------------------------------------------------------------
 
     def geometry(self, poses: Mapping[str, Pose]) -> Geometry:

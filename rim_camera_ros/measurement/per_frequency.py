@@ -1,0 +1,95 @@
+"""Camera files of several frequencies: the file of each, and one file of all.
+
+What may differ between the frequencies may be a list with an entry for each, in the order of
+``sensor.modulation_frequency``; what is no such list holds for all. In ``sensor``, ``radiometry`` and
+``noise`` these are the single numbers, beside them ``minimum_amplitude``, each effect as a whole (null: off
+at that frequency) and ``covariance``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from rim_camera_ros.yaml_files import Document
+
+_SECTIONS = ("sensor", "radiometry", "noise")
+#: Keys of those sections whose value is a list at one frequency.
+_LISTS = ("pixel_pitch", "exposure")
+_WHOLE = ("minimum_amplitude", "covariance")
+
+
+def documents(document: Document) -> tuple[Document, ...]:
+    """Return the document of each frequency; the document itself where there is one.
+
+    Raises `InputError` for a list of another length.
+    """
+    sensor = document.data.get("sensor")
+    frequencies = sensor.get("modulation_frequency") if isinstance(sensor, Mapping) else None
+    if not isinstance(frequencies, list):
+        return (document,)
+    count = len(frequencies)
+    if count < 2:
+        raise document.error(
+            ("sensor", "modulation_frequency"), "a list of one frequency", "give the number alone, or more"
+        )
+    lists = [place for place in _places(document.data) if isinstance(_at(document.data, place), list)]
+    for place in lists:
+        found = len(_at(document.data, place))
+        if found != count:
+            raise document.error(
+                place, f"{found} entries for {count} frequencies", "give one for each, or one for all"
+            )
+    return tuple(_of_one(document, lists, i) for i in range(count))
+
+
+def _places(data: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return where lists with an entry per frequency may stand."""
+    groups = (*_SECTIONS, "effects")
+    inner = [(one, key) for one in groups if isinstance(data.get(one), Mapping) for key in data[one]]
+    return [place for place in inner if place[1] not in _LISTS] + [(one,) for one in _WHOLE if one in data]
+
+
+def _at(data: Any, place: Sequence[Any]) -> Any:
+    for key in place:
+        data = data[key]
+    return data
+
+
+def _of_one(document: Document, lists: Sequence[tuple[str, ...]], index: int) -> Document:
+    data = {key: dict(one) if isinstance(one, Mapping) else one for key, one in document.data.items()}
+    data.pop("measurement", None)
+    lines = dict(document.lines)
+    for *group, key in lists:
+        holder = _at(data, group)
+        holder[key] = holder[key][index]
+        if holder[key] is None and (group or key == "covariance"):
+            del holder[key]
+        place = (*group, key)
+        # what is wrong in an entry is found at its own line
+        own = (*place, index)
+        lines.update(
+            {
+                (*place, *one[len(own) :]): line
+                for one, line in document.lines.items()
+                if one[: len(own)] == own
+            }
+        )
+    return replace(document, data=data, lines=lines)
+
+
+def merged(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the content of one file of those of the frequencies; the inverse of `documents`."""
+    result = dict(parts[0])
+    for section in (*_SECTIONS, "effects"):
+        keys = dict.fromkeys(key for one in parts for key in one.get(section, {}))
+        result[section] = {key: _entry([one.get(section, {}).get(key) for one in parts]) for key in keys}
+    for key in _WHOLE:
+        if any(key in one for one in parts):
+            result[key] = _entry([one.get(key) for one in parts])
+    return result
+
+
+def _entry(values: list[Any]) -> Any:
+    return values[0] if all(one == values[0] for one in values) else values
