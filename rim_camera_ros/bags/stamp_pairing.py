@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,13 +34,16 @@ class _Exposure:
 class StampPairing:
     """Pairs the distance and amplitude of one stamp, with what else carries it.
 
+    ``images``: the roles of all images of an exposure, distance and amplitude first.
+
     ``publishes(role)`` tells whether anybody publishes frame_info or a reading. A pair waits, shortly, for
     those that do and that came with the frame before; of the readings the last ones before the frame
     will do. A pair without its frame_info, though somebody publishes it, is left out: its
     integration time is not known. ``left_out`` counts, by reason, what did not become a frame.
     """
 
-    def __init__(self, publishes: Callable[[str], bool]) -> None:
+    def __init__(self, publishes: Callable[[str], bool], images: Sequence[str] = IMAGES) -> None:
+        self._images = tuple(images)
         self.left_out: Counter[str] = Counter()
         self._publishes = publishes
         self._waiting: dict[int, _Exposure] = {}
@@ -64,11 +67,11 @@ class StampPairing:
         if stamp in self._refused:
             return []
         exposure = self._exposure(stamp)
-        if role in IMAGES and role in exposure.parts:
+        if role in self._images and role in exposure.parts:
             self.left_out[f"{role} twice with one stamp"] += 1
             return []
         exposure.parts[role] = value
-        if exposure.complete_since is None and all(one in exposure.parts for one in IMAGES):
+        if exposure.complete_since is None and all(one in exposure.parts for one in self._images):
             exposure.complete_since = now
         return self._ready(now)
 
@@ -137,8 +140,9 @@ class StampPairing:
         return [
             RawFrame(
                 stamp=stamp,
-                distance=parts["distance"],
-                amplitude=parts["amplitude"],
+                distance=parts[self._images[0]],
+                amplitude=parts[self._images[1]],
+                images={role: parts[role] for role in self._images[2:]},
                 settings=Settings(
                     integration_time=settings.integration_time,
                     modulation_frequency=settings.modulation_frequency,
@@ -162,8 +166,8 @@ class StampPairing:
 
     def _drop(self, stamp: int) -> None:
         exposure = self._waiting.pop(stamp)
-        there = [role for role in IMAGES if role in exposure.parts]
+        there = [role for role in self._images if role in exposure.parts]
         # a node that joins finds one half of the first exposure: nothing is wrong with that
-        if len(there) == 1 and self._expected is not None:
-            other = IMAGES[there == ["distance"]]
+        if 0 < len(there) < len(self._images) and self._expected is not None:
+            other = next(role for role in self._images if role not in there)
             self.left_out[f"{there[0]} without {other}"] += 1

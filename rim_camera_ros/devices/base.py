@@ -19,6 +19,10 @@ class Device(Protocol):
     def frame_rate(self) -> float:
         """Frames per second at present."""
 
+    @property
+    def image_roles(self) -> tuple[str, ...]:
+        """Roles of the images of its frames (`rim_camera_ros.bags.topics`), once it is open."""
+
     def open(self) -> None:
         """Make the device ready; a no-op when it is."""
 

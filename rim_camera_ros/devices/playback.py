@@ -61,12 +61,18 @@ class Playback:
         self._recorded_rate = DEFAULT_RATE
         self._pace = Pace()
         self._stream: Iterator[_Recorded] | None = None
+        self._roles: tuple[str, ...] = ("distance", "amplitude")
         self.assumptions: list[str] = []
 
     @property
     def frame_rate(self) -> float:
         """Frames per second: as set, or the recording's mean times ``rate``."""
         return self._given_rate if self._given_rate is not None else self._recorded_rate * self.rate
+
+    @property
+    def image_roles(self) -> tuple[str, ...]:
+        """Roles of the images of its frames, as its first frame has them."""
+        return self._roles
 
     def open(self) -> None:
         """Open the recording and read its first frame; a no-op when it is open.
@@ -79,6 +85,8 @@ class Playback:
         self._poses: dict[str, tuple[int, int]] = {}
         stream = self._rounds()
         self._first = next(stream, None)
+        if self._first is not None:
+            self._roles = tuple(self._first.frame.by_role)
         self._stream = stream
 
     def next_frame(self) -> RawFrame | None:

@@ -73,6 +73,11 @@ class Simulator:
         return self._given_rate if self._given_rate is not None else Timeline.rate_of(self.scene)
 
     @property
+    def image_roles(self) -> tuple[str, ...]:
+        """Roles of the images of its frames."""
+        return measurement_of(self.camera).image_roles(self.camera)
+
+    @property
     def skipped(self) -> int:
         """Number of frames that were left out because they came too late."""
         return self._pace.skipped

@@ -113,6 +113,11 @@ class SwissRanger:
     # --- the interface of a device --------------------------------------------------------------
 
     @property
+    def image_roles(self) -> tuple[str, ...]:
+        """Roles of the images of its frames."""
+        return ("distance", "amplitude")
+
+    @property
     def frame_rate(self) -> float:
         """Frames per second: as set, else as measured, 0 before the second frame."""
         return self._wanted.frame_rate or self._rate

@@ -11,10 +11,11 @@ from typing import Any, Protocol
 from rclpy.subscription import Subscription
 
 from rim_camera_ros.bags.stamp_pairing import StampPairing
-from rim_camera_ros.bags.topics import ROLES
+from rim_camera_ros.bags.topics import IMAGE, KNOWN_ROLES
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.frame import Intrinsics, RawFrame
+from rim_camera_ros.measurement import measurement_of
 from rim_camera_ros.nodes.common import messages, qos
 from rim_camera_ros.nodes.common.handover import Exposure, Handover
 from rim_camera_ros.nodes.common.lifecycle import ManagedNode
@@ -29,7 +30,7 @@ _DROPPED = "a newer frame was there, or maximum_age was over"
 #: Pixels by which camera_info may differ from the camera file before it is said.
 _SAME_OPTICS = 2.0
 #: In the order in which a driver publishes: what waits together is taken in this order.
-_ROLES = ("temperature", "ambient", "reference", "frame_info", "camera_info", "amplitude", "distance")
+_ROLES = ("temperature", "ambient", "reference", "frame_info", "camera_info")
 
 
 @dataclass(frozen=True)
@@ -95,9 +96,10 @@ class MessageInput:
         profile = qos.profile(delivery, depth=_QUEUE)
         self._keep_all = delivery == qos.RELIABLE
         self._frames.begin(self._hand_on, keep_all=False, surplus=self._receiver.fresh.surplus)
-        self._pairing = StampPairing(self._published)
-        for role in _ROLES:
-            topic, kind = ROLES[role]
+        images = measurement_of(self._receiver.camera()).image_roles(self._receiver.camera())
+        self._pairing = StampPairing(self._published, images)
+        for role in (*_ROLES, *reversed(images)):
+            topic, kind = KNOWN_ROLES[role]
             take = self._compare if role == "camera_info" else self._taker(role)
             self._from[role] = qos.subscription(
                 self._receiver.node, messages.ros_class(kind), topic, take, profile, parameter="qos.input"
@@ -167,10 +169,10 @@ class MessageInput:
         self._receiver.deliver([exposure.frame], exposure.frame_id)
 
     def _value(self, role: str, message: Any) -> Any:
-        if role in ("distance", "amplitude"):
+        if KNOWN_ROLES[role][1] == IMAGE:
             image = messages.image_array(message, role=role)
             _check_shape(image.shape, self._receiver.camera())
-            if role == "distance":
+            if role.startswith("distance"):
                 self._frame_id = message.header.frame_id
             return image
         if role == "frame_info":
@@ -222,7 +224,7 @@ class MemoryInput:
     def _take(self, exposure: Exposure) -> None:
         frame, geometry = exposure.frame, exposure.geometry
         try:
-            for image in (frame.distance, frame.amplitude):
+            for image in frame.by_role.values():
                 _check_shape(image.shape, self._receiver.camera())
         except InputError as error:
             self._left_out["distance refused"] += 1

@@ -15,25 +15,25 @@ from typing import Any
 
 from std_srvs.srv import Trigger
 
-from rim_camera_ros.bags.topics import ROLES
+from rim_camera_ros.bags.topics import KNOWN_ROLES
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera, save_camera_apart
 from rim_camera_ros.effects import registry
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.files import find_camera
 from rim_camera_ros.frame import RawFrame, Settings
+from rim_camera_ros.measurement import FrameCorrection, measurement_of
 from rim_camera_ros.nodes.common.device_info import LatchedInfo, file_values
 from rim_camera_ros.nodes.common.diagnostics import Diagnostics
 from rim_camera_ros.nodes.common.folders import Folders
 from rim_camera_ros.nodes.common.handover import CorrectedCloud, Exposure, Handover
-from rim_camera_ros.nodes.common.lifecycle import ManagedNode
+from rim_camera_ros.nodes.common.lifecycle import ACTIVE, ManagedNode
 from rim_camera_ros.nodes.common.parameters import Apply, Parameters, Values
 from rim_camera_ros.nodes.common.run import Throttle, run
 from rim_camera_ros.nodes.correction.aside import Aside
 from rim_camera_ros.nodes.correction.freshness import Freshness
 from rim_camera_ros.nodes.correction.input import Input, MemoryInput, MessageInput, Receiver
 from rim_camera_ros.nodes.correction.parameters import (
-from rim_camera_ros.measurement import FrameCorrection
     BESIDE,
     EFFECT,
     PEOPLE,
@@ -45,7 +45,6 @@ from rim_camera_ros.measurement import FrameCorrection
 from rim_camera_ros.nodes.correction.publishers import PublisherWatch
 from rim_camera_ros.nodes.correction.publishing import CorrectedPublishers
 from rim_camera_ros.nodes.correction.status import CorrectionStatus
-from rim_camera_ros.pipeline.correct import Correction
 
 #: Seconds between two looks for frames that wait in vain.
 _TICK = 0.1
@@ -53,8 +52,6 @@ _TICK = 0.1
 _LINGER = 0.5
 #: Integration times lately seen whose tables another camera file or effect makes before it takes effect.
 _SEEN = 4
-#: Topics of which two publishers would mix two cameras.
-_RAW = [ROLES[role][0] for role in ("frame_info", "amplitude", "distance")]
 #: Sentences that are said once; more of them are not said at all.
 _NOTES_AT_MOST = 200
 
@@ -115,11 +112,13 @@ class CorrectionNode:
             self.node.create_service(Trigger, f"~/{name}", serve)
             for name, serve in (("load_camera", self._load_camera), ("save_camera", self._save_camera))
         ]
+        raw = ("frame_info", *reversed(measurement_of(self._camera).image_roles(self._camera)))
         self._diagnostics = Diagnostics(
             self.node,
             {
                 "frames": self._look_at_frames,
-                "publishers": PublisherWatch(self.node, _RAW).look,
+                # topics of which two publishers would mix two cameras
+                "publishers": PublisherWatch(self.node, [KNOWN_ROLES[one][0] for one in raw]).look,
                 "pixels": self._status.pixels,
                 "calibration": self._status.calibration,
                 "warm-up": self._status.warm_up,
@@ -254,6 +253,15 @@ class CorrectionNode:
                 f"the file is for {columns} x {rows} px, the images are {width} x {height}",
                 file=values["camera"],
                 remedy="give the file of this sensor",
+            )
+
+        images, used_images = (measurement_of(one).image_roles(one) for one in (camera, used))
+        if images != used_images and self.node.phase == ACTIVE:
+            raise InputError(
+                f"the file is of a camera with the images {', '.join(images)}, subscribed to are those of "
+                f"another: {', '.join(used_images)}",
+                file=values["camera"],
+                remedy="deactivate the node first",
             )
 
         def apply() -> None:

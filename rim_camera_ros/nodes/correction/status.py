@@ -14,6 +14,7 @@ import numpy as np
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.frame import CorrectedFrame, Flag, RawFrame
+from rim_camera_ros.measurement import measurement_of
 from rim_camera_ros.nodes.common.findings import Finding, Flow, Hysteresis, Level, Tally
 from rim_camera_ros.nodes.common.lifecycle import ACTIVE
 from rim_camera_ros.pipeline.consistency import GREATEST, LEAST, NoiseWatch
@@ -70,7 +71,8 @@ class CorrectionStatus:
     def use(self, camera: Camera, file: str, *, off: set[str]) -> None:
         """Judge by another camera file from now on; ``file`` is its name as given."""
         if self._watch is None or camera is not self._camera:
-            self._watch = NoiseWatch(camera)
+            # the images that every raw frame has are those of its first part
+            self._watch = NoiseWatch(measurement_of(camera).parts(camera)[0].camera)
             self._made = _made(camera, file)
             self._sample = None
             self._judge_anew()

@@ -95,7 +95,7 @@ class DriverNode:
         self._source = driver_parameters.source_of(values)
         geometry = _geometry(values)
         self._device = self._source.open()
-        self._topics = FramePublishers(self.node, values)
+        self._topics = FramePublishers(self.node, values, self._device.image_roles)
         self._topics.geometry = geometry
         self._info = LatchedInfo(self.node, "device_info")
         self._file = _file_in_use(values)
@@ -255,6 +255,7 @@ class DriverNode:
             source.check_settings()
         elif changed & driver_parameters.RESTARTING:
             device = source.open()
+            self._check_images(device)
         else:
             source.check_settings(self._current_device())
 
@@ -275,6 +276,16 @@ class DriverNode:
                 source.set_settings(self._device)
 
         return apply
+
+    def _check_images(self, device: Device) -> None:
+        """Close a device and raise `InputError` where its images are not those that are published."""
+        if self._topics is not None and device.image_roles != self._topics.images:
+            device.close()
+            raise InputError(
+                f"its images are {', '.join(device.image_roles)}, published are "
+                f"{', '.join(self._topics.images)}",
+                remedy="take the node back with cleanup first",
+            )
 
     def _apply_running(self, device: Device | None, changed: Set[str]) -> None:
         """Hand a device, or settings, to the acquisition that runs."""

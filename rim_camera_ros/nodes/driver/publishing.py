@@ -2,33 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from rclpy.publisher import Publisher
 
 from rim_camera_ros.bags.image_transport import JPEG, compressed, compressed_for_looking
-from rim_camera_ros.bags.topics import CAMERA_INFO, COMPRESSED, POSE, ROLES, SURFACE
+from rim_camera_ros.bags.topics import CAMERA_INFO, COMPRESSED, KNOWN_ROLES, POSE, ROLES, SURFACE
 from rim_camera_ros.frame import Intrinsics, Pose, RawFrame
 from rim_camera_ros.nodes.common import messages, qos
 from rim_camera_ros.nodes.common.lifecycle import ManagedNode
 from rim_camera_ros.nodes.common.parameters import Values
 
-#: Topics whose subscribers count for wait_for_subscribers.
-GATE = ("frame_info", "amplitude", "distance")
-IMAGES = ("amplitude", "distance")
 #: What image_transport adds to the name of an image for its compressed form.
 _PACKED = "/compressed"
 
 
 class FramePublishers:
-    """Publishers of the raw frames; ``values`` are the driver's parameters.
+    """Publishers of the raw frames; ``values`` are the driver's parameters, ``images`` the frames' roles.
 
     ``frame_id``, ``truth`` (poses of the scene's surfaces), ``clock`` (stamps to /clock) and ``geometry`` (in
     place of the frames') may be changed between frames.
     """
 
-    def __init__(self, node: ManagedNode, values: Values) -> None:
+    def __init__(
+        self, node: ManagedNode, values: Values, images: Sequence[str] = ("distance", "amplitude")
+    ) -> None:
+        self.images = tuple(images)
+        #: topics whose subscribers count for wait_for_subscribers
+        self._gate = ("frame_info", *reversed(self.images))
         self._node = node
         self._values = values
         self._of: dict[str, Publisher] = {}
@@ -39,13 +42,14 @@ class FramePublishers:
         self.clock: bool = values["publish_clock"]
         self.geometry: Intrinsics | None = None
         # what is waited for comes last, so that whoever has found it has found the rest
-        beside = ROLES["distance"][0].rpartition("/")[0] + "/camera_info"
+        beside = KNOWN_ROLES[self.images[0]][0].rpartition("/")[0] + "/camera_info"
         self._of["distance_camera_info"] = self._publisher(CAMERA_INFO, beside, "qos.info")
-        for role in IMAGES:
-            self._of[role + _PACKED] = self._publisher(COMPRESSED, ROLES[role][0] + _PACKED, "qos.images")
-        for role in ("temperature", "ambient", "reference", "camera_info", *GATE):
-            parameter = "qos.images" if role in IMAGES else "qos.info"
-            topic, kind = ROLES[role]
+        for role in reversed(self.images):
+            topic, kind = KNOWN_ROLES[role]
+            self._of[role + _PACKED] = self._publisher(COMPRESSED, topic + _PACKED, "qos.images")
+        for role in ("temperature", "ambient", "reference", "camera_info", *self._gate):
+            parameter = "qos.images" if role in self.images else "qos.info"
+            topic, kind = KNOWN_ROLES[role]
             self._of[role] = self._publisher(kind, topic, parameter)
 
     def destroy(self) -> None:
@@ -55,8 +59,8 @@ class FramePublishers:
             self._node.destroy_publisher(one)
 
     def listeners(self) -> int:
-        """Return the number of subscribers that each of distance, amplitude and frame_info has at least."""
-        return min(self._of[role].get_subscription_count() for role in GATE)
+        """Return the number of subscribers that each of the images and frame_info has at least."""
+        return min(self._of[role].get_subscription_count() for role in self._gate)
 
     def wait_until_received(self, seconds: float) -> None:
         """Wait until reliable subscribers have received everything, at most so long for each topic."""
@@ -93,9 +97,11 @@ class FramePublishers:
             for role in ("camera_info", "distance_camera_info"):
                 if self._wanted(role):
                     self._of[role].publish(messages.camera_info(geometry, head))
-        for role, pixels in (("amplitude", frame.amplitude), ("distance", frame.distance)):
+        for role, pixels in reversed(frame.by_role.items()):
+            if role not in self.images:
+                continue
             if self._wanted(packed := role + _PACKED) and pixels.dtype.kind == "u":
-                lossy = role == "amplitude" and self._values["compressed.format"] == JPEG
+                lossy = role.startswith("amplitude") and self._values["compressed.format"] == JPEG
                 packing = compressed_for_looking if lossy and pixels.dtype == np.uint16 else compressed
                 self._of[packed].publish(messages.compressed_image(packing(pixels), head))
             if self._wanted(role):
