@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.errors import InputError
+
 NANOSECONDS = 1_000_000_000
 
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
@@ -110,6 +112,15 @@ class RawFrame:
         """Every image by the role of its topic."""
         first = "_0" if "distance_1" in self.images and "distance_0" not in self.images else ""
         return {f"distance{first}": self.distance, f"amplitude{first}": self.amplitude, **self.images}
+
+    def require_one_distance(self) -> None:
+        """Raise `InputError` where distance and amplitude are those of one of several frequencies."""
+        if "distance" not in self.by_role:
+            raise InputError(
+                "it holds the images of several modulation frequencies, the camera file has one",
+                place="sensor.modulation_frequency",
+                remedy="give the camera file of these frequencies",
+            )
 
     def with_truth_of(self, surfaces: Set[str]) -> RawFrame:
         """Return the frame without the poses of other surfaces; itself where it has no others."""

@@ -15,12 +15,9 @@ from rim_camera_ros.bags.mcap import guarded
 from rim_camera_ros.bags.pairing import Backwards, Pairing
 from rim_camera_ros.bags.storage import Storage, open_storage, unpack_message
 from rim_camera_ros.bags.topics import (
-    FURTHER_IMAGES,
     KNOWN_ROLES,
     POSE_ROLES,
-    RAW_ROLES,
     ROLES,
-    SAMPLES,
     Topics,
     image_roles,
     require_images,
@@ -139,7 +136,7 @@ class Recording:
     def summary(self) -> RecordingSummary:
         """Return what the recording holds; no image is decoded, and no topic needs to be there."""
         storage = self._opened()
-        by_name = {self._topics[role]: role for role in KNOWN_ROLES}
+        by_name = {self._topics[role]: role for role in self._topics.roles}
         topics = tuple(
             TopicSummary(name, info.msgtype, info.count, self._role(name, by_name))
             for name, info in sorted(storage.topics.items())
@@ -154,7 +151,8 @@ class Recording:
             message_count=sum(one.count for one in topics),
             frame_count=self.frame_count,
             topics=topics,
-            roles={role: self._topics[role] for role in KNOWN_ROLES if role in found} | self._pose_patterns(),
+            roles={role: self._topics[role] for role in self._topics.roles if role in found}
+            | self._pose_patterns(),
             truth_surfaces=self.truth_surfaces,
             assumptions=tuple(self.assumptions),
             damage=storage.damage,
@@ -220,7 +218,7 @@ class Recording:
                     del waiting[min(waiting)]
 
     def _frames(self, storage: Storage, on_backwards: Backwards) -> Iterator[RawFrame]:
-        routes = {self._topics[role]: (role, "") for role in (*RAW_ROLES, *FURTHER_IMAGES, *SAMPLES)}
+        routes = {self._topics[role]: (role, "") for role in self._topics.raw_roles}
         routes |= {topic: (role, surface) for topic, (surface, role) in self._pose_topics().items()}
         routes = {topic: route for topic, route in routes.items() if topic in self._types}
         pairing = Pairing(routes, on_backwards, self._say)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from rim_camera_ros.errors import InputError, nearest_name
@@ -115,13 +115,15 @@ class Topics:
     """Topic names by role: a namespace and what deviates from its default names.
 
     ``overrides`` maps roles (see `ROLES`) to topic names; the name for ``truth`` holds the
-    placeholder ``<surface>``.
+    placeholder ``<surface>``. With a ``frequency`` distance and amplitude are the images of that one of
+    several modulation frequencies (counted from 0), and the others are passed over.
 
     Raises InputError for an unknown role, a malformed name or one topic in two roles.
     """
 
     namespace: str = DEFAULT_NAMESPACE
     overrides: Mapping[str, str] = field(default_factory=dict)
+    frequency: int | None = None
 
     def __post_init__(self) -> None:
         namespace = self.namespace.strip().rstrip("/")
@@ -143,16 +145,18 @@ class Topics:
         object.__setattr__(self, "namespace", namespace)
         object.__setattr__(self, "overrides", overrides)
         users: dict[str, str] = {}
-        for role in KNOWN_ROLES:
+        for role in self.roles:
             other = users.setdefault(self[role], role)
             if other != role:
                 raise InputError(f"{self[role]} is both {other} and {role}", place="--topic")
 
     def __hash__(self) -> int:
-        return hash((self.namespace, tuple(sorted(self.overrides.items()))))
+        return hash((self.namespace, tuple(sorted(self.overrides.items())), self.frequency))
 
     def __getitem__(self, role: str) -> str:
         """Return the topic name of a role; KeyError for an unknown one."""
+        if self.frequency is not None and role in ("distance", "amplitude"):
+            role = f"{role}_{self.frequency}"
         if role in self.overrides:
             return self.overrides[role]
         name = KNOWN_ROLES[role][0]
@@ -175,6 +179,11 @@ class Topics:
                 raise InputError(f"the role {role} is given twice", place=place)
             overrides[role] = name
         return cls(namespace, overrides)
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """All roles, without the images of other frequencies where one is chosen."""
+        return tuple(one for one in KNOWN_ROLES if self.frequency is None or one not in FURTHER_IMAGES)
 
     @property
     def automatic(self) -> bool:
@@ -204,6 +213,11 @@ class Topics:
                 surface = topic[len(before) : len(topic) - len(after)]
                 if surface and "/" not in surface:
                     yield surface, pattern
+
+    @property
+    def raw_roles(self) -> tuple[str, ...]:
+        """Roles that make up or accompany a raw frame, other than poses."""
+        return tuple(one for one in self.roles if one in {*RAW_ROLES, *FURTHER_IMAGES, *SAMPLES})
 
     def info_beside(self, role: str) -> str:
         """Return the camera_info topic that image_transport pairs with the role's image."""
@@ -240,11 +254,11 @@ def resolve(topics: Topics, types: Mapping[str, str]) -> tuple[Topics, list[str]
             overrides["amplitude"] = found[0]
             eight = ", 256 counts each if it is mono8" if is_swissranger_intensity(found[0]) else ""
             assumptions.append(f"{found[0]} is the amplitude{eight}, as a ROS 1 SwissRanger driver names it")
-    topics = Topics(topics.namespace, overrides)
+    topics = replace(topics, overrides=overrides)
     if "camera_info" not in overrides and topics["camera_info"] not in types:
         beside = topics.info_beside("distance")
         if beside in types and beside not in overrides.values():
-            topics = Topics(topics.namespace, {**overrides, "camera_info": beside})
+            topics = replace(topics, overrides={**overrides, "camera_info": beside})
     return topics, assumptions
 
 
@@ -271,7 +285,7 @@ def _with_namespace(topics: Topics, types: Mapping[str, str], assumptions: list[
         )
     namespace = found.pop()
     assumptions.append(f"the topics are those of the namespace {namespace or '/'}")
-    return Topics(namespace, topics.overrides)
+    return replace(topics, namespace=namespace)
 
 
 def require_images(topics: Topics, types: Mapping[str, str]) -> None:
@@ -281,7 +295,7 @@ def require_images(topics: Topics, types: Mapping[str, str]) -> None:
     whose message type is not that of its role.
     """
     needed = image_roles(topics, types)
-    for role in dict.fromkeys((*RAW_ROLES, *FURTHER_IMAGES, *SAMPLES)):
+    for role in topics.raw_roles:
         name, expected = topics[role], KNOWN_ROLES[role][1]
         if name in types:
             if types[name] != expected:
@@ -299,6 +313,8 @@ def image_roles(topics: Topics, types: Mapping[str, str]) -> tuple[str, ...]:
 
     Those of every frequency up to the last of which there is an image, where there are any of frequencies.
     """
+    if topics.frequency is not None:
+        return ("distance", "amplitude")
     numbers = [int(role.rpartition("_")[2]) for role in FURTHER_IMAGES if topics[role] in types]
     resolved = ("distance", "amplitude") if not numbers or topics["distance"] in types else ()
     count = 2 * (max(numbers) + 1) if numbers else 0

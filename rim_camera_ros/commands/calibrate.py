@@ -33,7 +33,14 @@ from rim_camera_ros.commands.from_images import posed_recordings
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.fit.data import Dataset
-from rim_camera_ros.reports.calibration_files import page_of, require_a_good_one, write_calibration
+from rim_camera_ros.measurement import Part, measurement_of
+from rim_camera_ros.reports.calibration_files import (
+    page_of,
+    report_of_part,
+    require_a_good_one,
+    write_calibration,
+    write_page,
+)
 from rim_camera_ros.reports.calibration_text import calibration_text
 from rim_camera_ros.scene import Scene
 
@@ -111,22 +118,43 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _calibrated(given: argparse.Namespace, request: Request, report: Path | None) -> int:
+    measurement = measurement_of(request.camera)
+    made: list[tuple[Part, Calibration, Path | None, bytes | None]] = []
+    notes: list[str] = []
     with _Line(quiet=given.quiet) as line:
         try:
-            result = calibrate(request, progress=line.show, reducer=_reducer(given.scheduler))
-            if not given.force_result:
-                _require_a_good_one(given, result)
-            line.show("report", None, None)
-            page, notes = page_of(result, title=given.out.name) if report is not None else (None, [])
+            for part in measurement.parts(request.camera):
+                one = _of_part(request, part)
+                result = calibrate(one, progress=line.show, reducer=_reducer(given.scheduler))
+                if not given.force_result:
+                    _require_a_good_one(given, result)
+                line.show("report", None, None)
+                its = None if report is None else report_of_part(report, part)
+                page, said = page_of(result, title=given.out.name) if its is not None else (None, [])
+                made.append((part, result, its, page))
+                notes += [*said, *result.notes]
+                notes += [f"written as asked, though {reason}" for reason in result.refused]
         except KeyboardInterrupt:
             raise KeyboardInterrupt("nothing was written") from None
-        write_calibration(result, out=given.out, report=report, page=page, author="rim calibrate")
-    refused = [f"written as asked, though {reason}" for reason in result.refused]
-    say(given, [*result.notes, *notes, *refused])
+        # the file of all parts comes first, then the reports
+        _, first, its, page = made[0]
+        camera = measurement.joined(request.camera, tuple(result.camera for _, result, _, _ in made))
+        whole = replace(first, camera=camera)
+        write_calibration(whole, out=given.out, report=its, page=page, author="rim calibrate")
+        for _, _, its, page in made[1:]:
+            write_page(its, page)
+    say(given, notes)
     if not given.quiet:
-        print(calibration_text(result))
-        print(f"written: {given.out}" + (f", {report}" if page is not None else ""))
+        for part, result, _, _ in made:
+            print(f"{part.name}\n" * bool(part.name) + calibration_text(result))
+        files = [str(given.out), *(str(its) for _, _, its, page in made if page is not None)]
+        print(f"written: {', '.join(files)}")
     return 0
+
+
+def _of_part(request: Request, part: Part) -> Request:
+    topics = request.topics if request.topics is not None else Topics()
+    return replace(request, camera=part.camera, topics=replace(topics, frequency=part.frequency))
 
 
 def _require_a_good_one(given: argparse.Namespace, result: Calibration) -> None:
@@ -168,8 +196,15 @@ def _checked(given: argparse.Namespace) -> tuple[Request, Path | None]:
     scenes = [find_scene(one) for one in names]
     inputs: list[str | Path | None] = [*given.bags, *dict.fromkeys(scenes), *([] if same else [source])]
     report = None if given.no_report else given.out.with_name(f"{given.out.stem}.report.html")
-    check_outputs({"--out": given.out, "the report": report}, inputs)
-    check_file(report, force=given.force)
+    camera = camera_of(given.camera)
+    reports: dict[str, Path | None] = {}
+    for part in measurement_of(camera).parts(camera) if report is not None else ():
+        assert report is not None
+        name = f"the report of {part.name}" if part.name else "the report"
+        reports[name] = report_of_part(report, part)
+    check_outputs({"--out": given.out, **reports}, inputs)
+    for file in reports.values():
+        check_file(file, force=given.force)
     seen: dict[Path, Path] = {}
     for bag in given.bags:
         if bag.resolve() in seen:
@@ -184,7 +219,7 @@ def _checked(given: argparse.Namespace) -> tuple[Request, Path | None]:
             raise InputError("--effects names none", remedy="leave it out, or name effects: rim info CAMERA")
     request = Request(
         recordings=tuple(given.bags),
-        camera=camera_of(given.camera),
+        camera=camera,
         scene=tuple(scene_of(one) for one in names) if names else None,
         effects=effects,
         geometry=given.geometry,

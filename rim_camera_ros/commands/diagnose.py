@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rim_camera_ros.bags import Topics
+from rim_camera_ros.bags import Recording, Topics
 from rim_camera_ros.calibrate.checks import require_fixed_poses
 from rim_camera_ros.calibrate.recordings import on_workers, reduce_on_cluster
-from rim_camera_ros.camera import Camera
 from rim_camera_ros.commands.common import (
     Progress,
     Stages,
@@ -31,7 +34,12 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.reduction import reduce_recording
+from rim_camera_ros.frame import RawFrame
+from rim_camera_ros.measurement import Part, measurement_of
 from rim_camera_ros.scene import Scene
+
+if TYPE_CHECKING:
+    from rim_camera_ros.diagnose.result import Diagnosis
 
 _EXAMPLES = """
 rim diagnose bag --camera camera.yaml --scene scene.yaml --out diagnosis
@@ -98,9 +106,11 @@ def run(given: argparse.Namespace) -> int:
         )
     inputs = [given.bag, given.against, find_camera(given.camera), find_scene(given.scene)]
     check_outputs({"--out": given.out}, inputs)
-    folder = OutputFolder(given.out, own={MODEL, REPORT, PAGE, WHERE}, of="a diagnosis", mark=REPORT)
-    folder.check(force=given.force)
     camera, scene = camera_of(given.camera), scene_of(given.scene)
+    parts = measurement_of(camera).parts(camera)
+    own = {MODEL, REPORT, PAGE, WHERE, *(one.name for one in parts)}
+    folder = OutputFolder(given.out, own=own, of="a diagnosis", mark=REPORT)
+    folder.check(force=given.force)
     # before the work: what is not installed is said at once
     try:
         from rim_camera_ros.reports.diagnosis.page import write_page
@@ -110,39 +120,62 @@ def run(given: argparse.Namespace) -> int:
     from rim_camera_ros.diagnose.formula import require_formulas
     from rim_camera_ros.diagnose.report import write_report
     from rim_camera_ros.diagnose.run import diagnose
+    from rim_camera_ros.diagnose.several_parts import text_of, write_as_one
 
     require_formulas()
 
-    if given.board is None:
-        dataset = _stations(given, given.bag, camera, scene)
-    else:
-        with posed_recordings(given, (given.bag,), scene, camera, topics_of(given)) as (posed,):
-            dataset = _stations(given, posed, camera, scene, topics=Topics())
-    against = None if given.against is None else _stations(given, given.against, camera, scene)
-    with Stages(quiet=given.quiet) as stages, on_workers(given.scheduler) as workers:
-        try:
-            result = diagnose(
-                dataset,
-                scene,
-                camera,
-                against=against,
-                seed=given.seed,
-                threads=given.threads,
-                workers=workers,
-                progress=stages.show,
-            )
-        except InputError as error:
-            raise error.located(given.bag) from None
+    results: list[tuple[Part, Diagnosis]] = []
+    with ExitStack() as stack:
+        bag, topics = given.bag, topics_of(given)
+        if given.board is not None:
+            posed = posed_recordings(given, (given.bag,), scene, camera, topics)
+            (bag,), topics = stack.enter_context(posed), Topics()
+        stages = stack.enter_context(Stages(quiet=given.quiet))
+        workers = stack.enter_context(on_workers(given.scheduler))
+        reviewed, changes = measurement_of(camera).review(camera, _frames(bag, topics), scene)
+        measurement = measurement_of(reviewed)
+        for part in measurement.parts(reviewed):
+            dataset = _stations(given, bag, part, scene, topics)
+            against = None
+            if given.against is not None:
+                against = _stations(given, given.against, part, scene, topics_of(given))
+            try:
+                result = diagnose(
+                    dataset,
+                    scene,
+                    part.camera,
+                    against=against,
+                    seed=given.seed,
+                    threads=given.threads,
+                    workers=workers,
+                    progress=stages.show,
+                )
+            except InputError as error:
+                raise error.located(given.bag) from None
+            results.append((part, result))
+    improved = measurement.joined(reviewed, tuple(one.camera for _, one in results))
     with folder.written() as temporary:
         comment = f"Diagnosis of {given.bag} with camera {given.camera} and scene {given.scene}."
-        write_report(result, temporary, comment=comment)
-        write_page(result, temporary, recording=str(given.bag), camera=given.camera, scene=given.scene)
-    say(given, result.notes)
+        for part, result in results:
+            its = temporary / part.name
+            its.mkdir(exist_ok=True)
+            write_report(result, its, comment=comment)
+            write_page(result, its, recording=str(given.bag), camera=given.camera, scene=given.scene)
+        if parts[0].name:
+            write_as_one(results, changes, improved, temporary, comment=comment)
+    say(given, [note for _, result in results for note in result.notes])
     if not given.quiet:
         from rim_camera_ros.diagnose.summary import summary
 
-        print(summary(result, given.out))
+        texts = [summary(result, given.out / part.name) for part, result in results]
+        print(text_of(results, changes, texts) if parts[0].name else texts[0])
     return 0
+
+
+def _frames(path: Path, topics: Topics) -> Iterator[RawFrame]:
+    """Yield the frames of a recording, which is opened only where they are asked for."""
+    with Recording(path, topics=topics) as recording:
+        yield from recording.frames()
 
 
 def _numbers(text: str) -> tuple[int, ...]:
@@ -156,10 +189,10 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 
 def _stations(
-    given: argparse.Namespace, path: Path, camera: Camera, scene: Scene, *, topics: Topics | None = None
+    given: argparse.Namespace, path: Path, part: Part, scene: Scene, topics: Topics
 ) -> Dataset:
-    """Read a recording and keep the stations that have all poses."""
-    names = topics_of(given) if topics is None else topics
+    """Read the images of a part in a recording and keep the stations that have all poses."""
+    camera, names = part.camera, replace(topics, frequency=part.frequency)
     if given.scheduler is None:
         with Progress("read", None, quiet=given.quiet) as progress:
             dataset = reduce_recording(path, camera, topics=names, scene=scene, progress=progress.over)

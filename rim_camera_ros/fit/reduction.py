@@ -217,6 +217,7 @@ def check_frame(frame: RawFrame, camera: Camera) -> None:
             f"the camera file {camera.shape[1]} x {camera.shape[0]}",
             remedy="give the camera file of the camera that recorded it",
         )
+    frame.require_one_distance()
     camera.check_modulation(frame.settings)
 
 

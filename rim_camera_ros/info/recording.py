@@ -13,6 +13,7 @@ from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.frame import Flag, RawFrame
 from rim_camera_ros.info.statistics import METRES, Histogram, Noise, SettingsSeen, Timing
 from rim_camera_ros.info.text import listed_short, number, percent, section, span, table, wrapped
+from rim_camera_ros.measurement import measurement_of
 
 #: Relative difference of two modulation frequencies that is worth saying.
 _DETUNED = 1e-3
@@ -57,7 +58,12 @@ class _Raw:
             self._poses, self._pose = self._poses + 1, pose
 
     def _begin(self, frame: RawFrame) -> None:
+        if self._camera is not None:
+            self._camera = measurement_of(self._camera).camera_of_frame(self._camera, frame)
         camera, self._shape = self._camera, frame.shape
+        if "distance" not in frame.by_role:
+            first, second, *_ = frame.by_role
+            self.notes.append(f"distances, amplitudes and noise are those of {first} and {second}")
         self._in_metres = frame.distance.dtype.kind == "f"
         if camera is not None and frame.shape != camera.shape:
             raise InputError(

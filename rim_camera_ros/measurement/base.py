@@ -66,13 +66,12 @@ class FrameCorrection(Protocol):
 class Part:
     """Images of a camera that are calibrated and diagnosed by themselves, as an ordinary camera's.
 
-    ``name`` is empty where they are all there is; ``roles``: the roles of distance and amplitude by those
-    of an ordinary camera.
+    ``name`` is empty where they are all there is; ``frequency``: the number of their frequency.
     """
 
     camera: Camera
     name: str = ""
-    roles: Mapping[str, str] | None = None
+    frequency: int | None = None
 
 
 class Measurement(Protocol):
@@ -107,11 +106,22 @@ class Measurement(Protocol):
     ) -> FrameCorrection:
         """Return what corrects frames of the camera."""
 
+    def camera_of_frame(self, camera: Camera, frame: RawFrame) -> Camera:
+        """Return the ordinary camera of a raw frame's distance and amplitude."""
+
     def parts(self, camera: Camera) -> tuple[Part, ...]:
         """Return the images that are calibrated and diagnosed, with the ordinary camera of each."""
 
     def joined(self, camera: Camera, parts: tuple[Camera, ...]) -> Camera:
         """Return the camera whose `parts` have become these."""
+
+    def review(
+        self, camera: Camera, frames: Iterable[RawFrame], scene: Scene
+    ) -> tuple[Camera, dict[str, tuple[Any, Any]]]:
+        """Return the camera with other keys of the group where true poses ask for them, and the changes.
+
+        After its parts were diagnosed; changes by key: before, after.
+        """
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
         """Return what `rim info` says of the way of measuring: labels and texts."""
@@ -142,6 +152,10 @@ class OneFrequency:
 
         return Correction(camera, **options)
 
+    def camera_of_frame(self, camera: Camera, frame: RawFrame) -> Camera:
+        """Return the camera itself."""
+        return camera
+
     def parts(self, camera: Camera) -> tuple[Part, ...]:
         """Return the camera itself."""
         return (Part(camera),)
@@ -149,6 +163,12 @@ class OneFrequency:
     def joined(self, camera: Camera, parts: tuple[Camera, ...]) -> Camera:
         """Return its only part."""
         return parts[0]
+
+    def review(
+        self, camera: Camera, frames: Iterable[RawFrame], scene: Scene
+    ) -> tuple[Camera, dict[str, tuple[Any, Any]]]:
+        """Return the camera as it is: there are no keys."""
+        return camera, {}
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
         """Return nothing: the sensor's rows say it."""

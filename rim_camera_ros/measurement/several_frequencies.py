@@ -11,6 +11,7 @@ import numpy as np
 
 from rim_camera_ros.bags.topics import FREQUENCIES
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.frame import RawFrame
 from rim_camera_ros.measurement.base import FrameCorrection, FrameSimulation, Part
 from rim_camera_ros.measurement.wraps import WrapTable, common_range
 from rim_camera_ros.noise import Noise
@@ -160,22 +161,33 @@ class SeveralFrequencies:
 
         return SeveralCorrections(camera, without=without, minimum_amplitude=minimum_amplitude)
 
+    def camera_of_frame(self, camera: Camera, frame: RawFrame) -> Camera:
+        """Return that of the first frequency, or of the resolved distance."""
+        return self.resolved(camera) if "distance" in frame.by_role else camera.channels[0]
+
     def parts(self, camera: Camera) -> tuple[Part, ...]:
         """Return the cameras of the frequencies, with the images of each."""
         return tuple(
-            Part(
-                one,
-                f"{one.sensor.modulation_frequency / 1e6:g}MHz",
-                {kind: f"{kind}_{i}" for kind in ("distance", "amplitude")},
-            )
+            Part(one, f"{one.sensor.modulation_frequency / 1e6:g}MHz", i)
             for i, one in enumerate(camera.channels)
         )
 
     def joined(self, camera: Camera, parts: tuple[Camera, ...]) -> Camera:
         """Return the camera of these frequencies, under the name and with the geometry of the first."""
+        made = zip(self.parts(camera), parts, strict=True)
+        provenance = MappingProxyType({part.name: dict(one.provenance) for part, one in made})
+        optics = parts[0].optics
         return self.camera_of(
-            tuple(replace(one, device=camera.device, optics=parts[0].optics) for one in parts)
+            tuple(replace(one, device=camera.device, optics=optics, provenance=provenance) for one in parts)
         )
+
+    def review(
+        self, camera: Camera, frames: Iterable[RawFrame], scene: Scene
+    ) -> tuple[Camera, dict[str, tuple[Any, Any]]]:
+        """Return the camera without ``wraps`` or ``range`` where the true distances deny them."""
+        from rim_camera_ros.pipeline.several_frequencies import review_wraps
+
+        return review_wraps(camera, frames, scene)
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
         """Return frequencies, ranges and how certain the wraps are."""

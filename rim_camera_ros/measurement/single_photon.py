@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.frame import Settings
+from rim_camera_ros.frame import RawFrame, Settings
 from rim_camera_ros.measurement.base import FrameCorrection, FrameSimulation, Part
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.phasor import SPEED_OF_LIGHT, Waveform
@@ -87,6 +87,10 @@ class SinglePhoton(PulseAndDiode):
             minimum_amplitude=minimum_amplitude,
         )
 
+    def camera_of_frame(self, camera: Camera, frame: RawFrame) -> Camera:
+        """Return the camera itself."""
+        return camera
+
     def parts(self, camera: Camera) -> tuple[Part, ...]:
         """Return the camera itself: distance and amplitude are those of an ordinary one."""
         return (Part(camera),)
@@ -94,6 +98,12 @@ class SinglePhoton(PulseAndDiode):
     def joined(self, camera: Camera, parts: tuple[Camera, ...]) -> Camera:
         """Return its only part."""
         return parts[0]
+
+    def review(
+        self, camera: Camera, frames: Iterable[RawFrame], scene: Scene
+    ) -> tuple[Camera, dict[str, tuple[Any, Any]]]:
+        """Return the camera as it is."""
+        return camera, {}
 
     def coincident(self, camera: Camera) -> float:
         """Return the share of a period that is the pulse's effective width, 4 sqrt(pi) sigma_t / T.

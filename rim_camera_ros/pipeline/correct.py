@@ -176,6 +176,7 @@ class Correction:
                 f"{expected[1]} x {expected[0]}",
                 remedy="give the camera file of this sensor",
             )
+        frame.require_one_distance()
         self.camera.check_modulation(frame.settings)
         if self._last is not None and frame.stamp < self._last:
             self._memory.clear()

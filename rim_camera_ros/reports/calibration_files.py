@@ -8,6 +8,7 @@ from rim_camera_ros.calibrate.run import Calibration
 from rim_camera_ros.camera_file import save_camera_apart
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.info.text import several
+from rim_camera_ros.measurement import Part
 from rim_camera_ros.yaml_files import write_whole
 
 
@@ -53,6 +54,18 @@ def write_calibration(
         f"{accuracy.noise * 1e3:.2f} mm; see provenance below."
     )
     result.camera = save_camera_apart(result.camera, out, comment=comment)
+    write_page(report, page)
+
+
+def write_page(report: Path | None, page: bytes | None) -> None:
+    """Write a report, where there is one. Raises `OSError` where the disk refuses."""
     if report is not None and page is not None:
         content = page
         write_whole(report, lambda stream: stream.write(content))
+
+
+def report_of_part(report: Path, part: Part) -> Path:
+    """Return the report's name for one part of a camera: its own where the part has no name."""
+    if not part.name:
+        return report
+    return report.with_name(report.name.removesuffix(".report.html") + f".{part.name}.report.html")

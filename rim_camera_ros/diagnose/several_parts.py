@@ -1,0 +1,83 @@
+"""Diagnoses of the parts (frequencies) of one camera as one: the report of all beside that of each."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import save_camera
+from rim_camera_ros.diagnose.files import MODEL, PAGE, REPORT
+from rim_camera_ros.diagnose.report import as_json
+from rim_camera_ros.diagnose.result import Diagnosis
+from rim_camera_ros.measurement import Part
+from rim_camera_ros.yaml_files import write_whole
+
+#: Verdicts, the gravest last.
+_ORDER = ("consistent", "wrong_parameters", "missing_physics", "unknown_physics", "inconsistent_setup")
+
+
+def gravest(results: Sequence[tuple[Part, Diagnosis]], changes: Mapping[str, Any]) -> str:
+    """Return the verdict on all parts; ``changes``: keys of the way of measuring that were wrong."""
+    verdicts = [one.verdict for _, one in results] + ["wrong_parameters"] * bool(changes)
+    return max(verdicts, key=_ORDER.index)
+
+
+def as_one(
+    results: Sequence[tuple[Part, Diagnosis]], changes: Mapping[str, tuple[Any, Any]]
+) -> dict[str, Any]:
+    """Return one report of all parts in the form of `rim_diagnosis/1`.
+
+    Its numbers are those of the part with the gravest verdict (of several the one with the greatest RMS
+    before); ``missing`` and ``adjusted`` are those of all parts, with the name under ``part``. ``parts`` has
+    the verdict and the report of each.
+    """
+    worst, _ = max(results, key=lambda one: (_ORDER.index(one[1].verdict), one[1].accuracy.rms_before))
+    reports = {part.name: as_json(result) for part, result in results}
+    whole = {**reports[worst.name], "verdict": gravest(results, changes), "model": MODEL}
+    whole["where"] = {**whole["where"], "pixels": f"{worst.name}/{whole['where']['pixels']}"}
+    for key in ("missing", "adjusted"):
+        whole[key] = [{**one, "part": name} for name, its in reports.items() for one in its[key]]
+    whole["adjusted"] += [
+        {"effect": key, "from": {key: before}, "to": {key: after}, "part": ""}
+        for key, (before, after) in changes.items()
+    ]
+    whole["parts"] = {
+        name: {"verdict": its["verdict"], "report": f"{name}/{REPORT}", "page": f"{name}/{PAGE}"}
+        for name, its in reports.items()
+    }
+    whole["notes"] = [f"{name}: {note}" for name, its in reports.items() for note in its["notes"]]
+    return whole
+
+
+def write_as_one(
+    results: Sequence[tuple[Part, Diagnosis]],
+    changes: Mapping[str, tuple[Any, Any]],
+    camera: Camera,
+    folder: Path,
+    *,
+    comment: str,
+) -> None:
+    """Write camera.yaml and report.json of all parts. Raises `RimError` where a file cannot be written."""
+    save_camera(camera, folder / MODEL, comment=comment)
+    text = json.dumps(as_one(results, changes), indent=1, allow_nan=False) + "\n"
+    write_whole(folder / REPORT, lambda stream: stream.write(text.encode()))
+
+
+def text_of(
+    results: Sequence[tuple[Part, Diagnosis]], changes: Mapping[str, tuple[Any, Any]], texts: Sequence[str]
+) -> str:
+    """Return the texts of the parts under their names, after the verdict on all."""
+    lines = [f"{gravest(results, changes)}, of all frequencies"]
+    for key, (before, after) in changes.items():
+        lines.append(f"  measurement.{key}: {_shown(before)} is not what was measured; now {_shown(after)}")
+    for (part, _), text in zip(results, texts, strict=True):
+        lines += [part.name, text]
+    return "\n".join(lines)
+
+
+def _shown(value: Any) -> str:
+    text = "null" if value is None else str(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."
