@@ -14,11 +14,12 @@ from rim_camera_ros.measurement.base import (
     OneFrequency,
     Part,
 )
+from rim_camera_ros.measurement.gated import Gated
 from rim_camera_ros.measurement.several_frequencies import SeveralFrequencies
 from rim_camera_ros.measurement.single_photon import SinglePhoton
 
 #: Types by their name in a camera file; each a frozen dataclass of the keys of the group ``measurement``.
-TYPES: dict[str, type[Measurement]] = {one.type: one for one in (SeveralFrequencies, SinglePhoton)}
+TYPES: dict[str, type[Measurement]] = {one.type: one for one in (SeveralFrequencies, SinglePhoton, Gated)}
 
 _ORDINARY = OneFrequency()
 

@@ -25,7 +25,8 @@ class ResolvedCorrection(Correction):
 
     ``role``: of the images (H, W, ``count``) that are linear in the light; ``resolve`` evaluates them.
     Stray light is undone in them, image by image; in distance and amplitude alone it cannot be, because
-    light of another distance may be told apart or not. Otherwise as `Correction`.
+    light of another distance may be told apart or not. ``responds``: the images are compressed as
+    ``amplitude_nonlinearity`` says. Otherwise as `Correction`.
     """
 
     def __init__(
@@ -35,6 +36,7 @@ class ResolvedCorrection(Correction):
         *,
         role: str,
         count: int,
+        responds: bool = False,
         without: Iterable[str] = (),
         minimum_amplitude: float | None = None,
     ) -> None:
@@ -47,6 +49,8 @@ class ResolvedCorrection(Correction):
         scattering = camera.effects.get(Scattering.name)
         self._scattering = scattering if isinstance(scattering, Scattering) and not given & apart else None
         self._resolve, self._role, self._count = resolve, role, count
+        response = self._active.get("amplitude_nonlinearity")
+        self._response: Any = response if responds else None
         self.camera = camera
 
     def correct(self, frame: RawFrame) -> CorrectedFrame:
@@ -70,6 +74,8 @@ class ResolvedCorrection(Correction):
                 remedy="give the camera file of this sensor, with its measurement",
             )
         planes = np.moveaxis(images, -1, 0)
+        if self._response is not None:
+            planes = self._response.expanded(planes.astype(np.float32))
         if self._scattering is not None:
             planes = _without_stray_light(planes.astype(np.float32), self._scattering)
         distance, amplitude, sigma = self._resolve(planes, frame.settings)
