@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from rim_camera_ros.camera import Camera, Covariance, Radiometry, Sensor, Validity
-from rim_camera_ros.effects import SECTIONS, Effect, registry
+from rim_camera_ros.effects import SECTIONS, Effect, known_effects
 from rim_camera_ros.errors import InputError, nearest_name
 from rim_camera_ros.measurement import TYPES, Measurement, measurement_of
 from rim_camera_ros.measurement.per_frequency import documents, merged
@@ -119,7 +119,7 @@ def _decode_effects(data: Any, camera: Camera, document: Document) -> Mapping[st
         return _EMPTY
     if not isinstance(data, dict):
         raise document.error(("effects",), "expected a group of effects by name")
-    known = registry()
+    known = known_effects()
     for name in data:
         if name in SECTIONS:
             raise document.error(
@@ -160,7 +160,7 @@ def with_effects(camera: Camera, effects: Mapping[str, Effect]) -> Camera:
 
     Raises `InputError` for an unknown name or parameters that do not fit the camera.
     """
-    known = registry()
+    known = known_effects()
     for name in effects:
         if name not in known:
             raise InputError(f"unknown effect '{name}'", remedy=nearest_name(name, known))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects import OPTICS, registry, vocabulary
+from rim_camera_ros.effects import OPTICS, effects_of, vocabulary
 from rim_camera_ros.effects.candidate import Candidate
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.select.evidence import Scores
@@ -127,7 +127,7 @@ def statuses(
     """
     sizes = sizes_of(fitted, candidates, tick)
     owners = {scores.regressors[int(i)].owner for i in scores.base}
-    known = registry()
+    known = effects_of(start)
     result = []
     for name in [*known, *OPTICS]:
         effect = fitted.camera.effects.get(name)

@@ -21,7 +21,8 @@ from rim_camera_ros.effects import (
     CovariateTable,
     PixelMap,
     PositionTable,
-    registry,
+    effects_of,
+    known_effects,
     vocabulary,
 )
 from rim_camera_ros.effects.base import effect_of
@@ -71,7 +72,7 @@ def by_search(
 ) -> Outcome:
     """Fit what the camera file has and the recordings determine, and add what held-out poses ask for."""
     kept = _undetermined(problem, camera, say)
-    names = [name for name in [*registry(), *OPTICS] if name not in kept and _is_fitted(name)]
+    names = [name for name in [*effects_of(camera), *OPTICS] if name not in kept and _is_fitted(name)]
     free = replace(problem, effects=tuple(names))
     asked = [name for name in names if name not in camera.effects and name not in problem.geometry]
     # surfaces that do not reflect as Lambert says would lend their light to other effects
@@ -190,7 +191,7 @@ def checked_names(words: Sequence[str]) -> tuple[list[str], tuple[str, ...] | No
     """
     names: list[str] = []
     covariates: tuple[str, ...] | None = None
-    known = [*registry(), *OPTICS]
+    known = [*known_effects(), *OPTICS]
     for word in words:
         name = word.partition(":")[0]
         if name not in known or (":" in word and name != CovariateTable.name):

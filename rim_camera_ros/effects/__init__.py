@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import cache
 from importlib.metadata import entry_points
 
+from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset
@@ -20,6 +21,7 @@ from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.effects.emitter_offset import EmitterOffset
 from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
+from rim_camera_ros.effects.gate_timing import GateTiming
 from rim_camera_ros.effects.incidence_angle import IncidenceAngle
 from rim_camera_ros.effects.integral_table import IntegralTable
 from rim_camera_ros.effects.integration_time_offset import IntegrationTimeOffset
@@ -65,6 +67,10 @@ ORDER: tuple[type[Effect], ...] = (
     AmplitudeNonlinearity,
 )
 
+#: Effects of one way of measuring (`rim_camera_ros.measurement`) alone, which act as those of ``ORDER`` do: a
+#: file of such a camera may hold them, and no other camera is asked for them.
+PARTICULAR: tuple[type[Effect], ...] = (GateTiming,)
+
 
 @cache
 def registry() -> dict[str, type[Effect]]:
@@ -82,9 +88,20 @@ def registry() -> dict[str, type[Effect]]:
     return found
 
 
+def known_effects() -> dict[str, type[Effect]]:
+    """Return `registry` and, behind it, the effects of single ways of measuring."""
+    return {**registry(), **{one.name: one for one in PARTICULAR}}
+
+
+def effects_of(camera: Camera) -> dict[str, type[Effect]]:
+    """Return the effects that can be of a camera: `registry`, and what else its file holds."""
+    known = registry()
+    return {**known, **{name: type(one) for name, one in camera.effects.items() if name not in known}}
+
+
 def vocabulary() -> dict[str, type[Physics]]:
     """Return all names that a diagnosis speaks of: the effects, then sections that are none."""
-    return {**registry(), **SECTIONS}
+    return {**known_effects(), **SECTIONS}
 
 
 def without_poses() -> list[str]:
@@ -110,6 +127,7 @@ __all__ = [
     "OF_SURFACES",
     "OPTICS",
     "ORDER",
+    "PARTICULAR",
     "SECTIONS",
     "ComplexEffect",
     "Context",
@@ -128,7 +146,9 @@ __all__ = [
     "Signal",
     "StrayLight",
     "UnmodulatedLight",
+    "effects_of",
     "estimate_reference_scale",
+    "known_effects",
     "mean_reading",
     "registry",
     "vocabulary",

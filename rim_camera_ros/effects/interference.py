@@ -22,6 +22,7 @@ class Interference(ComplexEffect):
     observable = "repeated frames of a fixed scene with dark surfaces: the noise is common to all pixels"
     refuted_by = "noise that is independent between pixels"
     undo: ClassVar[Undo] = "none"
+    demodulates = True
 
     shows_in = "frames"
     estimated = "elsewhere"

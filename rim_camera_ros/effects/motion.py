@@ -51,6 +51,7 @@ class Motion(Effect):
     observable = "a moving camera (camera_motion) before edges or oblique surfaces"
     refuted_by = "errors that stay when the camera rests"
     undo: ClassVar[Undo] = "none"
+    demodulates = True
 
     lacking = "the scene states no camera motion"
     planned = False

@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.chain import Chain, deliver, ideal_amplitude
-from rim_camera_ros.effects import registry
+from rim_camera_ros.effects import effects_of, registry
 from rim_camera_ros.effects.base import (
     Context,
     Signal,
@@ -85,7 +85,7 @@ class Forward:
         # the last is that of a ray that meets nothing, which has the number -1
         self._undescribed = np.array([*(not one.is_described for one in scene.surfaces), False])
         self._chain = Chain.of(camera.effects.values(), of_means=True)
-        self._order = {name: i for i, name in enumerate(registry())}
+        self._order = {name: i for i, name in enumerate(effects_of(camera))}
         self._of_geometry = [name for name, one in registry().items() if one.remembers_geometry]
 
     def __getstate__(self) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from scipy import linalg
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
-from rim_camera_ros.effects import Effect, registry
+from rim_camera_ros.effects import Effect, known_effects
 from rim_camera_ros.effects.light_curves import TILES, LightCurves, of_light, tile_labels
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.covariate_table import LABEL, with_empirical_changes
@@ -220,7 +220,7 @@ def of_shape(path: str) -> bool:
 def _owner(path: str) -> tuple[type[Effect] | None, str]:
     """Return the effect that a dotted path of a camera file is of, and the path within it."""
     name, _, inner = path.removeprefix("effects.").partition(".")
-    return (registry().get(name) if path.startswith("effects.") else None), inner
+    return (known_effects().get(name) if path.startswith("effects.") else None), inner
 
 
 def of_scene(path: str) -> bool:

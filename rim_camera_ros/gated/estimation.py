@@ -35,7 +35,8 @@ _TINY = 1e-30
 class GateEstimates:
     """What the images tell, all (pixels,): distance [m], NaN where the gates do not tell it.
 
-    ``amplitude`` [counts]: light of the pulse. ``sigma`` [m]: Cramer-Rao bound of the distance's standard deviation.
+    ``amplitude`` [counts]: light of the pulse. ``sigma`` [m]: Cramer-Rao bound of the distance's standard
+    deviation.
     """
 
     distance: Array

@@ -28,8 +28,8 @@ _FULL = 65535
 class GatedSimulation(PulsedSimulation):
     """Makes the image of every gate and evaluates them as the device would.
 
-    The amplitude is the light of the pulse in counts, as if a gate had let all of it through. The image of the
-    role ``gates`` (H, W, gates), uint16, holds the counts; a pixel that is full in one of them saturates.
+    The amplitude is the light of the pulse in counts, as if a gate had let all of it through. The image of
+    the role ``gates`` (H, W, gates), uint16, holds the counts; a pixel that is full in one of them saturates.
     """
 
     @cached_property
@@ -70,10 +70,7 @@ class GatedSimulation(PulsedSimulation):
             images = self._rng.poisson(images) + self.shutter.read_noise * self._rng.standard_normal(
                 images.shape
             )
-        response: Any = self.camera.effects.get("amplitude_nonlinearity")
-        if response is not None:
-            images = response.compressed(np.maximum(images, 0.0))
-        images = np.clip(images, 0.0, _FULL)
+        images = np.clip(self._chain.published(np.maximum(images, 0.0)), 0.0, _FULL)
         if self.quantised:
             images = np.rint(images)
         found = self._estimator.estimate(images.reshape(len(images), -1))

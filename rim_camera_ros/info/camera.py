@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects import CovariateTable
+from rim_camera_ros.effects import CovariateTable, Effect
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.info.text import number, section, span, table, words
 from rim_camera_ros.measurement import Part, measurement_of

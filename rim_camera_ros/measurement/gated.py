@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -13,7 +12,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.gated.estimation import GateEstimator
 from rim_camera_ros.gated.gates import GatedShutter, PulseAndGates
-from rim_camera_ros.measurement.base import FrameCorrection, FrameSimulation, Part
+from rim_camera_ros.measurement.base import FrameCorrection, FrameSimulation, OneFrequency
 from rim_camera_ros.measurement.single_photon import check_effects, check_waveform
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.phasor import Waveform
@@ -27,7 +26,7 @@ _BRIGHT, _PLACES = 1e6, 200
 
 
 @dataclass(frozen=True, kw_only=True)
-class Gated(PulseAndGates):
+class Gated(PulseAndGates, OneFrequency):
     """Images of a light pulse through gates; pulses come at the sensor's modulation frequency.
 
     The amplitude is the light of the pulse that a pixel receives, in photo-electrons. The level of
@@ -35,8 +34,6 @@ class Gated(PulseAndGates):
     """
 
     type: ClassVar[str] = "gated"
-    #: effects of demodulating a phase, which gates do not
-    foreign: ClassVar[tuple[str, ...]] = ("cyclic_error", "interference", "motion")
 
     def shutter(self, camera: Camera) -> GatedShutter:
         """Return pulse, gates and period."""
@@ -52,11 +49,7 @@ class Gated(PulseAndGates):
         if len(self.gates) < 2:
             raise ValueError("one gate cannot tell a distance from a reflectivity: give two gates or more")
         self.estimator(camera)
-        check_effects(camera, self.foreign, "a gated camera")
-
-    def image_roles(self, camera: Camera) -> tuple[str, ...]:
-        """Return distance and amplitude; the role ``gates`` comes on request."""
-        return ("distance", "amplitude")
+        check_effects(camera, "a gated camera")
 
     def simulation(
         self, camera: Camera, scene: Scene, *, waveform: Waveform | None = None, **options: Any
@@ -67,9 +60,7 @@ class Gated(PulseAndGates):
         check_waveform(waveform)
         return GatedSimulation(camera, scene, **options)
 
-    def correction(
-        self, camera: Camera, *, without: Iterable[str] = (), minimum_amplitude: float | None = None
-    ) -> FrameCorrection:
+    def correction(self, camera: Camera, **options: Any) -> FrameCorrection:
         """Return the chain of effects in reverse, after the evaluation of the gates where they are there."""
         from rim_camera_ros.pipeline.resolved import ResolvedCorrection
 
@@ -89,17 +80,8 @@ class Gated(PulseAndGates):
             role="gates",
             count=len(self.gates),
             responds=True,
-            without=without,
-            minimum_amplitude=minimum_amplitude,
+            **options,
         )
-
-    def parts(self, camera: Camera) -> tuple[Part, ...]:
-        """Return the camera itself: distance and amplitude are those of an ordinary one."""
-        return (Part(camera),)
-
-    def joined(self, camera: Camera, parts: tuple[Camera, ...]) -> Camera:
-        """Return its only part."""
-        return parts[0]
 
     def noise(self, camera: Camera) -> Noise:
         """Return the noise of a distance without the images: the Cramer-Rao bound, its median over the range.

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.frame import RawFrame, Settings
-from rim_camera_ros.measurement.base import FrameCorrection, FrameSimulation, Part
+from rim_camera_ros.frame import Settings
+from rim_camera_ros.measurement.base import FrameCorrection, FrameSimulation, OneFrequency
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.phasor import SPEED_OF_LIGHT, Waveform
 from rim_camera_ros.scene import Scene
@@ -23,7 +22,7 @@ _ROOM = 16.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class SinglePhoton(PulseAndDiode):
+class SinglePhoton(PulseAndDiode, OneFrequency):
     """Histograms of the times of first photons; pulses come at the sensor's modulation frequency.
 
     The amplitude is the number of signal photons of an exposure. The level of ``background_light`` is that of
@@ -31,8 +30,6 @@ class SinglePhoton(PulseAndDiode):
     """
 
     type: ClassVar[str] = "single_photon"
-    #: effects of demodulating a phase, which a direct measurement does not have
-    foreign: ClassVar[tuple[str, ...]] = ("cyclic_error", "interference", "motion")
 
     def detector(self, camera: Camera) -> SinglePhotonDetector:
         """Return pulse, diode and clock."""
@@ -47,11 +44,7 @@ class SinglePhoton(PulseAndDiode):
                 f"a period of {detector.period * 1e9:.3g} ns has no room for pulses of "
                 f"{detector.time_sigma * 1e9:.3g} ns (1-sigma with the jitter): lower modulation_frequency"
             )
-        check_effects(camera, self.foreign, "a direct measurement of time")
-
-    def image_roles(self, camera: Camera) -> tuple[str, ...]:
-        """Return distance and amplitude; the role ``histogram`` comes on request."""
-        return ("distance", "amplitude")
+        check_effects(camera, "a direct measurement of time")
 
     def simulation(
         self, camera: Camera, scene: Scene, *, waveform: Waveform | None = None, **options: Any
@@ -62,9 +55,7 @@ class SinglePhoton(PulseAndDiode):
         check_waveform(waveform)
         return SinglePhotonSimulation(camera, scene, **options)
 
-    def correction(
-        self, camera: Camera, *, without: Iterable[str] = (), minimum_amplitude: float | None = None
-    ) -> FrameCorrection:
+    def correction(self, camera: Camera, **options: Any) -> FrameCorrection:
         """Return the chain of effects in reverse, after the evaluation of a histogram where there is one."""
         from rim_camera_ros.pipeline.resolved import ResolvedCorrection
         from rim_camera_ros.single_photon.estimation import PulseEstimator
@@ -83,27 +74,8 @@ class SinglePhoton(PulseAndDiode):
             resolve,
             role="histogram",
             count=detector.bins,
-            without=without,
-            minimum_amplitude=minimum_amplitude,
+            **options,
         )
-
-    def camera_of_frame(self, camera: Camera, frame: RawFrame) -> Camera:
-        """Return the camera itself."""
-        return camera
-
-    def parts(self, camera: Camera) -> tuple[Part, ...]:
-        """Return the camera itself: distance and amplitude are those of an ordinary one."""
-        return (Part(camera),)
-
-    def joined(self, camera: Camera, parts: tuple[Camera, ...]) -> Camera:
-        """Return its only part."""
-        return parts[0]
-
-    def review(
-        self, camera: Camera, frames: Iterable[RawFrame], scene: Scene
-    ) -> tuple[Camera, dict[str, tuple[Any, Any]]]:
-        """Return the camera as it is."""
-        return camera, {}
 
     def coincident(self, camera: Camera) -> float:
         """Return the share of a period that is the pulse's effective width, 4 sqrt(pi) sigma_t / T.
@@ -149,9 +121,9 @@ class SinglePhoton(PulseAndDiode):
         ]
 
 
-def check_effects(camera: Camera, foreign: Iterable[str], way: str) -> None:
-    """Raise ValueError where a camera file has effects that a way of measuring does not have."""
-    found = [name for name in foreign if name in camera.effects]
+def check_effects(camera: Camera, way: str) -> None:
+    """Raise ValueError where a camera file has effects of demodulation, which a way of measuring has not."""
+    found = [name for name, one in camera.effects.items() if one.demodulates]
     if found:
         raise ValueError(f"effects.{found[0]} does not act on {way}: remove it")
 

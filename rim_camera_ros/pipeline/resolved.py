@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.scattering import Scattering
+from rim_camera_ros.effects import StrayLight
+from rim_camera_ros.effects.base import effect_of, response_of
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import CorrectedDistance, CorrectedFrame, RawFrame, Settings
 from rim_camera_ros.pipeline.correct import Correction
@@ -40,17 +41,19 @@ class ResolvedCorrection(Correction):
         without: Iterable[str] = (),
         minimum_amplitude: float | None = None,
     ) -> None:
-        apart = frozenset({Scattering.name})
         given = frozenset(without)
+        stray = effect_of(camera, StrayLight)
+        apart = frozenset() if stray is None else frozenset({StrayLight.name})
         rest = {name: one for name, one in camera.effects.items() if name not in apart}
         # a name that is in no file is refused as for every camera
-        known = given - (apart & camera.effects.keys())
-        super().__init__(replace(camera, effects=rest), without=known, minimum_amplitude=minimum_amplitude)
-        scattering = camera.effects.get(Scattering.name)
-        self._scattering = scattering if isinstance(scattering, Scattering) and not given & apart else None
+        super().__init__(
+            replace(camera, effects=rest), without=given - apart, minimum_amplitude=minimum_amplitude
+        )
+        self._stray = None if given & apart else stray
         self._resolve, self._role, self._count = resolve, role, count
-        response = self._active.get("amplitude_nonlinearity")
-        self._response: Any = response if responds else None
+        self._published = response_of(camera)
+        undone = self._published is not None and self._published.name not in given
+        self._response = self._published if responds and undone else None
         self.camera = camera
 
     def correct(self, frame: RawFrame) -> CorrectedFrame:
@@ -64,8 +67,8 @@ class ResolvedCorrection(Correction):
     def _evaluated(self, frame: RawFrame) -> RawFrame:
         images = frame.images.get(self._role)
         if images is None:
-            if self._scattering is not None:
-                self.notes.add(f"scattering is not undone: that needs the {self._role} of each frame")
+            if self._stray is not None:
+                self.notes.add(f"{self._stray.name} is not undone: that needs the {self._role} of each frame")
             return frame
         expected = (*self.camera.shape, self._count)
         if images.shape != expected:
@@ -76,11 +79,10 @@ class ResolvedCorrection(Correction):
         planes = np.moveaxis(images, -1, 0)
         if self._response is not None:
             planes = self._response.expanded(planes.astype(np.float32))
-        if self._scattering is not None:
-            planes = _without_stray_light(planes.astype(np.float32), self._scattering)
+        if self._stray is not None:
+            planes = _without_stray_light(planes.astype(np.float32), self._stray)
         distance, amplitude, sigma = self._resolve(planes, frame.settings)
-        response: Any = self.camera.effects.get("amplitude_nonlinearity")
-        published = amplitude if response is None else response.compressed(amplitude)
+        published = amplitude if self._published is None else self._published.compressed(amplitude)
         # what the device marked as missing or saturated stays so
         published = np.where(frame.amplitude >= self.camera.sensor.saturation, frame.amplitude, published)
         return replace(
@@ -91,9 +93,9 @@ class ResolvedCorrection(Correction):
         )
 
 
-def _without_stray_light(planes: Image, scattering: Scattering) -> Image:
+def _without_stray_light(planes: Image, stray: StrayLight) -> Image:
     """Undo scattering in images (n, H, W), two at a time as parts of a complex image."""
-    operator = scattering.operator(planes.shape[1:], np.float32)
+    operator = stray.operator(planes.shape[1:], np.float32)
     for first in range(0, len(planes) - 1, 2):
         pair = operator.solve(np.ascontiguousarray(planes[first : first + 2].transpose(1, 0, 2)))
         planes[first : first + 2] = pair.transpose(1, 0, 2)

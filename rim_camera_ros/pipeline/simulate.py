@@ -24,7 +24,7 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.footprint import Cells, FootprintLight, footprint_light
 from rim_camera_ros.frame import NANOSECONDS, Pose, RawFrame, Settings
 from rim_camera_ros.noise import sigma_amplitude
-from rim_camera_ros.phasor import Waveform, wrap, wrap_residual
+from rim_camera_ros.phasor import Waveform, to_phasor, wrap, wrap_residual
 from rim_camera_ros.pipeline.reference import SimulatedReference
 from rim_camera_ros.scene import Geometry, Scene, see
 
@@ -185,9 +185,8 @@ class Simulation:
         After the effects that stay as they are while the scene does: emission, multipath, mixed pixels,
         scattering; before motion and whatever comes behind the pixels.
         """
-        signal = self._delivered(
-            list(takewhile(_is_steady, self.camera.effects.values())), self.context(exposure)
-        )
+        steady = list(takewhile(lambda one: one.steady, self._chain.light))
+        signal = self._steady(steady, self.context(exposure))
         return to_phasor(signal.distance, signal.amplitude, self.camera.sensor.ambiguity)
 
     def signal(self, context: Context) -> Signal:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_effects
-from rim_camera_ros.effects import registry
+from rim_camera_ros.effects import known_effects
 from rim_camera_ros.info.text import table
 from rim_camera_ros.parameters import arrays_of, encode
 from rim_camera_ros.reports.calibration_text import number_of, unit_of
@@ -90,7 +90,7 @@ def compare(one: Camera, other: Camera) -> Comparison:
     walls = tuple(Wall(distance, setting) for distance in distances_of(one, other, count=_DISTANCES))
     maps = tuple(difference(one, other, wall) for wall in walls)
     effects = []
-    known = registry()
+    known = known_effects()
     for name in known:
         mine, theirs = one.effects.get(name), other.effects.get(name)
         if _plain(mine) == _plain(theirs):
@@ -182,7 +182,7 @@ def effect_rows(found: Comparison, names: Sequence[str]) -> list[list[str]]:
     """Return the effects that differ; ``names`` are those of the files."""
     stands = {"both": "in both, with other parameters", "first": f"only in {names[0]}"}
     stands["second"] = f"only in {names[1]}"
-    known = registry()
+    known = known_effects()
     return [
         [
             f"{known[one.effect].title} ({one.effect})",

@@ -81,9 +81,7 @@ class SinglePhotonSimulation(PulsedSimulation):
         found = self._estimator.estimate(histogram, cycles=cycles)
         distance = found.distance.astype(float)
         distance[impossible] = np.nan
-        amplitude = found.signal.astype(float)
-        response: Any = self.camera.effects.get("amplitude_nonlinearity")
-        amplitude = amplitude if response is None else response.compressed(amplitude)
+        amplitude = self._chain.published(found.signal.astype(float))
         amplitude[histogram.max(axis=0) > _FULL] = self.camera.sensor.saturation
         counts = np.minimum(histogram, _FULL).T.reshape(*shape, -1)
         images = {"histogram": np.ascontiguousarray(counts, np.uint16 if self.noise else np.float32)}
