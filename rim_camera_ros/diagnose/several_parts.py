@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,22 +12,20 @@ from rim_camera_ros.camera_file import save_camera
 from rim_camera_ros.diagnose.files import MODEL, PAGE, REPORT
 from rim_camera_ros.diagnose.report import as_json
 from rim_camera_ros.diagnose.result import Diagnosis
-from rim_camera_ros.measurement import Part
+from rim_camera_ros.measurement import Change, Part
 from rim_camera_ros.yaml_files import write_whole
 
 #: Verdicts, the gravest last.
 _ORDER = ("consistent", "wrong_parameters", "missing_physics", "unknown_physics", "inconsistent_setup")
 
 
-def gravest(results: Sequence[tuple[Part, Diagnosis]], changes: Mapping[str, Any]) -> str:
-    """Return the verdict on all parts; ``changes``: keys of the way of measuring that were wrong."""
+def gravest(results: Sequence[tuple[Part, Diagnosis]], changes: Sequence[Change]) -> str:
+    """Return the verdict on all parts; ``changes``: what was wrong before any part was looked at."""
     verdicts = [one.verdict for _, one in results] + ["wrong_parameters"] * bool(changes)
     return max(verdicts, key=_ORDER.index)
 
 
-def as_one(
-    results: Sequence[tuple[Part, Diagnosis]], changes: Mapping[str, tuple[Any, Any]]
-) -> dict[str, Any]:
+def as_one(results: Sequence[tuple[Part, Diagnosis]], changes: Sequence[Change]) -> dict[str, Any]:
     """Return one report of all parts in the form of `rim_diagnosis/1`.
 
     Its numbers are those of the part with the gravest verdict (of several the one with the greatest RMS
@@ -41,8 +39,8 @@ def as_one(
     for key in ("missing", "adjusted"):
         whole[key] = [{**one, "part": name} for name, its in reports.items() for one in its[key]]
     whole["adjusted"] += [
-        {"effect": key, "from": {key: before}, "to": {key: after}, "part": ""}
-        for key, (before, after) in changes.items()
+        {"effect": one.effect, "from": dict(one.before), "to": dict(one.after), "part": one.part}
+        for one in changes
     ]
     whole["parts"] = {
         name: {"verdict": its["verdict"], "report": f"{name}/{REPORT}", "page": f"{name}/{PAGE}"}
@@ -54,7 +52,7 @@ def as_one(
 
 def write_as_one(
     results: Sequence[tuple[Part, Diagnosis]],
-    changes: Mapping[str, tuple[Any, Any]],
+    changes: Sequence[Change],
     camera: Camera,
     folder: Path,
     *,
@@ -67,17 +65,20 @@ def write_as_one(
 
 
 def text_of(
-    results: Sequence[tuple[Part, Diagnosis]], changes: Mapping[str, tuple[Any, Any]], texts: Sequence[str]
+    results: Sequence[tuple[Part, Diagnosis]], changes: Sequence[Change], texts: Sequence[str]
 ) -> str:
     """Return the texts of the parts under their names, after the verdict on all."""
     lines = [f"{gravest(results, changes)}, of all frequencies"]
-    for key, (before, after) in changes.items():
-        lines.append(f"  measurement.{key}: {_shown(before)} is not what was measured; now {_shown(after)}")
+    for one in changes:
+        for key, before in one.before.items():
+            whose = f"{one.effect} of {one.part}" if one.part else "measurement"
+            moved = f"{key} {_shown(before)}, now {_shown(one.after[key])}"
+            lines.append(f"  {whose} is not what was measured: {moved}")
     for (part, _), text in zip(results, texts, strict=True):
         lines += [part.name, text]
     return "\n".join(lines)
 
 
 def _shown(value: Any) -> str:
-    text = "null" if value is None else str(value)
+    text = "null" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
     return text if len(text) <= 40 else f"{text[:37]}..."

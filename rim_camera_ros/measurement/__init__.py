@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.measurement.base import (
+    Change,
     FrameCorrection,
     FrameSimulation,
     Measurement,
@@ -30,4 +31,4 @@ def measurement_of(camera: Camera) -> Measurement:
     return found
 
 
-__all__ = ["TYPES", "FrameCorrection", "FrameSimulation", "Measurement", "Part", "measurement_of"]
+__all__ = ["TYPES", "Change", "FrameCorrection", "FrameSimulation", "Measurement", "Part", "measurement_of"]

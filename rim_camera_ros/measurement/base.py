@@ -74,6 +74,16 @@ class Part:
     frequency: int | None = None
 
 
+@dataclass(frozen=True)
+class Change:
+    """What true poses deny of a camera file: effect or key, of which part (empty: all), before, after."""
+
+    effect: str
+    part: str
+    before: Mapping[str, Any]
+    after: Mapping[str, Any]
+
+
 class Measurement(Protocol):
     """How a device measures: the images of an exposure, what simulates them and what corrects them.
 
@@ -115,12 +125,10 @@ class Measurement(Protocol):
     def joined(self, camera: Camera, parts: tuple[Camera, ...]) -> Camera:
         """Return the camera whose `parts` have become these."""
 
-    def review(
-        self, camera: Camera, frames: Iterable[RawFrame], scene: Scene
-    ) -> tuple[Camera, dict[str, tuple[Any, Any]]]:
-        """Return the camera with other keys of the group where true poses ask for them, and the changes.
+    def review(self, camera: Camera, frames: Iterable[RawFrame], scene: Scene) -> tuple[Camera, list[Change]]:
+        """Return the camera without what true poses deny at once, before its parts are diagnosed.
 
-        After its parts were diagnosed; changes by key: before, after.
+        That is what one part alone cannot show: offsets between the parts, keys of the group.
         """
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
@@ -164,11 +172,9 @@ class OneFrequency:
         """Return its only part."""
         return parts[0]
 
-    def review(
-        self, camera: Camera, frames: Iterable[RawFrame], scene: Scene
-    ) -> tuple[Camera, dict[str, tuple[Any, Any]]]:
-        """Return the camera as it is: there are no keys."""
-        return camera, {}
+    def review(self, camera: Camera, frames: Iterable[RawFrame], scene: Scene) -> tuple[Camera, list[Change]]:
+        """Return the camera as it is: it has one part."""
+        return camera, []
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
         """Return nothing: the sensor's rows say it."""

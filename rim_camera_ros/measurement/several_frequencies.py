@@ -12,7 +12,7 @@ import numpy as np
 from rim_camera_ros.bags.topics import FREQUENCIES
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.frame import RawFrame
-from rim_camera_ros.measurement.base import FrameCorrection, FrameSimulation, Part
+from rim_camera_ros.measurement.base import Change, FrameCorrection, FrameSimulation, Part
 from rim_camera_ros.measurement.wraps import WrapTable, common_range
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.parameters import quantity
@@ -181,13 +181,11 @@ class SeveralFrequencies:
             tuple(replace(one, device=camera.device, optics=optics, provenance=provenance) for one in parts)
         )
 
-    def review(
-        self, camera: Camera, frames: Iterable[RawFrame], scene: Scene
-    ) -> tuple[Camera, dict[str, tuple[Any, Any]]]:
-        """Return the camera without ``wraps`` or ``range`` where the true distances deny them."""
-        from rim_camera_ros.pipeline.several_frequencies import review_wraps
+    def review(self, camera: Camera, frames: Iterable[RawFrame], scene: Scene) -> tuple[Camera, list[Change]]:
+        """Return the camera without wrong offsets of frequencies, wrong ``wraps`` or ``range``."""
+        from rim_camera_ros.pipeline.several_review import review
 
-        return review_wraps(camera, frames, scene)
+        return review(camera, frames, scene)
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
         """Return frequencies, ranges and how certain the wraps are."""

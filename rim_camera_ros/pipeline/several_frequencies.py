@@ -26,7 +26,7 @@ from rim_camera_ros.pipeline.correct import Correction
 from rim_camera_ros.pipeline.mixed import mark_mixed
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
 from rim_camera_ros.pipeline.two_paths import TwoPaths
-from rim_camera_ros.scene import Geometry, Scene, see
+from rim_camera_ros.scene import Geometry, Scene
 
 Image = NDArray[Any]
 
@@ -34,9 +34,6 @@ Image = NDArray[Any]
 FREQUENCIES = "modulation_frequencies"
 _MIXED = Flag.MIXED_PIXEL.value
 _TUNED = 1e-3
-#: Poses that are reviewed, at most; standard deviations by which wrong wraps may exceed what is expected; and
-#: the share of them that may stay where a key is dropped.
-_REVIEWED, _CHANCE, _FEWER = 40, 5.0, 0.1
 
 
 class SeveralSimulations:
@@ -152,10 +149,10 @@ class SeveralCorrections:
 
         Raises `InputError` for a frequency without its images, and as `Correction.correct`.
         """
-        frames = self._frames(frame)
+        frames = self.frames(frame)
         if frames is None:
             return self._ordinary.correct(frame)
-        parts = [one.correct(its) for one, its in zip(self._first, frames, strict=True)]
+        parts = self.phases(frames)
         self._collect([*self._first, *(self._second or ())])
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             resolved = self._table.resolve([one.distance for one in parts], [one.sigma for one in parts])
@@ -219,9 +216,13 @@ class SeveralCorrections:
             for one, other in zip(mine, [*before._first, *(before._second or before._first)], strict=False):
                 one.carry_on(other)
 
+    def phases(self, frames: list[RawFrame]) -> list[CorrectedFrame]:
+        """Return the distances of each frequency modulo its ambiguity range, corrected one by one."""
+        return [one.correct(its) for one, its in zip(self._first, frames, strict=True)]
+
     # --- steps ----------------------------------------------------------------------------------
 
-    def _frames(self, frame: RawFrame) -> list[RawFrame] | None:
+    def frames(self, frame: RawFrame) -> list[RawFrame] | None:
         """Return the frame of each frequency; None for a frame that holds the resolved distance only."""
         images = frame.by_role
         if "distance_0" not in images:
@@ -304,50 +305,3 @@ def _beyond(camera: Camera, farthest: float) -> Camera:
     """Return the camera with distances that do not wrap within ``farthest`` [m]."""
     lsb = max(farthest + 1.0, 1.01 * camera.sensor.ambiguity) / FULL_SCALE
     return replace(camera, sensor=replace(camera.sensor, distance_lsb=lsb))
-
-
-def review_wraps(
-    camera: Camera, frames: Iterable[RawFrame], scene: Scene
-) -> tuple[Camera, dict[str, tuple[Any, Any]]]:
-    """Return the camera with the ``wraps`` and ``range`` that true poses ask for, and what changed.
-
-    Of each pose one frame is resolved. A key is dropped, so that the frequencies alone say what is possible,
-    where the distances then found are those of the scene and with it more are wrong than their probabilities
-    allow. Changes by key: before, after. ``camera`` should be free of errors of its phases.
-    """
-    seen: dict[Any, tuple[RawFrame, Image]] = {}
-    for frame in frames:
-        key = tuple(sorted(frame.pose_stamps.items()))
-        if key not in seen and len(seen) < _REVIEWED and "distance" not in frame.by_role:
-            truth = see(scene, scene.poses_for(frame.truth), camera.rays).distance
-            seen[key] = (frame, truth)
-    wrong, allowed = _wrong_wraps(camera, seen.values())
-    if wrong <= allowed:
-        return camera, {}
-    given = [key for key in ("wraps", "range") if getattr(camera.measurement, key) is not None]
-    for keys in ([key] for key in given) if len(given) < 2 else (*([key] for key in given), given):
-        other = replace(camera, measurement=replace(camera.measurement, **dict.fromkeys(keys)))
-        fewer, allowed = _wrong_wraps(other, seen.values())
-        if fewer <= max(allowed, _FEWER * wrong):
-            return other, {key: (getattr(camera.measurement, key), None) for key in keys}
-    return camera, {}
-
-
-def _wrong_wraps(camera: Camera, seen: Iterable[tuple[RawFrame, Image]]) -> tuple[int, float]:
-    """Return the number of pixels with wrong wraps, or none, and how many are likely by chance, at most."""
-    correction = SeveralCorrections(camera)
-    least = min(one.sensor.ambiguity for one in camera.channels)
-    wrong, expected = 0, 0.0
-    for frame, truth in seen:
-        found = correction.correct(frame)
-        assert isinstance(found, ResolvedFrame)
-        dark = np.uint8((INVALID & ~Flag.AMBIGUOUS & ~Flag.NO_MEASUREMENT).value)
-        usable = np.isfinite(truth) & ((found.flags & dark) == 0)
-        for one, its in zip(camera.channels, correction._frames(frame) or (), strict=True):
-            usable &= (its.distance > 0) & (its.amplitude < one.sensor.saturation)
-        away = ~(np.abs(found.distance - truth) < least / 2)
-        wrong += int((usable & away).sum())
-        # a pixel that is flagged for its odds is no fault of the table
-        flagged = (found.flags & np.uint8(Flag.AMBIGUOUS.value)) != 0
-        expected += float(np.nansum(np.where(usable, np.where(flagged, 1.0, found.wrong_wrap), 0.0)))
-    return wrong, expected + _CHANCE * np.sqrt(expected + 1.0)

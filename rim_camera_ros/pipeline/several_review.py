@@ -1,0 +1,144 @@
+"""Several frequencies against true poses: offsets between them, and wraps that are not those of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
+from rim_camera_ros.effects.integration_time_offset import IntegrationTimeOffset
+from rim_camera_ros.frame import INVALID, Flag, RawFrame
+from rim_camera_ros.measurement import Change
+from rim_camera_ros.parameters import ArrayFile
+from rim_camera_ros.phasor import wrap_residual
+from rim_camera_ros.pipeline.several_frequencies import ResolvedFrame, SeveralCorrections
+from rim_camera_ros.scene import Scene, see
+
+Image = NDArray[Any]
+
+#: Poses that are looked at, at most.
+_POSES = 40
+#: Standard deviations by which chance may move what is found.
+_CHANCE = 5.0
+#: Offset [m] of a frequency below which nothing is changed.
+_LEAST = 0.001
+#: Share of wrong wraps that may stay where a key is dropped.
+_FEWER = 0.1
+
+
+@dataclass(frozen=True)
+class _Seen:
+    frame: RawFrame
+    truth: Image
+
+
+def review(camera: Camera, frames: Iterable[RawFrame], scene: Scene) -> tuple[Camera, list[Change]]:
+    """Return the camera without what true poses deny, and the changes.
+
+    An offset that is the same at all poses and not that of the other frequencies cannot come from the set-up,
+    which they share: it is taken into the file's own offsets of that frequency. ``wraps`` and ``range`` are
+    dropped, so that the frequencies alone say what is possible, where more wraps are wrong than their
+    probabilities allow and those of the frequencies are not.
+    """
+    seen: dict[Any, _Seen] = {}
+    for frame in frames:
+        key = tuple(sorted(frame.pose_stamps.items()))
+        if key not in seen and len(seen) < _POSES and "distance" not in frame.by_role:
+            seen[key] = _Seen(frame, see(scene, scene.poses_for(frame.truth), camera.rays).distance)
+    if not seen:
+        return camera, []
+    camera, changes = _without_offsets(camera, [*seen.values()], scene)
+    camera, further = _without_wrong_wraps(camera, [*seen.values()])
+    return camera, changes + further
+
+
+# --- offsets ------------------------------------------------------------------------------------
+
+
+def _without_offsets(camera: Camera, seen: Sequence[_Seen], scene: Scene) -> tuple[Camera, list[Change]]:
+    correction = SeveralCorrections(camera)
+    periods = [one.sensor.ambiguity for one in camera.channels]
+    found = np.full((len(seen), len(periods)), np.nan)
+    for row, one in zip(found, seen, strict=True):
+        parts = correction.phases(correction.frames(one.frame) or [])
+        for i, (part, period) in enumerate(zip(parts, periods, strict=True)):
+            apart = wrap_residual(part.distance - one.truth, period)
+            # around the direction of the mean: an offset may be near half the range
+            turn = np.exp(2j * np.pi / period * apart[np.isfinite(apart)])
+            row[i] = np.angle(turn.mean()) * period / (2 * np.pi) if turn.size else np.nan
+    mean = np.nanmean(found, axis=0)
+    spread = np.nanstd(found, axis=0, ddof=1) / np.sqrt(len(seen)) if len(seen) > 2 else np.inf
+    poses = max(one.pose_sigma[0] for one in scene.surfaces)
+    beside = mean - np.array([np.median(np.delete(mean, i)) for i in range(len(mean))])
+    far = np.maximum(_LEAST, _CHANCE * np.hypot(spread, poses))
+    channels, changes = list(camera.channels), list[Change]()
+    for i, part in enumerate(camera.measurement.parts(camera)):
+        if abs(mean[i]) > far[i] and abs(beside[i]) > far[i]:
+            moved = _with_offset(channels[i], float(mean[i]), part.name)
+            if moved is not None:
+                channels[i], name, before = moved
+                after = {key: value + float(mean[i]) for key, value in before.items()}
+                changes.append(Change(name, part.name, before, after))
+    return camera.measurement.camera_of(tuple(channels)) if changes else camera, changes
+
+
+def _with_offset(camera: Camera, metres: float, part: str) -> tuple[Camera, str, dict[str, float]] | None:
+    """Return the camera with its own offset longer by so much, its name and what it was; None without one."""
+    effects = dict(camera.effects)
+    pattern, times = effects.get(FixedPatternOffset.name), effects.get(IntegrationTimeOffset.name)
+    if isinstance(pattern, FixedPatternOffset):
+        values = (pattern.map.values + np.float32(metres)).astype(np.float32)
+        name, before = pattern.name, {"mean": float(np.mean(pattern.map.values))}
+        # another frequency may have the file as it was
+        file = f"{pattern.map.file.removesuffix('.npy')}.{part}.npy"
+        effects[name] = replace(pattern, map=ArrayFile(file, values))
+    elif isinstance(times, IntegrationTimeOffset):
+        name = times.name
+        before = {f"offset.{key:g}": value for key, value in times.offset.items()}
+        rows = {key: value + metres for key, value in times.offset.items()}
+        effects[name] = replace(times, offset=MappingProxyType(rows))
+    else:
+        return None
+    return replace(camera, effects=MappingProxyType(effects)), name, before
+
+
+# --- wraps --------------------------------------------------------------------------------------
+
+
+def _without_wrong_wraps(camera: Camera, seen: Sequence[_Seen]) -> tuple[Camera, list[Change]]:
+    wrong, allowed = _wrong_wraps(camera, seen)
+    given = [key for key in ("wraps", "range") if getattr(camera.measurement, key) is not None]
+    tried = [[key] for key in given] + ([given] if len(given) > 1 else [])
+    for keys in tried if wrong > allowed else ():
+        other = replace(camera, measurement=replace(camera.measurement, **dict.fromkeys(keys)))
+        fewer, allowed = _wrong_wraps(other, seen)
+        if fewer <= max(allowed, _FEWER * wrong):
+            changes = [Change(key, "", {key: getattr(camera.measurement, key)}, {key: None}) for key in keys]
+            return other, changes
+    return camera, []
+
+
+def _wrong_wraps(camera: Camera, seen: Iterable[_Seen]) -> tuple[int, float]:
+    """Return the number of pixels with wrong wraps, or none, and how many chance makes so at most."""
+    correction = SeveralCorrections(camera)
+    least = min(one.sensor.ambiguity for one in camera.channels)
+    wrong, expected = 0, 0.0
+    # no wraps within the span are no measurement either; whether there was one the raw images say
+    dark = np.uint8((INVALID & ~Flag.AMBIGUOUS & ~Flag.NO_MEASUREMENT).value)
+    for one in seen:
+        found = correction.correct(one.frame)
+        assert isinstance(found, ResolvedFrame)
+        usable = np.isfinite(one.truth) & ((found.flags & dark) == 0)
+        for its in correction.frames(one.frame) or ():
+            usable &= its.distance > 0
+        flagged = usable & ((found.flags & np.uint8(Flag.AMBIGUOUS.value)) != 0)
+        away = usable & ~flagged & ~(np.abs(found.distance - one.truth) < least / 2)
+        wrong += int(away.sum())
+        expected += float(np.nansum(np.where(usable & ~flagged, found.wrong_wrap, 0.0)))
+    return wrong, expected + _CHANCE * np.sqrt(expected + 1.0)
