@@ -71,14 +71,8 @@ class SeveralFrequencies:
             )
         for row in self.wraps or ():
             if len(row) != len(channels):
-                raise ValueError(
-                    f"wraps: {list(row)} are {len(row)}, one for each of {len(channels)} frequencies"
-                )
-            places = [
-                (n * c.sensor.ambiguity, (n + 1) * c.sensor.ambiguity)
-                for n, c in zip(row, channels, strict=True)
-            ]
-            if max(one for one, _ in places) > high:
+                raise ValueError(f"wraps: {list(row)} has {len(row)} entries for {len(channels)} frequencies")
+            if max(n * one.sensor.ambiguity for n, one in zip(row, channels, strict=True)) > high:
                 raise ValueError(f"wraps: {list(row)} lie beyond the range of {high:.4g} m")
         if self.two_paths and len(channels) < 3:
             raise ValueError("two_paths needs three frequencies: two leave nothing to tell them from noise")
