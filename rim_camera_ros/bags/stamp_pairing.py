@@ -34,7 +34,8 @@ class _Exposure:
 class StampPairing:
     """Pairs the distance and amplitude of one stamp, with what else carries it.
 
-    ``images``: the roles of all images of an exposure, distance and amplitude first.
+    ``images``: the roles of all images of an exposure, distance and amplitude first. ``samples``: those of
+    images that may come with it, as frame_info may.
 
     ``publishes(role)`` tells whether anybody publishes frame_info or a reading. A pair waits, shortly, for
     those that do and that came with the frame before; of the readings the last ones before the frame
@@ -42,8 +43,15 @@ class StampPairing:
     integration time is not known. ``left_out`` counts, by reason, what did not become a frame.
     """
 
-    def __init__(self, publishes: Callable[[str], bool], images: Sequence[str] = IMAGES) -> None:
+    def __init__(
+        self,
+        publishes: Callable[[str], bool],
+        images: Sequence[str] = IMAGES,
+        samples: Sequence[str] = (),
+    ) -> None:
         self._images = tuple(images)
+        self._samples = tuple(samples)
+        self._sides = (*_SIDES, *samples)
         self.left_out: Counter[str] = Counter()
         self._publishes = publishes
         self._waiting: dict[int, _Exposure] = {}
@@ -112,12 +120,12 @@ class StampPairing:
 
     def _awaited(self, stamp: int) -> bool:
         """Whether something is published that came with the last frame and has not come with this one."""
-        missing = [role for role in _SIDES if not self._came(role, stamp)]
-        expected = _SIDES if self._expected is None else self._expected
+        missing = [role for role in self._sides if not self._came(role, stamp)]
+        expected = self._sides if self._expected is None else self._expected
         return any(role in expected and self._publishes(role) for role in missing)
 
     def _came(self, role: str, stamp: int) -> bool:
-        if role == "frame_info":
+        if role not in READINGS:
             return role in self._waiting[stamp].parts
         history = self._readings.get(role)
         found = None if history is None else history.latest(stamp)
@@ -130,7 +138,7 @@ class StampPairing:
             self._drop(older)
         self._refused = {one: None for one in self._refused if one > stamp}
         self._newest = stamp
-        self._expected = {role for role in _SIDES if self._came(role, stamp)} | {"frame_info"}
+        self._expected = {role for role in self._sides if self._came(role, stamp)} | {"frame_info"}
         parts = self._waiting.pop(stamp).parts
         if "frame_info" not in parts and self._publishes("frame_info"):
             self.left_out["a pair without frame_info"] += 1
@@ -142,7 +150,7 @@ class StampPairing:
                 stamp=stamp,
                 distance=parts[self._images[0]],
                 amplitude=parts[self._images[1]],
-                images={role: parts[role] for role in self._images[2:]},
+                images={role: parts[role] for role in (*self._images[2:], *self._samples) if role in parts},
                 settings=Settings(
                     integration_time=settings.integration_time,
                     modulation_frequency=settings.modulation_frequency,

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from rim_camera_ros.bags import Recording, Topics
+from rim_camera_ros.bags.topics import SAMPLES
 from rim_camera_ros.devices.pace import Pace
 from rim_camera_ros.devices.simulator import checked_rate
 from rim_camera_ros.errors import DeviceError, InputError, RimError
@@ -86,7 +87,7 @@ class Playback:
         stream = self._rounds()
         self._first = next(stream, None)
         if self._first is not None:
-            self._roles = tuple(self._first.frame.by_role)
+            self._roles = tuple(one for one in self._first.frame.by_role if one not in SAMPLES)
         self._stream = stream
 
     def next_frame(self) -> RawFrame | None:

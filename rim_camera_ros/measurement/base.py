@@ -92,6 +92,8 @@ class Measurement(Protocol):
 
     #: its name in a camera file
     type: ClassVar[str]
+    #: roles of images of several values a pixel, from which distances are evaluated anew where they come
+    samples: ClassVar[tuple[str, ...]]
 
     def check(self, camera: Camera) -> None:
         """Raise ValueError where the keys, or effects of the file, do not fit this way of measuring."""
@@ -140,6 +142,7 @@ class OneFrequency:
     """Continuous modulation at one frequency (Kahlmann 2007, sec. 2.3.1), or a distance already resolved."""
 
     type: ClassVar[str] = "one_frequency"
+    samples: ClassVar[tuple[str, ...]] = ()
 
     def check(self, camera: Camera) -> None:
         """Accept every camera."""

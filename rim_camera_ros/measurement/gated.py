@@ -34,6 +34,7 @@ class Gated(PulseAndGates, OneFrequency):
     """
 
     type: ClassVar[str] = "gated"
+    samples: ClassVar[tuple[str, ...]] = ("gates",)
 
     def shutter(self, camera: Camera) -> GatedShutter:
         """Return pulse, gates and period."""
@@ -77,7 +78,7 @@ class Gated(PulseAndGates, OneFrequency):
         return ResolvedCorrection(
             camera,
             resolve,
-            role="gates",
+            role=self.samples[0],
             count=len(self.gates),
             responds=True,
             **options,

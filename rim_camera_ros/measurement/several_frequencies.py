@@ -31,6 +31,7 @@ class SeveralFrequencies:
     """
 
     type: ClassVar[str] = "several_frequencies"
+    samples: ClassVar[tuple[str, ...]] = ()
 
     range: tuple[float, float] | None = quantity(
         "m", "least and greatest distance; null: from 0 to where all phases repeat", default=None, minimum=0.0

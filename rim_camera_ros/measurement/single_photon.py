@@ -30,6 +30,7 @@ class SinglePhoton(PulseAndDiode, OneFrequency):
     """
 
     type: ClassVar[str] = "single_photon"
+    samples: ClassVar[tuple[str, ...]] = ("histogram",)
 
     def detector(self, camera: Camera) -> SinglePhotonDetector:
         """Return pulse, diode and clock."""
@@ -72,7 +73,7 @@ class SinglePhoton(PulseAndDiode, OneFrequency):
         return ResolvedCorrection(
             camera,
             resolve,
-            role="histogram",
+            role=self.samples[0],
             count=detector.bins,
             **options,
         )

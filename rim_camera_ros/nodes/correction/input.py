@@ -39,7 +39,8 @@ class Receiver:
 
     ``camera`` returns the camera that is corrected with; ``deliver`` takes frames that are ready, and the
     optical frame of their headers; ``refused`` counts messages by role; ``fresh`` says which frames are
-    dropped where the correction is too slow for all.
+    dropped where the correction is too slow for all; ``samples`` whether to take what distances are evaluated
+    from.
     """
 
     node: ManagedNode
@@ -48,6 +49,7 @@ class Receiver:
     camera: Callable[[], Camera]
     deliver: Callable[[list[RawFrame], str], None]
     fresh: Freshness
+    samples: Callable[[], bool]
 
 
 class Input(Protocol):
@@ -96,9 +98,11 @@ class MessageInput:
         profile = qos.profile(delivery, depth=_QUEUE)
         self._keep_all = delivery == qos.RELIABLE
         self._frames.begin(self._hand_on, keep_all=False, surplus=self._receiver.fresh.surplus)
-        images = measurement_of(self._receiver.camera()).image_roles(self._receiver.camera())
-        self._pairing = StampPairing(self._published, images)
-        for role in (*_ROLES, *reversed(images)):
+        measurement = measurement_of(self._receiver.camera())
+        images = measurement.image_roles(self._receiver.camera())
+        samples = measurement.samples if self._receiver.samples() else ()
+        self._pairing = StampPairing(self._published, images, samples)
+        for role in (*_ROLES, *samples, *reversed(images)):
             topic, kind = KNOWN_ROLES[role]
             take = self._compare if role == "camera_info" else self._taker(role)
             self._from[role] = qos.subscription(
@@ -246,8 +250,8 @@ def _refuse(receiver: Receiver, role: str, what: str, error: Exception) -> None:
 
 
 def _check_shape(shape: tuple[int, ...], camera: Camera) -> None:
-    if shape != camera.shape:
-        (height, width), (rows, columns) = shape, camera.shape
+    if shape[:2] != camera.shape:
+        (height, width), (rows, columns) = shape[:2], camera.shape
         raise InputError(
             f"an image of {width} x {height} px, but the camera file is for {columns} x {rows}",
             remedy="set the parameter camera to the file of this sensor",

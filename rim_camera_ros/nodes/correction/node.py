@@ -100,6 +100,7 @@ class CorrectionNode:
             lambda: self._camera,
             self._correct,
             Freshness(self._parameters.values, lambda: int(self.node.get_clock().now().nanoseconds)),
+            lambda: bool(self._parameters.values["samples"]),
         )
         self._input: Input = MessageInput(receiver) if frames is None else MemoryInput(receiver, frames)
         self._aside = Aside(self._input.subscriptions, self._input.look)

@@ -44,6 +44,12 @@ SPECS = (
         "fields of points: x y z intensity (16 bytes a point), sigma (4 more), flags (4 more)",
         choices=("xyzi", "xyzi+sigma", "xyzi+flags", "xyzi+sigma+flags"),
     ),
+    Spec(
+        "samples",
+        False,
+        "take histograms or gates as well, from which distances are evaluated anew, each with its own sigma",
+        read_only=True,
+    ),
     Spec("qos.input", SENSOR_DATA, "delivery asked of the driver", choices=CHOICES, read_only=True),
     Spec("qos.points", SENSOR_DATA, "delivery of points", choices=CHOICES, read_only=True),
     Spec(
@@ -89,7 +95,10 @@ def correction_of(camera: Camera, values: Values) -> FrameCorrection:
             f"{minimum:g} counts", place="minimum_amplitude", remedy="0 or more, or -1 for the camera file's"
         )
     return measurement_of(camera).correction(
-        camera, without=set(camera.effects) - on, minimum_amplitude=None if minimum < 0 else minimum
+        camera,
+        # effects of one way of measuring alone have no parameter: they are always undone
+        without=(camera.effects.keys() & registry().keys()) - on,
+        minimum_amplitude=None if minimum < 0 else minimum,
     )
 
 

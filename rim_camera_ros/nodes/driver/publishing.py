@@ -9,7 +9,7 @@ import numpy as np
 from rclpy.publisher import Publisher
 
 from rim_camera_ros.bags.image_transport import JPEG, compressed, compressed_for_looking
-from rim_camera_ros.bags.topics import CAMERA_INFO, COMPRESSED, KNOWN_ROLES, POSE, ROLES, SURFACE
+from rim_camera_ros.bags.topics import CAMERA_INFO, COMPRESSED, KNOWN_ROLES, POSE, ROLES, SAMPLES, SURFACE
 from rim_camera_ros.frame import Intrinsics, Pose, RawFrame
 from rim_camera_ros.nodes.common import messages, qos
 from rim_camera_ros.nodes.common.lifecycle import ManagedNode
@@ -97,6 +97,7 @@ class FramePublishers:
             for role in ("camera_info", "distance_camera_info"):
                 if self._wanted(role):
                     self._of[role].publish(messages.camera_info(geometry, head))
+        self._publish_samples(frame, head)
         for role, pixels in reversed(frame.by_role.items()):
             if role not in self.images:
                 continue
@@ -106,6 +107,15 @@ class FramePublishers:
                 self._of[packed].publish(messages.compressed_image(packing(pixels), head))
             if self._wanted(role):
                 self._of[role].publish(messages.image(pixels, head))
+
+    def _publish_samples(self, frame: RawFrame, head: Any) -> None:
+        """Publish what distances were evaluated from; the topics are there once a device has delivered it."""
+        for role in frame.images.keys() & SAMPLES.keys():
+            if role not in self._of:
+                topic, kind = SAMPLES[role]
+                self._of[role] = self._publisher(kind, topic, "qos.images")
+            if self._wanted(role):
+                self._of[role].publish(messages.image(frame.images[role], head))
 
     def _publisher(self, kind: str, topic: str, parameter: str) -> Publisher:
         profile = qos.profile(self._values[parameter])
