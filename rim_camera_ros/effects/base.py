@@ -133,8 +133,6 @@ class Effect(Physics):
     steady: ClassVar[bool] = False
     #: whether it brings light from one pixel to others
     spreads: ClassVar[bool] = False
-    #: whether it is of the demodulation of a phase, which other ways of measuring do not have
-    demodulates: ClassVar[bool] = False
     #: whether it settles after power-on
     settles: ClassVar[bool] = False
     #: whether it is one number as long as the setting is the same

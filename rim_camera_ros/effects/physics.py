@@ -48,6 +48,8 @@ class Physics(ABC):
     scales_distance: ClassVar[bool] = False
     #: whether it shows beside edges, in pixels that other effects are fitted without
     at_edges: ClassVar[bool] = False
+    #: whether it is of the demodulation of a phase, which not every way of measuring has
+    demodulates: ClassVar[bool] = False
     #: whether it moves rays, so that every pixel sees another point
     moves_rays: ClassVar[bool] = False
     #: whether it is of the scene's surfaces, which no parameter of a camera file describes

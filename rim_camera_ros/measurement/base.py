@@ -94,6 +94,8 @@ class Measurement(Protocol):
     type: ClassVar[str]
     #: roles of images of several values a pixel, from which distances are evaluated anew where they come
     samples: ClassVar[tuple[str, ...]]
+    #: whether distances are phases: effects of a demodulation (`Effect.demodulates`) can act on them
+    demodulates: ClassVar[bool]
 
     def check(self, camera: Camera) -> None:
         """Raise ValueError where the keys, or effects of the file, do not fit this way of measuring."""
@@ -143,6 +145,7 @@ class OneFrequency:
 
     type: ClassVar[str] = "one_frequency"
     samples: ClassVar[tuple[str, ...]] = ()
+    demodulates: ClassVar[bool] = True
 
     def check(self, camera: Camera) -> None:
         """Accept every camera."""

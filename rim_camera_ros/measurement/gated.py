@@ -35,6 +35,7 @@ class Gated(PulseAndGates, OneFrequency):
 
     type: ClassVar[str] = "gated"
     samples: ClassVar[tuple[str, ...]] = ("gates",)
+    demodulates: ClassVar[bool] = False
 
     def shutter(self, camera: Camera) -> GatedShutter:
         """Return pulse, gates and period."""

@@ -32,6 +32,7 @@ class SeveralFrequencies:
 
     type: ClassVar[str] = "several_frequencies"
     samples: ClassVar[tuple[str, ...]] = ()
+    demodulates: ClassVar[bool] = True
 
     range: tuple[float, float] | None = quantity(
         "m", "least and greatest distance; null: from 0 to where all phases repeat", default=None, minimum=0.0

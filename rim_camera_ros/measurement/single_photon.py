@@ -31,6 +31,7 @@ class SinglePhoton(PulseAndDiode, OneFrequency):
 
     type: ClassVar[str] = "single_photon"
     samples: ClassVar[tuple[str, ...]] = ("histogram",)
+    demodulates: ClassVar[bool] = False
 
     def detector(self, camera: Camera) -> SinglePhotonDetector:
         """Return pulse, diode and clock."""

@@ -19,12 +19,18 @@ from rim_camera_ros.effects.candidate import Block, Candidate, Column, Facts, Re
 from rim_camera_ros.effects.discrepancy import Change
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.measurement import measurement_of
 from rim_camera_ros.select.effect_sizes import change_by
 
 
 def candidates(camera: Camera, facts: Facts, *, effects: Sequence[str] | None = None) -> list[Candidate]:
-    """Return the variants of every effect that the camera lacks and the recordings could contain."""
+    """Return the variants of every effect that the camera lacks and the recordings could contain.
+
+    Those of a demodulation only where the camera demodulates.
+    """
     known = vocabulary()
+    if not measurement_of(camera).demodulates:
+        known = {name: one for name, one in known.items() if not one.demodulates}
     # those of the optics last, whose columns need no light
     names = [*(name for name in known if name not in OPTICS), *OPTICS]
     return [
