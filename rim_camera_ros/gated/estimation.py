@@ -25,7 +25,7 @@ _ENTRIES, _COARSE = 4096, 256
 #: Steps of Fisher's scoring from the grid.
 _STEPS = 4
 #: Share of the best that a distance must tell by the change of the gates' ratios, and see of the light.
-_TELLS, _SEES = 0.02, 0.02
+_TELLS, _SEES = 0.02, 0.05
 #: Least variance of an image [counts^2]: that of rounding.
 _ROUNDING = 1.0 / 12.0
 _TINY = 1e-30
@@ -118,6 +118,11 @@ class GateEstimator:
             amplitude=np.where(near, amplitude, np.maximum(q.sum(axis=0), 0.0)),
             sigma=np.where(near, np.sqrt(variance), np.nan),
         )
+
+    def bound(self, distance: Array, *, amplitude: float) -> Array:
+        """Return the Cramer-Rao bound [m] of the standard deviation at distances [m], without other light."""
+        light = amplitude * self.shutter.shares(distance)
+        return np.asarray(np.sqrt(self._scored(light, distance)[2]))
 
     def _at(self, distance: Array) -> tuple[Array, Array]:
         """Return shares and slopes (gates, pixels) at distances [m], linear between entries."""

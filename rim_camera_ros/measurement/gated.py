@@ -21,8 +21,8 @@ from rim_camera_ros.scene import Scene
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-#: Counts at which the noise of photons is taken, and the distances over which the median is taken.
-_BRIGHT, _PLACES = 1e6, 200
+#: Counts at which the noise of photons and that of the read-out are taken, and the distances of the median.
+_BRIGHT, _FAINT, _PLACES = 1e6, 1e-3, 200
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,13 +90,11 @@ class Gated(PulseAndGates, OneFrequency):
 
         shot of the pulse's photons, amplitude of the read-out; unmodulated light is left out.
         """
-        shutter = self.shutter(camera)
         estimator = self.estimator(camera)
-        low, high = estimator.limits
-        shares = shutter.shares(np.linspace(low, high, _PLACES + 2)[1:-1])
-        shot = _median_sigma(estimator, _BRIGHT * shares) * math.sqrt(_BRIGHT)
+        at = np.linspace(*estimator.limits, _PLACES + 2)[1:-1]
+        shot = float(np.median(estimator.bound(at, amplitude=_BRIGHT))) * math.sqrt(_BRIGHT)
         # so little light that its photons add no noise
-        amplitude = _median_sigma(estimator, 1e-3 * shares) * 1e-3
+        amplitude = float(np.median(estimator.bound(at, amplitude=_FAINT))) * _FAINT
         return Noise(floor=0.0, shot=shot, amplitude=amplitude, circular_range=2.0 * math.pi * shot)
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
@@ -120,8 +118,3 @@ class Gated(PulseAndGates, OneFrequency):
                 )
             )
         return rows
-
-
-def _median_sigma(estimator: GateEstimator, images: Any) -> float:
-    found = estimator.estimate(images).sigma
-    return float(np.nanmedian(found))

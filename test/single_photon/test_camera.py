@@ -42,7 +42,7 @@ def camera(*effects: Effect, width: int = 16, height: int = 12, gain: float = 40
 
 
 def step(near: float = 0.7, far: float = 1.9) -> Scene:
-    """Return a near surface that ends in the middle of the image before a far one, both of one reflectivity."""
+    """Return a near surface that ends in the middle of the image before a far one, both alike."""
     edge = Surface(
         name="near",
         type="rectangle",
@@ -184,7 +184,7 @@ def test_effects_of_demodulation_are_refused(tmp_path: Path) -> None:
         InputError, match=r"effects.cyclic_error does not act on a direct measurement of time"
     ):
         load_camera(tmp_path / "camera.yaml")
+    (tmp_path / "camera.yaml").write_text(text.replace("jitter: 300.0e-12", "jitter: 3.0e-9"))
     with pytest.raises(InputError, match="no room for pulses"):
-        (tmp_path / "camera.yaml").write_text(text.replace("jitter: 300.0e-12", "jitter: 3.0e-9"))
         load_camera(tmp_path / "camera.yaml")
     assert CyclicError(harmonics=(Harmonic(order=4, amplitude=0.01, phase=0.0),)).demodulates
