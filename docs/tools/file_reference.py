@@ -18,6 +18,7 @@ from rim_camera_ros.camera_file import CAMERA_FORMAT, _File, load_camera
 from rim_camera_ros.effects import ORDER
 from rim_camera_ros.files import find_camera
 from rim_camera_ros.limits import limits
+from rim_camera_ros.measurement import TYPES
 from rim_camera_ros.parameters import ArrayFile, NestedList, encode
 from rim_camera_ros.scene import SCENE_FORMAT, Scene
 
@@ -34,6 +35,7 @@ _WORDS = {
     "validity": "ranges within which the calibration holds",
     "covariance": "of the parameters, in their own units",
     "provenance": "who made the file, from what; anything may stand here",
+    "measurement": "how the device measures, by its `type`, [below](#ways-of-measuring); without it by one modulation frequency",
     "camera_motion": "of the camera, in its own optical frame",
     "surfaces": "what the camera may see",
     "schedule": "stations, one after the other; without it 100 frames at 25 Hz",
@@ -42,6 +44,7 @@ _EXAMPLES: dict[str, Any] = {
     "camera.format": CAMERA_FORMAT, "scene.format": SCENE_FORMAT,
     "camera.sensor.distance_lsb": 0.001, "camera.sensor.background_suppression": 50, "camera.sensor.integration_time": 100, "camera.minimum_amplitude": 150,
     "camera.covariance.parameters[]": "[effects.distance_scale.scale]", "camera.covariance.matrix": "mine.covariance.npy",
+    "measurement.range": [0.3, 18.7], "measurement.wraps": [[0, 0, 0], [0, 0, 1], [1, 0, 1]],
     "camera.validity.distance": [1.2, 7.45], "camera.validity.amplitude": [200, 40000],
     "camera.validity.integration_time": [16, 100], "camera.validity.temperature": [-10, 40],
     "camera.validity.region": [0, 0, 175, 143],
@@ -200,6 +203,11 @@ def row(key: Key, example: Any) -> str:
 _HEAD = ["| key | | unit | default | range | example |", "|---|---|---|---|---|---|"]
 
 
+def _measurement(kind: type) -> list[str]:
+    """Return the section of a way of measuring."""
+    return ["", f"### {kind.type}", "", *_HEAD, *(row(one, None) for one in keys(kind, "measurement."))]
+
+
 def pages() -> dict[Path, str]:
     """Return the content of the page by its path."""
     camera = load_camera(find_camera("sr3000"))
@@ -219,6 +227,13 @@ def pages() -> dict[Path, str]:
         "",
         *_HEAD,
         *(row(one, _found(example, one.path.split(".")[1:])) for one in keys(_File, "camera.")),
+        "",
+        "`sensor.modulation_frequency` may be a list: [several frequencies](several_frequencies.md) says what else may be one then.",
+        "",
+        "## Ways of measuring",
+        "",
+        "Groups `measurement` of a camera file, by their `type`.",
+        *(line for kind in TYPES.values() for line in _measurement(kind)),
         "",
         "## Effects",
         "",
