@@ -19,7 +19,7 @@ from rim_camera_ros.measurement import FrameSimulation, measurement_of
 from rim_camera_ros.pipeline.simulate import Exposure
 from rim_camera_ros.scene import Scene, load_scene
 
-CAMERAS = ("pmd3ks", "azure_kinect", "kinect_v2", "epfl32")
+CAMERAS = ("pmd3ks", "azure_kinect", "kinect_v2", "epfl32", "gated")
 SCENE = """
 format: rim_scene/1
 surfaces:

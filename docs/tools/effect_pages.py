@@ -12,7 +12,7 @@ from pathlib import Path
 from pages import DOCS, run
 
 from rim_camera_ros.camera_file import load_camera
-from rim_camera_ros.effects import ORDER, SECTIONS
+from rim_camera_ros.effects import ORDER, PARTICULAR, SECTIONS
 from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.files import find_camera
 
@@ -68,7 +68,7 @@ def _classes(hint: object) -> list[type]:
 
 def page(effect: type[Effect]) -> str:
     """Return the page of one effect."""
-    example = effect.example(load_camera(find_camera("sr3000")))
+    example = effect.example(load_camera(find_camera("gated" if effect in PARTICULAR else "sr3000")))
     formula, *text = inspect.cleandoc(inspect.getdoc(effect) or "").split("\n\n")
     source = (inspect.getmodule(effect).__doc__ or "").strip().splitlines()[0]
     formula = " ".join(formula.split())
@@ -96,7 +96,7 @@ def page(effect: type[Effect]) -> str:
 
 def pages() -> dict[Path, str]:
     """Return the content of every page by its path."""
-    result = {FOLDER / f"{one.name}.md": page(one) for one in ORDER}
+    result = {FOLDER / f"{one.name}.md": page(one) for one in (*ORDER, *PARTICULAR)}
     sections = sorted({one.section for one in SECTIONS.values()})
     lines = [
         "# Effects, in the order along the light",
@@ -106,7 +106,9 @@ def pages() -> dict[Path, str]:
         "",
         "| effect | what it is | undone |",
         "|---|---|---|",
-        *(f"| [{one.name}]({one.name}.md) | {one.title} | {one.undo} |" for one in ORDER),
+        *(f"| [{one.name}]({one.name}.md) | {one.title} | {one.undo} |" for one in (*ORDER, *PARTICULAR)),
+        "",
+        "The last is of [gated cameras](../gated.md) alone.",
         "",
         "These pages are written by `docs/tools/effect_pages.py` from the classes in `effects/`.",
         "The names " + ", ".join(f"`{one}`" for one in SECTIONS) + " belong to the vocabulary as well;",
