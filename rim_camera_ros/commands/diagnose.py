@@ -188,9 +188,7 @@ def _numbers(text: str) -> tuple[int, ...]:
     return numbers
 
 
-def _stations(
-    given: argparse.Namespace, path: Path, part: Part, scene: Scene, topics: Topics
-) -> Dataset:
+def _stations(given: argparse.Namespace, path: Path, part: Part, scene: Scene, topics: Topics) -> Dataset:
     """Read the images of a part in a recording and keep the stations that have all poses."""
     camera, names = part.camera, replace(topics, frequency=part.frequency)
     if given.scheduler is None:

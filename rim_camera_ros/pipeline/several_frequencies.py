@@ -23,7 +23,7 @@ from rim_camera_ros.frame import (
 from rim_camera_ros.measurement.several_frequencies import SeveralFrequencies
 from rim_camera_ros.phasor import Waveform
 from rim_camera_ros.pipeline.correct import Correction
-from rim_camera_ros.pipeline.mixed import mark_mixed
+from rim_camera_ros.pipeline.mixed import mixed_pixels
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
 from rim_camera_ros.pipeline.two_paths import TwoPaths
 from rim_camera_ros.scene import Geometry, Scene
@@ -175,7 +175,7 @@ class SeveralCorrections:
             invalid = (flags & np.uint8(INVALID.value)) != 0
             np.copyto(distance, np.nan, where=invalid)
             np.copyto(sigma, np.nan, where=invalid)
-            mark_mixed(flags, distance, sigma, bit=_MIXED)
+            flags |= mixed_pixels(distance, sigma).view(np.uint8) * np.uint8(_MIXED)
             limits = self.camera.validity.distance
             if limits is not None:
                 outside = (distance < np.float32(limits[0])) | (distance > np.float32(limits[1]))
