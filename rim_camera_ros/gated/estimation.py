@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from rim_camera_ros.gated.gates import GatedShutter
 from rim_camera_ros.phasor import SPEED_OF_LIGHT
@@ -26,6 +27,8 @@ _ENTRIES, _COARSE = 4096, 256
 _STEPS = 4
 #: Share of the best that a distance must tell by the change of the gates' ratios, and see of the light.
 _TELLS, _SEES = 0.02, 0.05
+#: Share of the light that a second gate must see within that part of the pulse's depth.
+_SHARED, _NEAR = 0.01, 0.05
 #: Least variance of an image [counts^2]: that of rounding.
 _ROUNDING = 1.0 / 12.0
 _TINY = 1e-30
@@ -74,8 +77,11 @@ class GateEstimator:
         turn = np.sqrt(np.maximum((change * change).sum(axis=0) - along**2, 0.0)) / np.maximum(length, _TINY)
         lit = length > _SEES * max(float(length.max()), _TINY)
         turn[~lit] = 0.0
-        #: whether the gates tell a distance of the table
-        self.usable = lit & (turn * self._depth > _TELLS)
+        #: whether the gates tell a distance of the table: by more than the tail of an edge in a second gate
+        second = np.sort(self._shares, axis=0)[-2]
+        near = max(round(_NEAR * self._depth / self._step), 1)
+        shared = maximum_filter1d(second, 2 * near + 1, mode="wrap") > _SHARED
+        self.usable = lit & shared & (turn * self._depth > _TELLS)
         if not self.usable.any():
             raise ValueError("the gates do not overlap: at no distance do two of them see the same pulse")
         chosen = np.flatnonzero(self.usable)
