@@ -160,8 +160,13 @@ class Correction:
         """Return the minimum amplitude in counts that holds at these settings."""
         return self._fold(settings).amplitude.minimum
 
-    def carry_on(self, before: Correction) -> None:
-        """Take over what another correction knows of the past: lagging temperature, filtered reference."""
+    def carry_on(self, before: Any) -> None:
+        """Take over what another correction knows of the past: lagging temperature, filtered reference.
+
+        One of another way of measuring knows nothing of use.
+        """
+        if not isinstance(before, Correction):
+            return
         self._memory = dict(before._memory)
         self._start, self._last = before._start, before._last
 
