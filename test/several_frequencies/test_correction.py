@@ -114,7 +114,7 @@ def test_terms_that_need_the_distance_itself_see_it(camera: Camera, scene: Scene
 
 
 def test_close_odds_are_flagged_and_have_no_distance(camera: Camera, scene: Scene) -> None:
-    given = exposure(scene, 9.0, time=35.0 * 9.0**2 / 900 / 0.7)  # a quarter of 10 sigma
+    given = exposure(scene, 9.0, time=60.0 * 9.0**2 / 900 / 0.7)  # 4.5 sigma
     simulation = SeveralSimulations(camera, scene, seed=5)
     truth, frame = simulation.true_distance(given), simulation.frame(given)
     found = SeveralCorrections(camera).correct(frame)
