@@ -16,7 +16,7 @@ import pytest
 import yaml
 
 from rim_camera_ros.camera_file import _File
-from rim_camera_ros.effects import ORDER
+from rim_camera_ros.effects import ORDER, PARTICULAR
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.yaml_files import _Loader
 
@@ -88,7 +88,9 @@ _ARRAYS = ("map", "matrix", "values")
 
 def test_no_key_of_a_file_is_missing_in_the_reference() -> None:
     """Neither one that a dataclass has nor one that a shipped file uses; each says what it is."""
-    sections = {"Camera file": _File, "Scene file": Scene} | {f"\\[{one.name}\\]": one for one in ORDER}
+    sections = {"Camera file": _File, "Scene file": Scene} | {
+        f"\\[{one.name}\\]": one for one in (*ORDER, *PARTICULAR)
+    }
     rows = {part: documented(part) for part in sections}
     for part, kind in sections.items():
         names = {re.sub(r"\[\]|\.SETTING|\.NAME", "", key).split(".")[-1] for key in rows[part]}

@@ -15,7 +15,7 @@ from typing import Any
 from pages import DOCS, run
 
 from rim_camera_ros.camera_file import CAMERA_FORMAT, _File, load_camera
-from rim_camera_ros.effects import ORDER
+from rim_camera_ros.effects import ORDER, PARTICULAR
 from rim_camera_ros.files import find_camera
 from rim_camera_ros.limits import limits
 from rim_camera_ros.measurement import TYPES
@@ -41,7 +41,7 @@ _WORDS = {
     "schedule": "stations, one after the other; without it 100 frames at 25 Hz",
 }
 _EXAMPLES: dict[str, Any] = {
-    "camera.format": CAMERA_FORMAT, "scene.format": SCENE_FORMAT,
+    "camera.noise.circular_range": 0.2888, "camera.format": CAMERA_FORMAT, "scene.format": SCENE_FORMAT,
     "camera.sensor.distance_lsb": 0.001, "camera.sensor.background_suppression": 50, "camera.sensor.integration_time": 100, "camera.minimum_amplitude": 150,
     "camera.covariance.parameters[]": "[effects.distance_scale.scale]", "camera.covariance.matrix": "mine.covariance.npy",
     "measurement.range": [0.3, 18.7], "measurement.wraps": [[0, 0, 0], [0, 0, 1], [1, 0, 1]],
@@ -239,8 +239,8 @@ def pages() -> dict[Path, str]:
         "",
         "Groups of `effects` in a camera file, in their order along the light.",
     ]
-    for effect in ORDER:
-        data = encode(effect.example(camera))
+    for effect in (*ORDER, *PARTICULAR):
+        data = encode(effect.example(load_camera(find_camera("gated")) if effect in PARTICULAR else camera))
         lines += ["", f"### [{effect.name}](effects/{effect.name}.md)", "", *_HEAD]
         lines += [row(one, _found(data, one.path.split(".")[1:])) for one in keys(effect, f"{effect.name}.")]
     lines += ["", f"## Scene file (`{SCENE_FORMAT}`)", "", *_HEAD]
