@@ -143,6 +143,7 @@ def test_a_driver_without_settings_is_recorded_as_it_is(world: World, tmp_path: 
         assert {one.settings.integration_time for one in recording.frames()} == {None}
 
 
+@pytest.mark.slow
 def test_what_is_covered_is_said_and_published(world: World, tmp_path: Path) -> None:  # noqa: F811
     """On the terminal, as a topic and as a picture; the recording is the same as without."""
     from diagnostic_msgs.msg import DiagnosticArray
@@ -154,7 +155,7 @@ def test_what_is_covered_is_said_and_published(world: World, tmp_path: Path) -> 
     coverage = ("--scene", "wall", "--camera", "pmd3ks")
     running = process("record", "--out", out, *coverage, env=world.environment)
     world.start("driver_node", wait_for_subscribers=1, **(DRIVER | {"frame_rate": 10.0}))
-    assert world.until(lambda: len(states) > 0 and len(pictures) > 0, 120.0), world.output()
+    assert world.until(lambda: len(states) > 0 and len(pictures) > 0, 240.0), world.output()
     running.send_signal(signal.SIGINT)
     text, err = running.communicate(timeout=60)
     assert running.returncode == 0, err

@@ -29,7 +29,7 @@ from rim_camera_ros.scene import Scene, load_scene
 _BLOCK_SECONDS = 3.0
 #: Seconds without any station after which it is said why.
 _PATIENCE = 8.0
-_NICENESS = 10
+_NICENESS = 5
 
 
 class _Stations:
@@ -41,14 +41,13 @@ class _Stations:
         self.ended = False
         self.problem = ""
         self.moved: float | None = None
-        self.count = self.frames = 0
+        self.count = self.frames = self.posed = 0
         self._source, self._scene, self._camera = source, scene, camera
         threading.Thread(target=self._run, name="stations", daemon=True).start()
 
     def _run(self) -> None:
         try:
-            frames = posed_frames(self._counted(), self._scene, self._camera)
-            known = of_known_exposure(frames)
+            known = of_known_exposure(self._posed())
             for station in reduce_frames(known, self._camera, block_seconds=_BLOCK_SECONDS):
                 if self.evaluator.add(station):
                     self.moved, self.count = movement_of(station), self.count + 1
@@ -62,6 +61,11 @@ class _Stations:
     def _counted(self) -> Iterator[RawFrame]:
         for frame in live_frames(self._messages()):
             self.frames += 1
+            yield frame
+
+    def _posed(self) -> Iterator[RawFrame]:
+        for frame in posed_frames(self._counted(), self._scene, self._camera):
+            self.posed += 1
             yield frame
 
     def _messages(self) -> Iterator[Message]:
@@ -85,7 +89,7 @@ def serve(source: IO[bytes], sink: IO[bytes]) -> None:
     evaluated, warned = 0, False
     while True:
         if not stations.news.wait(None if evaluated or warned else _PATIENCE):
-            warned = stations.frames > 0
+            warned = stations.frames > 0 and stations.posed == 0
             if warned:
                 send(Report(None, problem=_without_poses(scene)))
             continue
@@ -107,8 +111,6 @@ def _without_poses(scene: Scene) -> str:
     return (
         f"no frame has the pose of {names} so far: neither is it published nor found in the images "
         "(the whole board must be in view, its squares 5 px and more)"
-        if names
-        else "no station is complete so far"
     )
 
 
