@@ -112,10 +112,15 @@ def test_no_key_of_a_file_is_missing_in_the_reference() -> None:
         if part is None:
             continue
         seen += 1
+        measurement = data.pop("measurement", None)
+        if measurement is not None:
+            keys = {key.split(".")[-1].removesuffix("[]") for key in documented(measurement.pop("type"))}
+            assert set(measurement) <= keys, path.name
         missing = {key for key in used(data) if key not in plain[part]} - {"schedule[].poses.*"}
         assert not missing, f"{path.name}: {sorted(missing)}"
         for name, effect in (data.get("effects") or {}).items():
-            found = {re.sub(r"\.\*(?=\.|$)", "", key) for key in used(effect)} - {""}
+            groups = effect if isinstance(effect, list) else [effect]
+            found = {re.sub(r"\.\*(?=\.|$)", "", key) for one in groups for key in used(one)} - {""}
             known = {re.sub(r"\.\*(?=\.|$)", "", key) for key in plain[f"\\[{name}\\]"]}
             assert found <= known, f"{path.name}: {name}: {sorted(found - known)}"
     assert seen > 20
