@@ -228,7 +228,7 @@ def pages() -> dict[Path, str]:
         *_HEAD,
         *(row(one, _found(example, one.path.split(".")[1:])) for one in keys(_File, "camera.")),
         "",
-        "`sensor.modulation_frequency` may be a list: [several frequencies](several_frequencies.md) says what else may be one then.",
+        "The key `sensor.modulation_frequency` may be a list: [several frequencies](several_frequencies.md) says what else may be one then.",
         "",
         "## Ways of measuring",
         "",
