@@ -112,10 +112,18 @@ def test_no_key_of_a_file_is_missing_in_the_reference() -> None:
         if part is None:
             continue
         seen += 1
-        missing = {key for key in used(data) if key not in plain[part]} - {"schedule[].poses.*"}
+        # those of a way of measuring stand below its type
+        way = data.get("measurement") or {}
+        own = {key.rpartition(".")[2].rstrip("[]") for key in documented(way["type"])} if way else set()
+        assert not set(way) - own - {"type"}, path.name
+        missing = {key for key in used(data) if key not in plain[part] and "measurement." not in key}
+        missing -= {"schedule[].poses.*"}
         assert not missing, f"{path.name}: {sorted(missing)}"
         for name, effect in (data.get("effects") or {}).items():
-            found = {re.sub(r"\.\*(?=\.|$)", "", key) for key in used(effect)} - {""}
+            # of several frequencies each may have its own
+            each = effect if isinstance(effect, list) else [effect]
+            keys = {key for one in each for key in used(one)}
+            found = {re.sub(r"\.\*(?=\.|$)", "", key) for key in keys} - {""}
             known = {re.sub(r"\.\*(?=\.|$)", "", key) for key in plain[f"\\[{name}\\]"]}
             assert found <= known, f"{path.name}: {name}: {sorted(found - known)}"
     assert seen > 20
