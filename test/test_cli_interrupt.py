@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.cli import main
-from rim_camera_ros.commands import simulate
+from rim_camera_ros.pipeline import simulate
 
 from .helpers_cli import CAMERA, SCENE, nothing_left, process, run, write_text
 

@@ -110,10 +110,12 @@ def without_poses() -> list[str]:
 
 
 #: Roles that a fit, a correction or a report needs an effect for, whatever it is called: an offset per pixel,
-#: which is a nuisance of every fit; a smooth function of covariates, which stands for unknown physics; errors
-#: by position instead of physics; unmodulated light; light of a second camera; a reading of an internal path;
-#: sinusoids of the phase; light that is spread, and another way out, which a correction undoes fast.
+#: which is a nuisance of every fit; an offset per setting; a smooth function of covariates, which stands for
+#: unknown physics; errors by position instead of physics; unmodulated light; light of a second camera; a
+#: reading of an internal path; sinusoids of the phase; light that is spread, and another way out, which a
+#: correction undoes fast.
 PixelMap = FixedPatternOffset
+SettingOffset = IntegrationTimeOffset
 CovariateTable = Empirical
 PositionTable = IntegralTable
 UnmodulatedLight = BackgroundLight
@@ -143,6 +145,7 @@ __all__ = [
     "PixelMap",
     "PositionTable",
     "ReferenceScale",
+    "SettingOffset",
     "Signal",
     "StrayLight",
     "UnmodulatedLight",

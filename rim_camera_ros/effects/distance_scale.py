@@ -40,15 +40,15 @@ class DistanceScale(DistanceTerm):
     in_pixels = frozenset({"principal_point"})
 
     scale: float = quantity("-", "relative", default=0.0, minimum=-0.5, maximum=0.5, typical=0.002)
-    principal_point: tuple[float, float] = quantity(
-        "px", "of the driver's depth along the axis, beside that of the optics", default=(0.0, 0.0)
+    principal_point: tuple[float, float] | None = quantity(
+        "px", "of the driver's depth along the axis, beside that of the optics", default=None
     )
 
     def depends_on(self) -> frozenset[Dependency]:
-        return frozenset({"distance", "pixel"} if any(self.principal_point) else {"distance"})
+        return frozenset({"distance"} if self.principal_point is None else {"distance", "pixel"})
 
     def term(self, distance: Image, amplitude: Image, context: Context) -> Image | float:
-        if not any(self.principal_point):
+        if self.principal_point is None:
             return self.scale * distance
         ray, there = self._at_one_metre(context.camera)
         ratio = np.sqrt((1 + (ray**2).sum(axis=-1)) / (1 + (there**2).sum(axis=-1)))
@@ -56,17 +56,19 @@ class DistanceScale(DistanceTerm):
         return result
 
     def distance_knots(self) -> tuple[float, ...]:
-        return (0.0, _FARTHEST) if any(self.principal_point) else ()
+        return () if self.principal_point is None else (0.0, _FARTHEST)
 
     def _at_one_metre(self, camera: Camera) -> tuple[Image, Image]:
         """Return x and y at z = 1 (H, W, 2) of the rays by the optics of the camera and of the driver."""
         focal = np.array([camera.optics.fx, camera.optics.fy])
         with np.errstate(divide="ignore", invalid="ignore"):
             ray = camera.rays[..., :2] / camera.rays[..., 2:]
-        return ray, ray - np.array(self.principal_point) / focal
+        return ray, ray - np.array(self.principal_point or (0.0, 0.0)) / focal
 
     def columns(self, signal: Signal, context: Context) -> dict[str, Column]:
         distance = np.asarray(signal.distance)
+        if self.principal_point is None:
+            return {"scale": (distance, 0.0)}
         ray, there = self._at_one_metre(context.camera)
         optics = context.camera.optics
         change = np.sqrt(1 + (ray**2).sum(axis=-1)) / (1 + (there**2).sum(axis=-1)) ** 1.5 * distance
@@ -79,7 +81,7 @@ class DistanceScale(DistanceTerm):
     def sentence(self) -> str:
         wrong = "long" if self.scale >= 0 else "short"
         words = f"distance scale: distances are too {wrong} by {abs(self.scale) * 1e3:.3g} mm per metre"
-        if any(self.principal_point):
+        if self.principal_point is not None:
             u, v = self.principal_point
             words += (
                 f"; they were made of depth along an axis through a point {u:.3g} columns and {v:.3g} rows "
@@ -89,15 +91,20 @@ class DistanceScale(DistanceTerm):
 
     @classmethod
     def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
-        base, priors = cls(), {"scale": 0.02}
-        return [linear(base, priors), linear(base, priors | _OTHER_AXIS, "principal point")]
+        priors = {"scale": 0.02}
+        beside = cls(principal_point=(0.0, 0.0))
+        return [linear(cls(), priors), linear(beside, priors | _OTHER_AXIS, "principal point")]
 
     def priors(self) -> dict[str, float]:
-        return dict(super().priors()) | (_OTHER_AXIS if any(self.principal_point) else {})
+        return dict(super().priors()) | ({} if self.principal_point is None else _OTHER_AXIS)
 
     def graph(self, camera: Camera) -> Graph:
-        return replace(over_distance(self, camera), title="distance scale")
+        found = over_distance(replace(self, principal_point=None), camera)
+        (line,) = found.lines
+        # over the distance alone: the rest is of the pixel
+        alone = replace(line, value=lambda term: line.value(replace(term, principal_point=None)))
+        return replace(found, title="distance scale", lines=(alone,))
 
     @classmethod
     def example(cls, camera: Camera) -> DistanceScale:
-        return cls(scale=-0.0011, principal_point=(0.7, -1.1))
+        return cls(scale=-0.0011, principal_point=(0.35, -0.55))

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
-from rim_camera_ros.effects.integration_time_offset import IntegrationTimeOffset
+from rim_camera_ros.effects import PixelMap, SettingOffset
+from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.frame import INVALID, Flag, RawFrame
 from rim_camera_ros.measurement import Change
 from rim_camera_ros.parameters import ArrayFile
@@ -91,14 +91,14 @@ def _without_offsets(camera: Camera, seen: Sequence[_Seen], scene: Scene) -> tup
 def _with_offset(camera: Camera, metres: float, part: str) -> tuple[Camera, str, dict[str, float]] | None:
     """Return the camera with its own offset longer by so much, its name and what it was; None without one."""
     effects = dict(camera.effects)
-    pattern, times = effects.get(FixedPatternOffset.name), effects.get(IntegrationTimeOffset.name)
-    if isinstance(pattern, FixedPatternOffset):
+    pattern, times = effect_of(camera, PixelMap), effect_of(camera, SettingOffset)
+    if pattern is not None:
         values = (pattern.map.values + np.float32(metres)).astype(np.float32)
         name, before = pattern.name, {"mean": float(np.mean(pattern.map.values))}
         # another frequency may have the file as it was
         file = f"{pattern.map.file.removesuffix('.npy')}.{part}.npy"
         effects[name] = replace(pattern, map=ArrayFile(file, values))
-    elif isinstance(times, IntegrationTimeOffset):
+    elif times is not None:
         name = times.name
         before = {f"offset.{key:g}": value for key, value in times.offset.items()}
         rows = {key: value + metres for key, value in times.offset.items()}

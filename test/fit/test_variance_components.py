@@ -164,6 +164,8 @@ def test_a_curve_that_turns_negative_is_told_from_a_hyperbola(tmp_path: Path) ->
     dataset = record(other, scene(tmp_path), poses=36)
     said = beyond_form(*solved(dataset, given, tmp_path))
     assert said is not None
-    assert said.startswith("a smooth curve in amplitude fits held-out poses better than the hyperbola")
+    assert said.startswith(
+        "a smooth curve in amplitude fits held-out poses better than the form of amplitude_offset"
+    )
     assert "empirical:amplitude" in said
     assert beyond_form(*solved(record(given, scene(tmp_path)), given, tmp_path)) is None
