@@ -100,6 +100,30 @@ def poses_beyond(fitted: Fit, camera: Camera, errors: Mapping[tuple[int, int], f
     return None
 
 
+#: What errors that all poses of a surface share are as a set-up, by the name of the nuisance.
+_COMMON = {"common_pose_offset": "depth", "common_pose_tilt": "pose"}
+
+
+def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
+    """Return in words that all poses of surfaces err alike by far more than is stated; None: they do not."""
+    for one in nuisances_of(fitted, camera):
+        if one.name in _COMMON and one.found > BEYOND * one.stated:
+            size = f"{one.found * 1e3:.2g} {'mm' if one.unit == 'm' else 'mrad'}"
+            offset = one.unit == "m"
+            own = {
+                label: abs(value)
+                for label, value in fitted.parameters.items()
+                if label.startswith(COMMON_POSE) and label.endswith("offset") == offset
+            }
+            surface = max(own, key=lambda label: own[label]).removeprefix(COMMON_POSE).rpartition(".")[0]
+            return (
+                f"{_COMMON[one.name]}: poses of a surface err alike, by {size} (RMS over surfaces), "
+                f"{one.found / one.stated:.1f} times what is stated, most of all those of {surface}: it "
+                "stands elsewhere than its poses say; measure it anew, or state a larger pose_sigma"
+            )
+    return None
+
+
 def reflectivities_beyond(fitted: Fit, scene: Scene) -> str | None:
     """Return which surface reflects otherwise than stated, by far more than is stated; None: none does."""
     priors = {one.label: one.prior for one in fitted.equations.regressors}

@@ -16,6 +16,7 @@ from rim_camera_ros.diagnose.full_grid import on_full_grid
 from rim_camera_ros.diagnose.hypotheses import AS_GIVEN, Hypothesis, best_setup, by_gain, moved_poses
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, only_rectified_noise
 from rim_camera_ros.diagnose.nuisances import (
+    common_pose_beyond,
     nuisances_of,
     optics_beyond,
     poses_beyond,
@@ -213,8 +214,9 @@ def _diagnose(
         # what was so before any physics was fitted, and stays
         of_board = reflectivities_beyond(baseline.fit, scene) and reflectivities_beyond(final.fit, scene)
         astray = {one.key: one.error for one in setup.poses if one.error > BEYOND}
-        reason = of_board or poses_beyond(final.fit, camera, astray)
-        if reason is not None and not of_board:
+        of_surface = common_pose_beyond(final.fit, camera)
+        reason = of_board or of_surface or poses_beyond(final.fit, camera, astray)
+        if reason is not None and not of_board and not of_surface:
             setups = by_gain([*setups, moved_poses(astray)])
     elif setup.bad:
         setups = by_gain(

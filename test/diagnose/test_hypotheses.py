@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -12,9 +14,12 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.diagnose.compare_setups import compare_setups
 from rim_camera_ros.diagnose.hypotheses import Hypothesis, best_setup, moved_poses
+from rim_camera_ros.diagnose.nuisances import common_pose_beyond
 from rim_camera_ros.diagnose.run import diagnose, with_setups
+from rim_camera_ros.effects.candidate import Regressor
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.parameters import NestedList
 from rim_camera_ros.scene import Scene
@@ -116,6 +121,29 @@ def test_poses_in_millimetres_before_a_board_that_no_ray_meets_then(tmp_path: Pa
     better = Hypothesis("scale", "board", 42.0, 30.0, 0.9, 0.2)
     trusted = with_setups(replace(result, reason=None), [better, Hypothesis("as_given", "", 0.0, 0.0)])
     assert [one.hypothesis for one in trusted.setups] == ["as_given", "scale"]
+
+
+def test_poses_of_a_surface_that_err_alike_are_a_fault(tmp_path: Path) -> None:
+    """Of 0.8 mm that are stated: 1.4 mm and -0.9 mm are errors of an instrument, 28 mm are not."""
+
+    def fitted(box: float) -> Fit:
+        labels = {"common_pose.box.offset": box, "common_pose.wall.offset": -0.0009}
+        regressors = [Regressor(label, "pose", 0.0008) for label in labels]
+        return cast(
+            Fit,
+            SimpleNamespace(
+                parameters=labels,
+                nuisances={},
+                equations=SimpleNamespace(regressors=regressors, folds=[]),
+                forward=SimpleNamespace(amplitude_model=SimpleNamespace(pixels=None)),
+            ),
+        )
+
+    assert common_pose_beyond(fitted(0.0014), camera(tmp_path)) is None
+    said = str(common_pose_beyond(fitted(0.028), camera(tmp_path)))
+    # the root of the mean square of 28 and 0.9 mm
+    assert said.startswith("depth: poses of a surface err alike, by 20 mm (RMS over surfaces), 24.8 times")
+    assert "most of all those of box" in said
 
 
 def test_what_poses_that_stand_elsewhere_cost() -> None:
