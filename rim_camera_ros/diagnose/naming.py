@@ -197,7 +197,7 @@ def next_recording(
 
 
 def notes_of_refused(result: Result) -> list[str]:
-    """Return what is said of effects that would gain beside those named: one sentence for each reason."""
+    """Return what is said of effects that would gain and are not named: one sentence for each reason."""
     by_reason: dict[str, list[str]] = {}
     for one in result.refused:
         told = f"{one.effect} ({one.gain:,.0f} nats, its threshold {one.threshold:,.0f})"

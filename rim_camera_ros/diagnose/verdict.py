@@ -199,6 +199,8 @@ def _begun(found: Findings) -> _Draft:
         draft.ranking = with_unknown(draft.ranking, found.unknown.gain)
     elif result.found:
         _name(draft, found)
+    else:
+        draft.notes += notes_of_refused(result)
     return draft
 
 

@@ -122,15 +122,15 @@ def leaders(step: Exploration, failed: Set[str]) -> tuple[tuple[int, ...], int] 
     return None if pair is None or pair[0] <= 1.5 * both else (pair[1], leader)
 
 
-def refused(step: Exploration, found: Sequence[Found], failed: Mapping[str, str]) -> list[Refused]:
-    """Return the effects that would gain beside those ``found`` and were not added, the best first.
+def refused(step: Exploration, failed: Mapping[str, str]) -> list[Refused]:
+    """Return the effects that would gain at a step and were not added, the best first.
 
     ``failed`` says why.
     """
     result = []
     for effect, k in step.best().items():
         gain, threshold = float(step.gains[k]), float(step.thresholds[k])
-        if found and effect in failed and gain > threshold:
+        if effect in failed and gain > threshold:
             result.append(Refused(effect, gain, threshold, failed[effect]))
     return result
 

@@ -75,7 +75,7 @@ def search(
     if len(state.found) > 1:
         say("whether each is still needed")
         state.drop_needless()
-    left_out = refused(state.step, state.found, state.failed)
+    left_out = refused(state.step, state.failed)
     if len(state.found) < most:
         state.look_beside_edges()
     names = {one.effect for one in state.found}
