@@ -24,6 +24,9 @@ from rim_camera_ros.select.exploration import explore
 
 #: A term has moved where chance would do so once in this many times.
 _CHANCE = 1e-4
+#: Single-frame sigmas (RMS) by which known terms together must move distances to be called wrong: whoever
+#: fitted the file knew its parameters no better than its own recordings told.
+LEAST_TOTAL = 0.1
 #: A relative change of the radiometric gain that matters, and in units of its 1-sigma.
 LEAST_GAIN = 0.03
 _FAR = 4.0
@@ -86,6 +89,20 @@ def _moved(camera: Camera, fitted: Fit, name: str) -> float:
     )
 
 
+def total_change(camera: Camera, fitted: Fit) -> float:
+    """RMS, in single-frame sigmas, of how a fit changes the predicted distances.
+
+    Without the mean of each pixel, which the fixed pattern takes up. Changes of whole stations count: errors
+    of poses take them up only as far as they are stated, which the likelihood says.
+    """
+
+    def change(old: Prediction, new: Prediction) -> NDArray[Any]:
+        single = new.sigma * np.sqrt(np.maximum(new.station.count, 1))
+        return np.asarray((new.distance - old.distance) / single)
+
+    return _varying(camera, fitted, change)
+
+
 def _varying(
     camera: Camera, fitted: Fit, change_of: Callable[[Prediction, Prediction], NDArray[Any]]
 ) -> float:
@@ -116,14 +133,15 @@ def _varying(
 def parameters_matter(camera: Camera, result: Result, adjusted: Sequence[Adjusted]) -> bool:
     """Return whether freeing the known terms, of which some moved, gains on held-out poses.
 
-    As much as an effect must gain to enter, beside two standard errors paired over the folds of poses.
+    As much as an effect must gain to enter, beside two standard errors paired over the folds of poses, where
+    they move distances by `LEAST_TOTAL`.
 
     A wrong radiometric gain matters by itself: fits of poses take up a power that is wrong in all of them, so
     that no likelihood tells it.
     """
     if any(one.effect == Radiometry.section for one in adjusted):
         return True
-    if not adjusted:
+    if not adjusted or total_change(camera, result.explorations[-1].fit) < LEAST_TOTAL:
         return False
     frozen = replace(result.problem, effects=(), gain=False, geometry=())
     folds = folds_of(result.problem.dataset)
