@@ -100,8 +100,9 @@ def poses_beyond(fitted: Fit, camera: Camera, errors: Mapping[tuple[int, int], f
     return None
 
 
-#: What errors that all poses of a surface share are as a set-up, by the name of the nuisance.
-_COMMON = {"common_pose_offset": "depth", "common_pose_tilt": "pose"}
+#: What errors that all poses of a surface share are as a set-up, by the name of the nuisance. Shared tilts are
+#: none: what unknown physics does over the array looks like them.
+_COMMON = {"common_pose_offset": "depth"}
 
 
 def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
