@@ -100,8 +100,8 @@ def poses_beyond(fitted: Fit, camera: Camera, errors: Mapping[tuple[int, int], f
     return None
 
 
-#: What errors that all poses of a surface share are as a set-up, by the name of the nuisance. Shared tilts are
-#: none: what unknown physics does over the array looks like them.
+#: What errors that all poses of a surface share are as a set-up, by the name of the nuisance. Shared tilts
+#: are none: what unknown physics does over the array looks like them.
 _COMMON = {"common_pose_offset": "depth"}
 
 
