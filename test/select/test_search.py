@@ -142,11 +142,11 @@ def test_effects_that_would_gain_and_were_not_added_are_told_with_the_reason() -
     )
     failed = {"emitter_offset": NOT_IN_ALL_POSES, "scattering": ONCE_FITTED, "warm_up_drift": NOT_IN_TIME}
     # noise is not mentioned, nor what could still be added
-    assert refused(step, [Found("cyclic_error", 10_000.0)], failed) == [
+    assert refused(step, failed) == [
         Refused("emitter_offset", 400.0, 9.0, NOT_IN_ALL_POSES),
         Refused("scattering", 30.0, 8.0, ONCE_FITTED),
     ]
-    assert refused(step, [], failed) == []
+    assert refused(step, {}) == []
 
 
 def test_the_standard_error_of_a_gain_is_paired_over_folds_of_poses() -> None:
