@@ -20,8 +20,9 @@ AS_GIVEN = "as_given"
 #: Nats by which another set-up must be better, and standard errors of its paired differences over poses.
 LEAST_GAIN = 20.0
 STANDARD_ERRORS = 2.0
-#: ... and share of what does not fit that it must explain: physics that is missing imitates a part of it.
-LEAST_SHARE = 0.5
+#: ... and share of what does not fit from which it is the set-up without asking physics, which may imitate a
+#: part of it. Below, the set-up is held against the files as given with the physics that is found.
+NEARLY_ALL = 0.9
 _WORDS = {
     "turned_180": "the pattern of {0} turned by 180 degrees",
     "mirrored": "the pattern of {0} mirrored",
@@ -50,6 +51,8 @@ class Hypothesis:
 
     ``standard_error`` [nats] of the gain from its paired differences over poses; ``share`` of what does not
     fit that it explains; ``change`` makes recording, scene and camera of the set-up from those given.
+    ``against_physics``: the gain is over the files with the physics that was found; ``fitted``: what it
+    changes is a parameter of the fit, which decides.
     """
 
     hypothesis: str
@@ -59,6 +62,8 @@ class Hypothesis:
     value: float = 0.0
     share: float = 0.0
     change: Change | None = None
+    against_physics: bool = False
+    fitted: bool = False
 
     @property
     def sentence(self) -> str:
@@ -70,8 +75,9 @@ class Hypothesis:
     @property
     def reason(self) -> str:
         """Why the set-up cannot be trusted, and what to do."""
+        than = "any physics of the camera does" if self.against_physics else "the files do"
         return (
-            f"{self.hypothesis}: {self.sentence} explains the recording better than the files do "
+            f"{self.hypothesis}: {self.sentence} explains the recording better than {than} "
             f"({self.share:.0%} of what does not fit); correct the scene file, the poses or the camera file"
         )
 
@@ -83,18 +89,22 @@ class Hypothesis:
 
     @property
     def wins(self) -> bool:
-        """Whether it is better and explains most of what does not fit."""
-        return self.is_better and self.share > LEAST_SHARE
+        """Whether it is better also than physics: held against it, or as it explains what does not fit."""
+        return self.is_better and not self.fitted and (self.against_physics or self.share > NEARLY_ALL)
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A set-up to be compared: its name, the surface, by how much, and what makes its files."""
+    """A set-up to be compared: its name, the surface, by how much, and what makes its files.
+
+    ``fitted``: it is a parameter of the fit too.
+    """
 
     hypothesis: str
     surface: str
     value: float
     change: Change
+    fitted: bool = False
 
 
 def by_gain(found: Iterable[Hypothesis]) -> list[Hypothesis]:
@@ -112,6 +122,9 @@ def moved_poses(errors: Mapping[tuple[int, int], float]) -> Hypothesis:
 
 
 def best_setup(found: Sequence[Hypothesis]) -> Hypothesis | None:
-    """Return the set-up that explains the recording better than the files do; None: they are the best."""
-    winners = [one for one in found if one.wins]
-    return winners[0] if winners else None
+    """Return the set-up that explains the recording better than the files do; None: they are the best.
+
+    None too where the best is a parameter of the fit, which decides.
+    """
+    leader = next((one for one in found if (one.fitted and one.is_better) or one.wins), None)
+    return leader if leader is not None and leader.wins else None

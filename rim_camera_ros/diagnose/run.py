@@ -10,7 +10,7 @@ import numpy as np
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import accuracy
 from rim_camera_ros.diagnose.codes import missing_codes, note_on_grid
-from rim_camera_ros.diagnose.compare_setups import compare_setups
+from rim_camera_ros.diagnose.compare_setups import against_physics, compare_setups
 from rim_camera_ros.diagnose.described import best_rest, describe, explained_share, is_unknown
 from rim_camera_ros.diagnose.full_grid import on_full_grid
 from rim_camera_ros.diagnose.hypotheses import AS_GIVEN, Hypothesis, best_setup, by_gain, moved_poses
@@ -210,6 +210,11 @@ def _diagnose(
         before=baseline.fit,
     )
     reason = setup.reason
+    if any(one.is_better for one in setups):
+        found = (final if described is None else described).fit.camera
+        setups = against_physics(setups, problem.dataset, scene, camera, found=found)
+        winner = best_setup(setups)
+        reason = reason if winner is None else winner.reason
     if reason is None and described is None:
         # what was so before any physics was fitted, and stays
         of_board = reflectivities_beyond(baseline.fit, scene) and reflectivities_beyond(final.fit, scene)

@@ -22,6 +22,8 @@ Array = NDArray[Any]
 
 #: Relative 1-sigma of amplitudes in which a camera and its file may differ.
 CAMERA_AMPLITUDE = 0.15
+#: 1-sigma of the logarithm of a reflectivity of which nothing is known: all between 0.05 and 1 alike.
+ANY_REFLECTIVITY = 0.86
 #: Errors of poses of a surface against the others, in their 1-sigma, from which its depth is tried.
 _FAR = 5.0
 #: Factors on sizes of tiles and surfaces, on depths, and on the focal length that are tried.
@@ -29,7 +31,7 @@ _FACTORS = (0.8, 0.9, 0.95, 1.05, 1.1, 1.25)
 #: Factors on the size of another board.
 _BOARD_FACTORS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 1.6, 2.0)
 #: A focal length nearer to the file's than this is no other lens, but a camera constant that is wrong.
-_LEAST_LENS = 0.08
+LEAST_LENS = 0.08
 
 
 def trials_of(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[Trial]:
@@ -74,7 +76,7 @@ def _as_measured(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[Tri
             depth = float(np.median(depths[number])) - float(np.median(others))
             if abs(depth) > _FAR * surface.pose_sigma[0]:
                 moved = _to_poses(surface.name, partial(_farther, by=depth))
-                yield Trial("depth", surface.name, 1e3 * depth, moved)
+                yield Trial("depth", surface.name, 1e3 * depth, moved, fitted=True)
         changed = _repainted(scene, number, ratios)
         if changed is not None:
             yield Trial("other_pattern", surface.name, 0.0, _to_scene(changed))
@@ -107,7 +109,8 @@ def _repainted(scene: Scene, number: int, ratios: Mapping[int, Sequence[float]])
             values.flat[k] = float(np.clip(value * np.exp(change), 0.0, 1.0))
     if np.array_equal(values, surface.texture.values.values):
         return None
-    changed = replace(surface, texture=replace(surface.texture, values=NestedList(values)))
+    texture = replace(surface.texture, values=NestedList(values))
+    changed = replace(surface, texture=texture, reflectivity_sigma=ANY_REFLECTIVITY)
     return replace(scene, surfaces=(*scene.surfaces[:number], changed, *scene.surfaces[number + 1 :]))
 
 
@@ -138,7 +141,7 @@ def _of_camera() -> Iterator[Trial]:
         # poses in other units, as light tells the distances of a camera
         yield Trial("units", "", factor, _to_poses(None, partial(_nearer, factor=factor)))
     yield Trial("z_distance", "", 0.0, _to_distances(lambda one, rays: one / rays[..., 2]))
-    for factor in (one for one in _FACTORS if abs(one - 1) > _LEAST_LENS):
+    for factor in (one for one in _FACTORS if abs(one - 1) > LEAST_LENS):
         yield Trial("other_lens", "", factor, partial(_through_lens, factor=factor))
 
 
@@ -186,6 +189,9 @@ def _patterns(values: Array) -> Iterator[tuple[str, Array]]:
     yield "turned_180", np.ascontiguousarray(values[::-1, ::-1])
     yield "mirrored", np.ascontiguousarray(values[:, ::-1])
     yield "mirrored", np.ascontiguousarray(values[::-1, :])
+    # greys in the opposite order, or as far from white as they were from black
+    greys, number = np.unique(values, return_inverse=True)
+    yield "inverted", greys[::-1][number].reshape(values.shape)
     yield "inverted", values.max() + values.min() - values
     if values.shape[0] == values.shape[1]:
         yield "turned_90", np.ascontiguousarray(np.rot90(values))

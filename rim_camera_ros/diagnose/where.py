@@ -29,6 +29,8 @@ Array = NDArray[Any]
 _LEAST_SHARE = 0.03
 _MOST_COVARIATES = 4
 _MOST_STRETCHES = 8
+#: 1-sigma [px] over which what residuals show is averaged: that which predicts the other poses best.
+_WIDTHS = (0.0, 0.7, 1.0, 1.5, 2.2, 3.2, 4.7, 7.0, 10.0)
 #: Relative error to which light that differs between pixels is to be known, and 1-sigma [px] over which it
 #: is averaged at the least.
 _RATIO = 0.1
@@ -150,7 +152,8 @@ def of_change(fitted: Fit, camera: Camera) -> Where:
 def of_residuals(fitted: Fit) -> Where:
     """Locate what a fit leaves in the pixels in use: residuals after the nuisances.
 
-    Pixels and times count beyond their noise; the covariates' shares are of the variance with it.
+    Pixels and times count beyond their noise; the covariates' shares are of the variance with it. Pixels are
+    averaged with as many neighbours as poses agree about.
     """
 
     def value(one: Prediction) -> Array:
@@ -173,7 +176,8 @@ def _sigma(one: Prediction) -> Array:
 
 def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = False) -> Where:
     shape = fitted.camera.shape
-    total, count = np.zeros(shape), np.zeros(shape)
+    # of every other pose, as neighbours are averaged by what these say of the others
+    total, count = np.zeros((2, *shape)), np.zeros((2, *shape))
     rng = np.random.default_rng(7)
     energy: list[tuple[float, float, float]] = []
     samples: list[Array] = []
@@ -187,6 +191,7 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
         middle = float(np.median(np.concatenate(parts)))
     # a pose that lasts, or is taken at several settings, is several stations: it counts once
     stations = Counter((one.recording, one.placed) for one in fitted.forward.dataset.stations)
+    number = {placed: k for k, placed in enumerate(stations)}
     for one in fitted.forward.predictions():
         image = np.broadcast_to(value(one), shape) - middle
         if not one.used.any():
@@ -199,9 +204,10 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
         if not valid.any():
             continue
         noise = (one.sigma[valid] / sigma[valid]) ** 2 if noisy else np.zeros(1)
-        part = 1.0 / stations[(one.station.recording, one.station.placed)]
-        total[valid] += part * ((image[valid] / sigma[valid]) ** 2 - noise)
-        count[valid] += part
+        placed = (one.station.recording, one.station.placed)
+        part, half_of = 1.0 / stations[placed], number[placed] % 2
+        total[half_of][valid] += part * ((image[valid] / sigma[valid]) ** 2 - noise)
+        count[half_of][valid] += part
         half = one.station.duration / 2
         mean_square = float(np.mean((image[valid] / sigma[valid]) ** 2) - noise.mean())
         energy.append((one.station.time - half, one.station.time + half, mean_square))
@@ -215,8 +221,7 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
                 missing.add(name)
                 continue
             covariates[name].append(np.broadcast_to(found, shape).ravel()[chosen].astype(float))
-    total = np.maximum(total, 0.0)
-    pixels_map = np.divide(total, count, out=np.zeros(shape), where=count > 0).astype(np.float32)
+    pixels_map = mean_of_halves(total, count, smooth=noisy)
     if not samples:
         return nowhere(fitted)
     known = {
@@ -226,6 +231,34 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
     }
     shares, curves = _shares(np.concatenate(samples), np.concatenate(weights), known)
     return Where(pixels_map, tuple(shares), tuple(_times(energy)), curves)
+
+
+def mean_of_halves(total: Array, count: Array, *, smooth: bool) -> Array:
+    """Return means (H, W), at least 0, of sums and numbers (2, H, W) of two halves of the poses.
+
+    ``smooth``: of each pixel and its neighbours, weighted by the normal distribution whose width predicts
+    each half best from the other (cross-validation; Stone 1974).
+    """
+
+    def mean(sums: Array, numbers: Array, width: float) -> Array:
+        if width > 0:
+            sums, numbers = (
+                cv2.GaussianBlur(np.ascontiguousarray(x), (0, 0), width) for x in (sums, numbers)
+            )
+        return np.divide(sums, numbers, out=np.zeros(sums.shape), where=numbers > 1e-9)
+
+    def error(width: float) -> float:
+        pairs = ((0, 1), (1, 0))
+        return sum(
+            float(np.sum(count[b] * (mean(total[a], count[a], width) - mean(total[b], count[b], 0.0)) ** 2))
+            for a, b in pairs
+        )
+
+    width = min(_WIDTHS, key=error) if smooth else 0.0
+    known = count.sum(axis=0) > 0
+    return np.where(known, np.maximum(mean(total.sum(axis=0), count.sum(axis=0), width), 0.0), 0.0).astype(
+        np.float32
+    )
 
 
 def _shares(

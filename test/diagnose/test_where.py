@@ -13,7 +13,7 @@ import pytest
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.diagnose.formula import closed_form, formula_curve
-from rim_camera_ros.diagnose.where import _shares, _times, of_residuals, of_terms
+from rim_camera_ros.diagnose.where import _shares, _times, mean_of_halves, of_residuals, of_terms
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.base import Effect
@@ -309,3 +309,24 @@ def test_settings_between_which_there_are_none_make_no_points() -> None:
     formula, missed = closed_form("integration_time", x, y, error)
     assert formula_curve(formula, x) == pytest.approx(0.32 / x, abs=2e-4)
     assert missed < 1e-4
+
+
+def test_noisy_maps_are_averaged_with_the_neighbours_that_poses_agree_about() -> None:
+    """A ring in noise gets its neighbours; a single bright column of the array does not."""
+    rng = np.random.default_rng(8)
+    v, u = np.mgrid[:60, :70]
+    ring = 3.0 * np.exp(-0.5 * ((np.hypot(v - 27.0, u - 31.0) - 19.0) / 4.0) ** 2)
+    column = 40.0 * (u == 23)
+    count = np.full((2, 60, 70), 9.0)
+    for true, smooth in ((ring, True), (column, False)):
+        # nine mean squares of ten residuals each, the noise taken away
+        total = (1 + true) * rng.chisquare(90, (2, 60, 70)) / 10 - 9
+        found, plain = (mean_of_halves(total, count, smooth=each) for each in (True, False))
+        assert plain == pytest.approx(np.maximum(total.sum(axis=0) / 18, 0.0), rel=1e-5, abs=1e-6)
+        error, of_plain = (float(np.mean((x - true) ** 2)) for x in (found, plain))
+        if smooth:
+            assert error < 0.3 * of_plain
+        else:
+            assert error == pytest.approx(of_plain, rel=0.05)
+    nothing = mean_of_halves(total, np.zeros((2, 60, 70)), smooth=True)
+    assert not nothing.any()

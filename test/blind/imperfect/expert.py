@@ -17,6 +17,8 @@ OFFSET, GAIN, TILE, SCALE = 0.05, 0.02, 0.1, 0.02
 #: Prior width of every other coefficient, in units that its column has been scaled to (RMS 1 sigma).
 FREE = 1e3
 FRAMES = 3
+#: RMS of distances over single-frame sigma below which an effect moves no distances.
+_MOVES = 0.05
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,8 @@ class Judgement:
     """`size`: RMS of distance effect / single-frame sigma; `amplitude_size` likewise of the amplitude.
 
     `share` of its energy that ordinary things leave, what that is worth in `nats`, the best single `rival`
-    and by how many nats that is worse than the truth; `map`: RMS over stations of effect / sigma per pixel.
+    and by how many nats that is worse than the truth; `map`: RMS over stations of effect / sigma per pixel,
+    of distances, or of amplitudes where an effect moves these alone.
     """
 
     size: float
@@ -180,7 +183,9 @@ class Expert:
             if rest < least:
                 best, least = name, rest
         sites, sizes = valid.sum(axis=0), self.size(effect)
-        total = np.where(valid, (off * self.weight) ** 2 + (other * self.phase_weight) ** 2, 0.0).sum(axis=0)
+        # as in the other generator: distances, or amplitudes where an effect moves these alone
+        seen = off * self.weight if sizes[0] > _MOVES else other * self.phase_weight
+        total = np.where(valid, seen**2, 0.0).sum(axis=0)
         return Judgement(
             size=sizes[0],
             amplitude_size=sizes[1],
