@@ -189,6 +189,8 @@ def calibrate(
     forward.estimate_amplitudes()
     # the same pixels throughout, or a term could grow by losing those that contradict it
     masks, gross = usable_pixels(forward)
+    if problem.geometry:
+        problem = replace(problem, patches=forward.patches_seen())
     if gross:
         notes.append(f"left out: {gross} distances that are far from any surface of the scene")
     refinement = Refinement(problem, masks, beside=beside_in_view if large is None else large.beside_edges)

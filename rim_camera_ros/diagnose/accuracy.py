@@ -13,10 +13,13 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.effects.base import effect_of
-from rim_camera_ros.fit.problem import Fit, Problem, blocks_of
+from rim_camera_ros.fit.pixels import Masks
+from rim_camera_ros.fit.problem import Fit, Problem, blocks_of, forward_of
 from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.solver import fit
+from rim_camera_ros.fit.views import Views
 from rim_camera_ros.parameters import NestedList
+from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.evidence import Scores
 
@@ -106,10 +109,13 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Fit | None 
     ``unknown`` is the fit of the table of what is unknown, where that is the model: the table is estimated
     again without the poses that it is compared with.
     The camera before is as its file says; errors of the poses, poses that are free in the scene, powers and
-    the fixed pattern are estimated for both, the pattern from the other folds.
+    the fixed pattern are estimated for both, the pattern from the other folds. Cameras of different geometry
+    are compared at the pixels that stay away from edges by both.
     """
     problem = result.problem
     views = result.fit.forward.views
+    if model.optics != camera.optics and problem.masks is not None:
+        problem = replace(problem, masks=_clean_by(model, problem, result.fit.scene, views))
     frozen = replace(
         problem,
         scene=result.fit.scene,
@@ -160,6 +166,14 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Fit | None 
         held_out=len(after.equations.folds) > 1,
         table_of_all=of_all,
     )
+
+
+def _clean_by(camera: Camera, problem: Problem, scene: Scene, views: Views) -> Masks:
+    """Return the pixels of a problem that are clean by a camera, too."""
+    assert problem.masks is not None
+    forward = forward_of(replace(problem, masks=None), scene, camera, views=views, offsets={})
+    both = zip(problem.masks, forward.predictions(slopes=False), strict=True)
+    return [(used & one.view.clean, lit & one.view.clean) for (used, lit), one in both]
 
 
 def _held_out(fitted: Fit, problem: Problem, folds: Mapping[tuple[int, int], int]) -> tuple[float, float]:

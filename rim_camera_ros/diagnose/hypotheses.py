@@ -17,6 +17,8 @@ from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.scene import Scene
 
 AS_GIVEN = "as_given"
+#: Poses of a surface with another sign of an angle, or poses that stand elsewhere.
+POSE = "pose"
 #: Nats by which another set-up must be better, and standard errors of its paired differences over poses.
 LEAST_GAIN = 20.0
 STANDARD_ERRORS = 2.0
@@ -30,7 +32,6 @@ _WORDS = {
     "turned_90": "the pattern of {0} turned by 90 degrees",
     "other_pattern": "another pattern on {0}: its tiles reflect otherwise than the scene file says",
     "other_board": "another board for {0}: {1:.3g} times as large, and its tiles reflect otherwise",
-    "moved_poses": "poses of {0} that stand elsewhere",
     "scale": "{0} {1:.3g} times as large as the scene file says",
     "depth": "{0} {1:+.0f} mm farther away than its poses say",
     "pose": "poses of {0} with another sign of an angle",
@@ -70,6 +71,8 @@ class Hypothesis:
         """The set-up in words."""
         if self.hypothesis == AS_GIVEN:
             return "scene, poses and camera as the files say"
+        if self.hypothesis == POSE and not self.surface:
+            return f"{self.value:.0f} poses that stand elsewhere"
         return _WORDS[self.hypothesis].format(self.surface or "the scene", self.value)
 
     @property
@@ -118,7 +121,7 @@ def moved_poses(errors: Mapping[tuple[int, int], float]) -> Hypothesis:
     It gains what the errors of these poses cost as errors of the instrument.
     """
     gain = 0.5 * float(np.sum(np.square(list(errors.values()))))
-    return Hypothesis("moved_poses", "", gain, 0.0, float(len(errors)))
+    return Hypothesis(POSE, "", gain, 0.0, float(len(errors)))
 
 
 def best_setup(found: Sequence[Hypothesis]) -> Hypothesis | None:

@@ -259,7 +259,7 @@ def _diagnose(
 
 def _other_lens(fitted: Fit, camera: Camera) -> str | None:
     """Return in words that the optics are none that the file's covariance allows; None: they may be."""
-    return None if camera.covariance is None else optics_beyond(fitted, camera)
+    return None if camera.covariance is None else optics_beyond(fitted)
 
 
 def with_setups(diagnosis: Diagnosis, setups: list[Hypothesis]) -> Diagnosis:
@@ -271,7 +271,12 @@ def with_setups(diagnosis: Diagnosis, setups: list[Hypothesis]) -> Diagnosis:
     if reason is None:
         setups = sorted(setups, key=lambda one: one.hypothesis != AS_GIVEN)
     best = setups[0] if setups else None
-    if reason is not None and best is not None and best.is_better and best.hypothesis not in reason:
+    if (
+        reason is not None
+        and best is not None
+        and best.is_better
+        and not reason.startswith(f"{best.hypothesis}:")
+    ):
         reason = f"{reason}; of the set-ups tried {best.hypothesis} fits best: {best.sentence}"
     return replace(diagnosis, setups=setups, reason=reason)
 

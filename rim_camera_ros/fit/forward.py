@@ -62,6 +62,9 @@ class Forward:
     camera file's effects.
     ``camera_of_noise`` says how amplitudes respond where noise is evaluated (None: the camera).
     ``linear`` blocks of regressors are nuisances whose values `residuals.after_nuisances` takes off.
+    ``patches`` (H, W) of each recording and placement: how many pixels share a pixel's error of the predicted
+    amplitude, as `Views.alike` of one geometry; None: of the own. Likelihoods of geometries that are compared
+    state the same errors by it.
     ``margins`` of another kind take in pixels beside edges, where no masks are given.
     ``tick`` is called for each station and may raise to end the work; what is computed of every prediction
     may take so many ``threads``.
@@ -74,6 +77,7 @@ class Forward:
         self.notes: set[str] = set()
         self.amplitude_model = AmplitudeModel()
         self.masks: Sequence[tuple[Array, Array]] | None = None
+        self.patches: Mapping[tuple[int, int], Array] | None = None
         self.shifts: Sequence[Shift] | None = None
         self.margins: Margins | None = None
         self.variance_factors: Mapping[tuple[int, int], float] = {}
@@ -191,6 +195,13 @@ class Forward:
         """Return the pixels of each station that are fitted: both channels, (H, W) each."""
         return [(one.used, one.amplitude_used) for one in self.predictions(slopes=False)]
 
+    def patches_seen(self) -> dict[tuple[int, int], Array]:
+        """Return how many pixels share an error of the predicted amplitude, as ``patches``."""
+        return {
+            (one.recording, one.placed): self.views.alike(self.views.view(one)).astype(np.int32)
+            for one in self.dataset.stations
+        }
+
     def pixels_near_edges(self, margins: Margins = NEAR) -> list[tuple[Array, Array]]:
         """Return the pixels that could be fitted if those beside edges were, as `pixels_used`."""
         masks, self.masks, self.margins = self.masks, None, margins
@@ -301,7 +312,9 @@ class Forward:
         single_variance = amplitude_variance * slope_published**2 + 1.0 / 12
         # neighbours share the error of a prediction: their mean is no better than one of them
         noise_variance, model_variance = single_variance / n, (model.tau * model_reading) ** 2
-        alike = self.views.alike(view)
+        alike = (self.patches or {}).get((station.recording, station.placed))
+        if alike is None or alike.shape != safe.shape:
+            alike = self.views.alike(view)
         amplitude_variance = noise_variance + model_variance * alike
         clean = view.clean if self.margins is None else self.views.clean(view, self.margins)
         used = clean & lit & (station.count > 0) & (station.saturated == 0)

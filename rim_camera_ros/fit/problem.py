@@ -40,7 +40,8 @@ class Problem:
 
     ``effects`` None frees all that the camera has; ``geometry`` names of `effects.OPTICS` to estimate;
     ``robust`` bounds the weight of outliers; ``pattern`` estimates an offset per pixel;
-    ``masks`` restrict the pixels, ``shifts`` stand for another simulation (both as in `Forward`);
+    ``masks`` restrict the pixels, ``patches`` say which share an error of the predicted amplitude, ``shifts``
+    stand for another simulation (all as in `Forward`);
     ``stray_light`` [counts] as in `accumulate`; ``reflectance`` estimates how surfaces reflect beside
     Lambert's law, ``response`` [counts] what the effect on the response leaves, relative to that level.
     ``pattern_prior`` [m] is the 1-sigma of an offset per pixel. ``variance_factors`` as in `Forward`. The
@@ -61,6 +62,7 @@ class Problem:
     pattern: bool = True
     robust: bool = True
     masks: Sequence[tuple[Array, Array]] | None = None
+    patches: Mapping[tuple[int, int], Array] | None = None
     shifts: Sequence[Shift] | None = None
     stray_light: float = 0.0
     reflectance: bool = False
@@ -147,7 +149,8 @@ def forward_of(
 ) -> Forward:
     """Return the predictions of a problem by a camera, with the curves of the light in the ``offsets``."""
     forward = Forward(problem.dataset, scene, camera, views=views)
-    forward.masks, forward.shifts, forward.tick = problem.masks, problem.shifts, problem.tick
+    forward.masks, forward.patches = problem.masks, problem.patches
+    forward.shifts, forward.tick = problem.shifts, problem.tick
     forward.variance_factors, forward.threads = problem.variance_factors, problem.threads
     forward.camera_of_noise = problem.origin
     forward.light_curves = moved_light(offsets, problem.response, scene)

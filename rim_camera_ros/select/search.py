@@ -56,7 +56,11 @@ def search(
     first = explore(problem, camera, pool, folds, further=further, views=views, seed=seed)
     start = first.scores.log_likelihood()
     state = Search(
-        problem=replace(problem, masks=first.fit.forward.pixels_used()),
+        problem=replace(
+            problem,
+            masks=first.fit.forward.pixels_used(),
+            patches=first.fit.forward.patches_seen(),
+        ),
         camera=camera,
         explorations=[first],
         folds=folds,

@@ -199,4 +199,5 @@ def test_poses_of_a_surface_that_err_alike_are_a_fault(tmp_path: Path) -> None:
 def test_what_poses_that_stand_elsewhere_cost() -> None:
     """Half the sum of the squares of their errors in stated 1-sigma: (16 + 400) / 2."""
     astray = moved_poses({(0, 3): 4.0, (0, 5): 20.0})
-    assert (astray.hypothesis, astray.gain, astray.value) == ("moved_poses", pytest.approx(208.0), 2)
+    assert (astray.hypothesis, astray.gain, astray.value) == ("pose", pytest.approx(208.0), 2)
+    assert astray.sentence == "2 poses that stand elsewhere"
