@@ -8,7 +8,7 @@ from rclpy.node import Node
 
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.nodes.common.findings import Finding, Level
-from rim_camera_ros.nodes.common.transforms import Transforms
+from rim_camera_ros.nodes.people.transforms import Transforms
 from rim_camera_ros.tracking.ground import Ground
 
 #: Changes of height [m] and of angles [rad] below which a mount is the same: joints and localisation are not
