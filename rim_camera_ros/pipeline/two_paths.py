@@ -1,4 +1,4 @@
-"""Light by two paths in one pixel, told apart by several modulation frequencies.
+"""Light by two paths in one pixel, separated by several modulation frequencies.
 
 The complex image at the frequency f_i is S_i / g_i = a exp(i k_i d) + b exp(i k_i (d + s)) with the wave
 number k_i = 4 pi f_i / c: a direct path of the distance d and one that is longer by s, with amplitudes

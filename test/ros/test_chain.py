@@ -201,7 +201,7 @@ def test_reliable_subscriber(world: World, offered: str) -> None:
         assert "receives nothing" not in driver.text
     else:
         assert world.until(lambda: "receives nothing" in driver.text), world.output()
-        assert "/camera/distance/image_raw asks for another RELIABILITY" in driver.text
+        assert "/camera/distance/image_raw requests another RELIABILITY" in driver.text
         assert "qos.images:=reliable" in driver.text
         assert not images
 

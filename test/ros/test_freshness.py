@@ -98,7 +98,7 @@ def test_nothing_older_than_the_limit_leaves_the_node(world: World) -> None:
     process = world.start("camera_node", scene="wall", frame_rate=25.0, maximum_age=0.0005)
     points, said = world.collect(PointCloud2, "points", BEST_EFFORT), world.diagnostics()
     name = "/camera/correction: frames"
-    assert world.until(lambda: int(said.values(name).get("left_out_frames", 0)) > 20), process.text
+    assert world.until(lambda: int(said.values(name).get("dropped_frames", 0)) > 20), process.text
     assert not points.messages
     assert "maximum_age was over" in process.text
     assert world.set("correction", maximum_age=0.0) == ""
@@ -151,7 +151,7 @@ def test_of_messages_that_wait_only_the_newest_frame_is_corrected(world: World) 
     assert delivered[0] == 1000
     assert delivered[-1] == 2200
     assert len(delivered) <= 5, delivered
-    assert source.left_out == {
+    assert source.dropped == {
         "a newer frame was there, or maximum_age was over": 31 - len(delivered),
     }
 

@@ -20,7 +20,7 @@ from test.soak.watch import Listener, descriptors, resident
 #: The diagnostics whose counts are compared, with those that are.
 COUNTS = {
     "/camera/driver: frames": ("frames", "skipped", "not_published"),
-    "/camera/correction: frames": ("frames", "left_out_frames", "refused_messages", "not corrected"),
+    "/camera/correction: frames": ("frames", "dropped_frames", "refused_messages", "not corrected"),
 }
 
 
@@ -62,7 +62,7 @@ def load_between(values: list[float]) -> dict[str, float]:
 def endurance(folder: Path, *, seconds: float, rate: float = 50.0) -> Figures:
     """Driver and correction in one process at ``rate`` [Hz].
 
-    Counts of the nodes' own diagnostics over the time: ``left_out_frames`` is what the correction dropped,
+    Counts of the nodes' own diagnostics over the time: ``dropped_frames`` is what the correction dropped,
     ``skipped`` what the simulated camera did not make for lack of processor. Latency (stamp to listener)
     [ms], memory [MB] and processor time [ms] for each frame by quarters of the time.
     """
@@ -141,7 +141,9 @@ def overload(folder: Path, *, seconds: float, maximum_age: float = 0.1, processe
             "older": int((late > maximum_age).sum()),
             "age_ms": summary([1e3 * one for one in late]),
             "frames": {key: said.values(name)[key] for key in COUNTS[name]},
-            "dropped": {key: value for key, value in said.values(name).items() if key.startswith("left out")},
+            "dropped": {
+                key: value for key, value in said.values(name).items() if key.startswith("dropped: ")
+            },
             "running": all(one.running for one in nodes),
             "tracebacks": world.output().count("Traceback"),
             "load": load_between(loads),

@@ -34,7 +34,7 @@ def test_hostile_messages(tmp_path: Path, seconds: float) -> None:
     least = 1.0 if seconds > 10 else 0.75
     assert least * found["good"] <= found["good_corrected"] <= found["good"]
     assert found["refused"] > 0.5 * found["hostile"]
-    assert found["left_out"] > 0
+    assert found["dropped"] > 0
     before, most, last = found["memory_mb"]
     assert max(most, last) < before + 30.0
     assert found["log_lines"] < 40 + 3 * seconds  # a flood does not fill the log
@@ -49,7 +49,7 @@ def test_reconfiguration_every_second(tmp_path: Path, seconds: float) -> None:
     assert found["tracebacks"] == 0
     correction = found["correction"]
     assert correction["frames"] > 10 * seconds
-    assert correction["left_out_frames"] == correction["refused_messages"] == correction["not corrected"] == 0
+    assert correction["dropped_frames"] == correction["refused_messages"] == correction["not corrected"] == 0
     assert found["driver"]["not_published"] == 0
     # frames are counted at two moments of the same second
     assert abs(correction["frames"] - found["driver"]["frames"]) <= 60
@@ -71,9 +71,9 @@ def test_one_process_at_50_hz(tmp_path: Path, seconds: float) -> None:
     assert correction["not corrected"] == 0
     assert correction["frames"] > 5 * seconds
     # none vanishes uncounted; both nodes count at two moments of the same second
-    assert abs(driver["frames"] - correction["frames"] - correction["left_out_frames"]) <= 60
+    assert abs(driver["frames"] - correction["frames"] - correction["dropped_frames"]) <= 60
     if seconds > 10:  # beside the other tests' processes it is stopped for more than three periods at times
-        assert correction["left_out_frames"] <= 1e-3 * driver["frames"]
+        assert correction["dropped_frames"] <= 1e-3 * driver["frames"]
     _, early, _, late = found["memory_mb"]
     assert late < early + 5.0
     assert found["descriptors"][1] <= found["descriptors"][0] + 2

@@ -36,8 +36,8 @@ from rim_camera_ros.nodes.correction.aside import Aside
 from rim_camera_ros.nodes.correction.freshness import Freshness
 from rim_camera_ros.nodes.correction.input import Input, MemoryInput, MessageInput, Receiver
 from rim_camera_ros.nodes.correction.parameters import (
-    BESIDE,
     EFFECT,
+    INDEPENDENT,
     PEOPLE,
     SPECS,
     correction_of,
@@ -56,7 +56,7 @@ _LINGER = 0.5
 _SEEN = 4
 #: Why frames that were corrected are not published.
 _EXPIRED = "maximum_age was over once it was corrected"
-#: Sentences that are said once; more of them are not said at all.
+#: Notes of the correction that are logged, each once.
 _NOTES_AT_MOST = 200
 
 
@@ -94,7 +94,7 @@ class CorrectionNode:
         self._last: RawFrame | None = None
         self._seen: dict[float | None, Settings] = {}
         self._noted: set[str] = set()
-        self._left_out: dict[str, int] = {}
+        self._warned_of: dict[str, int] = {}
         self._clouds = Handover[CorrectedCloud]() if clouds is None else clouds
         self._topics: CorrectedPublishers | None = None
         self._fresh = Freshness(values, lambda: int(self.node.get_clock().now().nanoseconds))
@@ -159,7 +159,7 @@ class CorrectionNode:
 
     def activate(self) -> None:
         """Take raw frames from now on."""
-        self._left_out.clear()
+        self._warned_of.clear()
         self._input.begin(self._parameters.values["qos.input"])
         self._status.begin()
 
@@ -201,9 +201,9 @@ class CorrectionNode:
                 self._noted.add(note)
                 self._log.warning(note)
         for reason, count in self._dropped().items():
-            if count > self._left_out.get(reason, 0):
-                self._left_out[reason] = count
-                self._throttle.warn(reason, f"{reason}: {count} left out so far")
+            if count > self._warned_of.get(reason, 0):
+                self._warned_of[reason] = count
+                self._throttle.warn(reason, f"{reason}: {count} dropped so far")
 
     def _expired(self, stamp: int) -> bool:
         """Return whether a frame is too old to be published; with reliable input none is."""
@@ -212,7 +212,7 @@ class CorrectionNode:
     def _dropped(self) -> Counter[str]:
         """Return what was not corrected, or not published, by reason."""
         expirations = 0 if self._topics is None else self._topics.expirations
-        return Counter(self._input.left_out) + Counter({_EXPIRED: expirations})
+        return Counter(self._input.dropped) + Counter({_EXPIRED: expirations})
 
     def _note_setting(self, settings: Settings) -> None:
         self._seen.pop(settings.integration_time, None)
@@ -239,12 +239,12 @@ class CorrectionNode:
         return {EFFECT + name: name in camera.effects and name not in off for name in registry()}
 
     def _prepare(self, values: Values, changed: Set[str]) -> Apply:
-        """Check new values and build the correction that they ask for; return what puts it into effect.
+        """Check new values and build the correction that they describe; return what puts it into effect.
 
         It is built, with its tables, in another thread, and frames go on being corrected as before. This
         returns, and the service answers, when all is ready.
         """
-        if changed <= BESIDE:
+        if changed <= INDEPENDENT:
             return lambda: None
         anew = "camera" in changed
         if anew:

@@ -116,18 +116,18 @@ class CorrectionStatus:
 
     # --- findings -------------------------------------------------------------------------------
 
-    def frames(self, left_out: Mapping[str, int]) -> Finding:
-        """Return whether frames come, whole and in time; ``left_out``: counts by reason."""
+    def frames(self, dropped: Mapping[str, int]) -> Finding:
+        """Return whether frames come, whole and in time; ``dropped``: counts by reason."""
         now = time.monotonic()
         finding = Finding(values=self.flow.values(now))
         counts = {
             **{f"refused {role}": count for role, count in self.refused.items()},
-            **{f"left out: {reason}": count for reason, count in left_out.items()},
+            **{f"dropped: {reason}": count for reason, count in dropped.items()},
             "not corrected": self.uncorrected,
         }
         finding.values |= {
             "refused_messages": str(self.refused.total()),
-            "left_out_frames": str(sum(left_out.values())),
+            "dropped_frames": str(sum(dropped.values())),
             **{name: str(count) for name, count in counts.items()},
         }
         lately = self._tally.recent(counts, now)

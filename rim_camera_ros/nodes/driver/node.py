@@ -242,7 +242,7 @@ class DriverNode:
     # --- parameters and services ----------------------------------------------------------------
 
     def _prepare(self, values: Values, changed: Set[str]) -> Apply:
-        """Check new values and open the device that they ask for; return what puts them into effect."""
+        """Check new values and open the device that they need; return what puts them into effect."""
         for name, kind in _FILES.items():
             if name in changed:
                 self._folders.check(values[name], kind=kind, place=name)
