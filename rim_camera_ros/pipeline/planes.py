@@ -1,4 +1,4 @@
-"""Planes fitted to the inverse depth over windows of 5 x 5 pixels, and over wider ones where noise asks.
+"""Planes fitted to the inverse depth over windows of 5 x 5 pixels, wider where noise is high.
 
 On a plane n . X = p the inverse depth W = 1 / z is linear in the ray's ideal image coordinates,
 W = m . (x, y, 1) with m = n / p. Mean and slopes of W over a window are linear in W, so that m follows

@@ -166,7 +166,7 @@ def use_shipped_profile(environment: MutableMapping[str, str], *, profile: Path,
     """Have Fast DDS use ``profile`` where the user has set nothing, and return which settings are used.
 
     Its own shared memory of 512 KB is filled by one image of 512 x 424 pixels, and further messages come
-    seconds late. ``middleware``: the name of the one in use. To be called before nodes are made.
+    seconds late. ``middleware``: its name. To be called before nodes are made.
     """
     if middleware not in _FAST_DDS:
         return f"middleware: {middleware}, with its own settings"

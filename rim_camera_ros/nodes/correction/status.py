@@ -33,7 +33,7 @@ _TOO_DARK = (0.8, 0.7)
 #: for the minutes that a task takes; 0.8 mm/min, which an SR-3000 reaches half a minute later.
 _DRIFTS = (1e-3 / 60, 0.8e-3 / 60)
 #: Departure [-] of the noise from the predicted one, as the logarithm of their ratio, with which a camera
-#: counts as another one than calibrated, and as the same again (0.83 to 1.2).
+#: counts as different from the calibrated camera, and as the same again (0.83 to 1.2).
 _DEPARTS = (math.log(GREATEST), math.log(1.2))
 _DAY = 86400.0
 #: Pixels of which medians are stated.
@@ -245,7 +245,7 @@ class CorrectionStatus:
         return finding
 
     def consistency(self) -> Finding:
-        """Return whether the noise of the frames is the one that the camera file states."""
+        """Return whether the noise of the frames is that of the camera file."""
         finding = Finding()
         verdict = None if self._watch is None else self._watch.verdict
         if verdict is None:

@@ -330,7 +330,7 @@ def _geometry(values: Values) -> Intrinsics | None:
 
 
 def _file_in_use(values: Values) -> dict[str, str]:
-    """Return the camera file that describes what is published: a recording has none but the one given."""
+    """Return the values of the camera file of what is published; of a recording only if a file is given."""
     name = values["camera_info"] or ("" if values["source"] == "playback" else values["camera"])
     return file_values(name) if name else {}
 

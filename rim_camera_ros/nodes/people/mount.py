@@ -17,7 +17,7 @@ _SAME_HEIGHT, _SAME_ANGLE = 0.01, 0.005
 
 
 class MountOf:
-    """The mount of a camera from /tf and /tf_static; ``changed`` is called when it becomes another one.
+    """The mount of a camera from /tf and /tf_static; ``changed`` is called when it changes.
 
     ``ground``: the floor below the camera, None while no base frame is used or nothing leads from it.
     """
