@@ -10,7 +10,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 Real = NDArray[Any]
@@ -51,8 +50,7 @@ def _moments(sigma: float) -> tuple[float, float]:
 
 def gaussian_matrix(size: int, sigma: float) -> NDArray[np.float64]:
     """Return the symmetric Toeplitz matrix (size, size) of `gaussian_profile`, zero outside the sensor."""
-    result: NDArray[np.float64] = scipy.linalg.toeplitz(gaussian_profile(size, sigma))
-    return result
+    return _toeplitz(gaussian_profile(size, sigma))
 
 
 def gaussian_matrix_by_sigma(size: int, sigma: float) -> NDArray[np.float64]:
@@ -62,8 +60,13 @@ def gaussian_matrix_by_sigma(size: int, sigma: float) -> NDArray[np.float64]:
     profile = gaussian_profile(size, sigma)
     _, mean_square = _moments(sigma)
     derivative = profile * (np.arange(size, dtype=float) ** 2 - mean_square) / sigma**3
-    result: NDArray[np.float64] = scipy.linalg.toeplitz(derivative)
-    return result
+    return _toeplitz(derivative)
+
+
+def _toeplitz(column: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the symmetric Toeplitz matrix with this first column."""
+    at = np.arange(len(column))
+    return column[np.abs(at[:, None] - at)]
 
 
 class Subspace:

@@ -57,7 +57,7 @@ def test_a_frame_is_complete_in_any_order(order: int) -> None:
     assert frame.settings.integration_time == 100.0
     assert (frame.settings.body_temperature, frame.settings.ambient_temperature) == (30.0, 27.0)
     assert frame.settings.reference_distance == 0.5
-    assert not pairs.left_out
+    assert not pairs.dropped
 
 
 def test_nobody_waits_for_what_nobody_publishes() -> None:
@@ -88,23 +88,23 @@ def test_a_lost_frame_info_costs_its_frame() -> None:
     assert fed(pairs, *[part for part in exposure(2) if part[0] != "frame_info"]) == []
     frames = fed(pairs, *exposure(3))
     assert [one.stamp for one in frames] == [3]
-    assert pairs.left_out == {"a pair without frame_info": 1}
+    assert pairs.dropped == {"a pair without frame_info": 1}
 
 
 def test_halves_are_counted_and_forgotten() -> None:
     pairs = pairing(())
     fed(pairs, ("distance", 1, image(1)), ("amplitude", 2, image(2)))  # before the first pair: somebody joins
     fed(pairs, ("distance", 3, image(1)), ("amplitude", 3, image(2)))
-    assert not pairs.left_out
+    assert not pairs.dropped
     fed(pairs, ("distance", 4, image(1)), ("amplitude", 5, image(2)))
     frames = fed(pairs, ("distance", 6, image(1)), ("amplitude", 6, image(2)))
     assert [one.stamp for one in frames] == [6]
-    assert pairs.left_out == {"distance without amplitude": 1, "amplitude without distance": 1}
+    assert pairs.dropped == {"distance without amplitude": 1, "amplitude without distance": 1}
     for stamp in range(100, 100 + 3 * CAPACITY):
         fed(pairs, ("distance", stamp, image(1)))
-    assert pairs.left_out["distance without amplitude"] == 1 + 2 * CAPACITY
+    assert pairs.dropped["distance without amplitude"] == 1 + 2 * CAPACITY
     assert fed(pairs, ("distance", 99 + 3 * CAPACITY, image(1))) == []
-    assert pairs.left_out["distance twice with one stamp"] == 1
+    assert pairs.dropped["distance twice with one stamp"] == 1
 
 
 def test_a_refused_message_costs_its_exposure_only() -> None:
@@ -114,7 +114,7 @@ def test_a_refused_message_costs_its_exposure_only() -> None:
     pairs.refuse(1, "distance refused")
     assert fed(pairs, ("distance", 1, image(1)), ("amplitude", 1, image(1))) == []
     assert len(fed(pairs, ("distance", 2, image(1)), ("amplitude", 2, image(1)))) == 1
-    assert pairs.left_out == {"distance refused": 1}
+    assert pairs.dropped == {"distance refused": 1}
 
 
 def test_a_recording_that_begins_anew() -> None:

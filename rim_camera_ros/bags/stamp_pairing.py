@@ -17,7 +17,7 @@ _SIDES = ("frame_info", *READINGS)
 
 #: Exposures that may wait for the rest of their messages.
 CAPACITY = 32
-#: Stamps of refused messages that are remembered, so that their partners are left out too.
+#: Stamps of refused messages that are remembered, so that their partners are dropped too.
 _REFUSED = 256
 #: A reading so far [ns] ahead of the last frame is not kept: a flood of them would push the true ones out.
 _AHEAD = 60 * NANOSECONDS
@@ -39,8 +39,8 @@ class StampPairing:
 
     ``publishes(role)`` tells whether anybody publishes frame_info or a reading. A pair waits, shortly, for
     those that do and that came with the frame before; of the readings the last ones before the frame
-    will do. A pair without its frame_info, though somebody publishes it, is left out: its
-    integration time is not known. ``left_out`` counts, by reason, what did not become a frame.
+    will do. A pair without its frame_info, though somebody publishes it, is dropped: its
+    integration time is not known. ``dropped`` counts, by reason, what did not become a frame.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class StampPairing:
         self._images = tuple(images)
         self._samples = tuple(samples)
         self._sides = (*_SIDES, *samples)
-        self.left_out: Counter[str] = Counter()
+        self.dropped: Counter[str] = Counter()
         self._publishes = publishes
         self._waiting: dict[int, _Exposure] = {}
         self._refused: dict[int, None] = {}
@@ -68,7 +68,7 @@ class StampPairing:
         """
         if role in READINGS:
             if self._newest is not None and stamp > self._newest + _AHEAD:
-                self.left_out[f"{role} far ahead of the images"] += 1
+                self.dropped[f"{role} far ahead of the images"] += 1
             else:
                 self._readings.setdefault(role, History()).add(stamp, value)
             return self._ready(now)
@@ -76,7 +76,7 @@ class StampPairing:
             return []
         exposure = self._exposure(stamp)
         if role in self._images and role in exposure.parts:
-            self.left_out[f"{role} twice with one stamp"] += 1
+            self.dropped[f"{role} twice with one stamp"] += 1
             return []
         exposure.parts[role] = value
         if exposure.complete_since is None and all(one in exposure.parts for one in self._images):
@@ -89,7 +89,7 @@ class StampPairing:
             # apart from what waits: a flood of them must not push good frames out
             self._refused[stamp] = None
             self._waiting.pop(stamp, None)
-            self.left_out[reason] += 1
+            self.dropped[reason] += 1
             while len(self._refused) > _REFUSED:
                 del self._refused[next(iter(self._refused))]
 
@@ -141,7 +141,7 @@ class StampPairing:
         self._expected = {role for role in self._sides if self._came(role, stamp)} | {"frame_info"}
         parts = self._waiting.pop(stamp).parts
         if "frame_info" not in parts and self._publishes("frame_info"):
-            self.left_out["a pair without frame_info"] += 1
+            self.dropped["a pair without frame_info"] += 1
             return []
         settings, device = parts.get("frame_info", (Settings(), ""))
         readings = {role: self._reading(role, stamp) for role in READINGS}
@@ -178,4 +178,4 @@ class StampPairing:
         # a node that joins finds one half of the first exposure: nothing is wrong with that
         if 0 < len(there) < len(self._images) and self._expected is not None:
             other = next(role for role in self._images if role not in there)
-            self.left_out[f"{there[0]} without {other}"] += 1
+            self.dropped[f"{there[0]} without {other}"] += 1

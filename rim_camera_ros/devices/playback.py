@@ -145,16 +145,15 @@ class Playback:
 
     def _rounds(self) -> Iterator[_Recorded]:
         """Read the recording once, or again and again."""
-        offset, begin = 0, True
+        offset = 0
         last: int | None = None
-        while begin or self.loop:
-            begin = False
-            first, count = None, 0
-            with Recording(self.path, topics=self.topics) as recording:
-                duration = recording.summary().duration
-                if recording.frame_count > 1 and duration > 0:
-                    self._recorded_rate = (recording.frame_count - 1) / duration
-                period = round(NANOSECONDS / self._recorded_rate)
+        with Recording(self.path, topics=self.topics) as recording:
+            duration = recording.summary().duration
+            if recording.frame_count > 1 and duration > 0:
+                self._recorded_rate = (recording.frame_count - 1) / duration
+            period = round(NANOSECONDS / self._recorded_rate)
+            while True:
+                first, count = None, 0
                 for frame in recording.frames(on_backwards="count"):
                     if first is None:
                         first = frame.stamp
@@ -164,6 +163,8 @@ class Playback:
                     last, count = frame.stamp, count + 1
                     yield _Recorded(frame, step if step > 0 else period, frame.stamp + offset)
                     self.assumptions = list(recording.assumptions)
+                if not self.loop:
+                    return
 
     def _restamped(self, frame: RawFrame, stamp: int) -> RawFrame:
         if stamp == frame.stamp:

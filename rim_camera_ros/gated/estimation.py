@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from rim_camera_ros.gated.gates import GatedShutter
 from rim_camera_ros.phasor import SPEED_OF_LIGHT
@@ -80,6 +79,8 @@ class GateEstimator:
         #: whether the gates tell a distance of the table: by more than the tail of an edge in a second gate
         second = np.sort(self._shares, axis=0)[-2]
         near = max(round(_NEAR * self._depth / self._step), 1)
+        from scipy.ndimage import maximum_filter1d  # takes a good part of a node's start
+
         shared = maximum_filter1d(second, 2 * near + 1, mode="wrap") > _SHARED
         self.usable = lit & shared & (turn * self._depth > _TELLS)
         if not self.usable.any():

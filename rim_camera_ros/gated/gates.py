@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.phasor import SPEED_OF_LIGHT
@@ -92,6 +91,8 @@ class GatedShutter(PulseAndGates):
         return np.maximum(result, 0.0) / self.pulse_width
 
     def _ramp(self, time: Array) -> Array:
+        from scipy.special import ndtr  # takes a good part of a node's start
+
         x = time / self.rise_time
         density = np.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi)
         return np.asarray(self.rise_time * (x * ndtr(x) + density))

@@ -1,4 +1,4 @@
-"""Whether the noise of a running camera is still the one that its camera file states; no ROS in here."""
+"""Whether the noise of a running camera is still that of its camera file; no ROS in here."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class NoiseWatch:
         self._found: deque[tuple[float, float, float, float]] = deque(maxlen=_REMEMBERED)
 
     def take(self, frame: RawFrame) -> bool:
-        """Take a frame, and compare it with the one before; True where it could be compared.
+        """Take a frame, and compare it with the previous frame; True where it could be compared.
 
         Images of another size than the camera's are not used.
         """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +17,6 @@ from rim_camera_ros.effects import InternalReference
 from rim_camera_ros.effects.base import Context, effect_of
 from rim_camera_ros.errors import InputError, nearest_name
 from rim_camera_ros.frame import (
-    INVALID,
     NANOSECONDS,
     CorrectedDistance,
     CorrectedFrame,
@@ -26,12 +25,13 @@ from rim_camera_ros.frame import (
     Settings,
 )
 from rim_camera_ros.pipeline import kernels
+from rim_camera_ros.pipeline.amplitude_tables import AmplitudeReading, ByAmplitude
+from rim_camera_ros.pipeline.distance_tables import WHOLE
 from rim_camera_ros.pipeline.folded import Folded
-from rim_camera_ros.pipeline.mixed import LEAST_SHARE, LEAST_SIGMAS, LEAST_STEP, mixed_pixels
+from rim_camera_ros.pipeline.judgement import Judgement, Work
 from rim_camera_ros.pipeline.normals import IncidenceEstimator
 from rim_camera_ros.pipeline.optics import Light, OpticsUndo
 from rim_camera_ros.pipeline.reference import Linearity, ReferenceReader
-from rim_camera_ros.pipeline.tables import WHOLE, AmplitudeReading, ByAmplitude
 
 Image = NDArray[Any]
 
@@ -53,7 +53,7 @@ class Correction:
     it. Not for use from several threads at once: buffers are
     reused from frame to frame; what is returned is new.
 
-    ``notes`` collects what the user should be told (a term that is off for lack of data).
+    ``notes`` collects what the user should know (a term that is off for lack of data).
 
     Raises `InputError` for an unknown name in ``without``.
     """
@@ -93,7 +93,13 @@ class Correction:
         self._reference = (
             None if reference is None else ReferenceReader(camera, reference, linearity=reference_linearity)
         )
-        self._reference_region = None if reference is None else reference.region()
+        self._judgement = Judgement(
+            camera,
+            reference_region=None if reference is None else reference.region(),
+            spreads=self._optics.spreads,
+            dtype=self._dtype,
+            compiled=self._compiled,
+        )
         self._rays = np.ascontiguousarray(camera.rays.transpose(2, 0, 1), np.float32)
         self._bands = _bands(camera.shape)
         self._points = np.empty_like(self._rays[:, self._bands[0]])
@@ -108,7 +114,7 @@ class Correction:
         """
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             work = self._undo(frame, whole=True)
-            sigma, flags = self._judged(work, frame.settings)
+            sigma, flags = self._judgement.judge(work, frame.settings)
         return CorrectedFrame(
             stamp=frame.stamp,
             distance=work.light.distance.astype(np.float32, copy=False),
@@ -216,10 +222,10 @@ class Correction:
 
     # --- steps ----------------------------------------------------------------------------------
 
-    def _undo(self, frame: RawFrame, *, whole: bool) -> _Work:
+    def _undo(self, frame: RawFrame, *, whole: bool) -> Work:
         """Undo all effects; the distance is NaN where the raw values do not give one.
 
-        ``whole``: sigma and flags are asked for, too.
+        ``whole``: sigma and flags are needed, too.
         """
         folded = self._begin(frame)
         unit = 1.0 if frame.distance.dtype.kind == "f" else self.camera.sensor.lsb
@@ -253,7 +259,7 @@ class Correction:
 
     def _read_counts(
         self, frame: RawFrame, folded: Folded, unit: float, offset: float, *, solve: bool, whole: bool
-    ) -> _Work:
+    ) -> Work:
         """Do what `_read` does with counts, in one pass over the pixels; ``whole``: sigma and flags, too."""
         done = kernels.read(
             frame.distance,
@@ -269,9 +275,9 @@ class Correction:
         saturated = (done.flags & np.uint8(Flag.SATURATED.value)) != 0 if some else None
         says = ByAmplitude(done.amplitude, done.y, done.sigma, done.flags)
         reading = AmplitudeReading(done.amplitude, saturated, says, None)
-        return _Work(folded, reading, None, Light(done.y, done.amplitude))
+        return Work(folded, reading, None, Light(done.y, done.amplitude))
 
-    def _read(self, frame: RawFrame, folded: Folded, unit: float, offset: float, *, solve: bool) -> _Work:
+    def _read(self, frame: RawFrame, folded: Folded, unit: float, offset: float, *, solve: bool) -> Work:
         """Return distances without the terms that raw values and place tell, and what amplitudes say.
 
         ``unit`` [m] of the raw distances, ``offset`` [m]. ``solve``: terms of the distance are undone, too.
@@ -289,9 +295,9 @@ class Correction:
                 part -= folded.map[rows]
             if solve:
                 folded.distance.solve(part, rows=rows, out=part)
-        return _Work(folded, reading, missing, Light(y, reading.amplitude))
+        return Work(folded, reading, missing, Light(y, reading.amplitude))
 
-    def _solve_with_incidence(self, work: _Work, y: Image) -> None:
+    def _solve_with_incidence(self, work: Work, y: Image) -> None:
         """Solve where terms of the incidence need the result's own planes.
 
         The light is undone without them, the angle is estimated, and all is done again with them.
@@ -307,7 +313,7 @@ class Correction:
             delivered -= placed
         work.light = self._optics.undo(delivered, amplitude, folded.context, quick=not self.exact)
         for _ in range(folded.incidence_rounds):
-            cosine = self._estimator.cosine(work.light.distance, self._scaled_sigma(work))
+            cosine = self._estimator.cosine(work.light.distance, work.noise)
             shifted = y - folded.incidence_term(cosine, amplitude, work.light.distance)
             delivered = folded.distance.solve(shifted if placed is None else shifted - placed)
             if self.exact:
@@ -316,120 +322,6 @@ class Correction:
                 folded.follow(delivered, placed, folded.placed(delivered, amplitude))
             work.light = self._optics.undo(delivered, amplitude, folded.context, guess=work.light.image)
             work.cosine = cosine
-
-    # --- sigma and flags ------------------------------------------------------------------------
-
-    def _scaled_sigma(self, work: _Work) -> Image:
-        """Return the noise in metres of one distance (H, W)."""
-        gain = work.light.gain
-        sigma: Image = work.reading.sigma if gain is None else work.reading.sigma * gain
-        return sigma
-
-    def _judged(self, work: _Work, settings: Settings) -> tuple[Image, NDArray[np.uint8]]:
-        """Return sigma [m] and flags (H, W); the distance is NaN, and sigma, where they are not valid."""
-        if not self._compiled:
-            sigma = self._sigma(work)
-            flags = self._flags(work, sigma, settings)
-            invalid = (flags & np.uint8(INVALID.value)) != 0
-            np.copyto(work.light.distance, np.nan, where=invalid)
-            np.copyto(sigma, np.nan, where=invalid)
-            return sigma, flags
-        folded, light, reading = work.folded, work.light, work.reading
-        if work.missing is not None:
-            _mark(reading.flags, work.missing, Flag.NO_MEASUREMENT)
-        outside = folded.outside or self._outside(settings)
-        kernels.judge(
-            light.distance,
-            reading.sigma,
-            reading.flags,
-            amplitude=light.amplitude,
-            gain=light.gain,
-            slope=folded.distance.slope,
-            cosine=work.cosine,
-            always=self._always,
-            minimum=folded.amplitude.minimum if self._optics.spreads else -np.inf,
-            spread=folded.incidence_spread,
-            limits=self.camera.validity.distance or (-np.inf, np.inf),
-            mixed=(LEAST_STEP, LEAST_SIGMAS, LEAST_SHARE),
-            everywhere=Flag.OUTSIDE_CALIBRATION.value if outside else 0,
-        )
-        return reading.sigma, reading.flags
-
-    def _sigma(self, work: _Work) -> Image:
-        """Return the 1-sigma in metres (H, W) with what is not known of the incidence; a new array."""
-        sigma = self._scaled_sigma(work)
-        gain = work.folded.distance.gain(work.light.distance)
-        if gain is not None:
-            # where the cyclic error compresses distances, undoing it spreads their noise
-            sigma *= gain
-        if work.cosine is not None:
-            at = np.flatnonzero(np.isnan(work.cosine))
-            sigma.ravel()[at] = np.hypot(sigma.take(at), self._dtype(work.folded.incidence_spread))
-        return sigma
-
-    def _flags(self, work: _Work, sigma: Image, settings: Settings) -> NDArray[np.uint8]:
-        folded, distance = work.folded, work.light.distance
-        flags = work.reading.flags
-        if self._optics.spreads:
-            # light that stray light had lent an amplitude above the minimum
-            _mark(flags, work.light.amplitude < self._dtype(folded.amplitude.minimum), Flag.LOW_AMPLITUDE)
-        # a value that only the amplitude's flags explain is not a missing measurement as well
-        nowhere = np.isnan(distance)
-        if nowhere.any():
-            nowhere &= (flags & np.uint8(INVALID.value)) == 0
-            _mark(flags, nowhere, Flag.NO_MEASUREMENT)
-        if work.missing is not None:
-            _mark(flags, work.missing, Flag.NO_MEASUREMENT)
-        _mark(flags, mixed_pixels(distance, sigma), Flag.MIXED_PIXEL)
-        if folded.outside or self._outside(settings):
-            flags |= np.uint8(Flag.OUTSIDE_CALIBRATION.value)
-        limits = self.camera.validity.distance
-        if limits is not None:
-            low, high = (self._dtype(one) for one in limits)
-            _mark(flags, (distance < low) | (distance > high), Flag.OUTSIDE_CALIBRATION)
-        if self._always is not None:
-            flags |= self._always
-        return flags
-
-    def _outside(self, settings: Settings) -> bool:
-        """Whether the setting or the temperature lies outside the calibrated range."""
-        limits = self.camera.validity
-        pairs = (
-            (limits.integration_time, self.camera.stated_integration_time(settings)),
-            (limits.temperature, settings.ambient_temperature),
-        )
-        return any(
-            bounds is not None and value is not None and not bounds[0] <= value <= bounds[1]
-            for bounds, value in pairs
-        )
-
-    @cached_property
-    def _always(self) -> NDArray[np.uint8] | None:
-        """Flags of pixels outside the calibrated region, and of those that see no scene; None without any."""
-        region, seen = self.camera.validity.region, self._reference_region
-        if region is None and seen is None:
-            return None
-        flags = np.zeros(self.camera.shape, np.uint8)
-        if region is not None:
-            u0, v0, u1, v1 = (round(x) for x in region)
-            flags += np.uint8(Flag.OUTSIDE_CALIBRATION.value)
-            flags[max(v0, 0) : v1 + 1, max(u0, 0) : u1 + 1] = 0
-        if seen is not None:
-            flags[seen] |= Flag.NO_MEASUREMENT.value
-        return flags
-
-
-@dataclass
-class _Work:
-    """One frame on its way: what its setting folds into, what its amplitudes say, and the light so far."""
-
-    folded: Folded
-    reading: AmplitudeReading
-    #: pixels without a raw distance, None where all have one
-    missing: NDArray[np.bool_] | None
-    light: Light
-    #: of the angle of incidence, NaN where no plane was found; None where nothing asks for it
-    cosine: Image | None = None
 
 
 def _missing(raw: Image) -> NDArray[np.bool_] | None:
@@ -443,7 +335,3 @@ def _bands(shape: tuple[int, int]) -> list[slice]:
     height, width = shape
     rows = -(-height // max(1, round(height * width / _BAND)))
     return [slice(first, min(first + rows, height)) for first in range(0, height, rows)]
-
-
-def _mark(flags: NDArray[np.uint8], where: NDArray[np.bool_], flag: Flag) -> None:
-    flags |= where.view(np.uint8) * np.uint8(flag.value)

@@ -16,7 +16,8 @@ from rim_camera_ros.effects.base import Context, DistanceTerm
 from rim_camera_ros.effects.incidence import IncidenceTerm, incidence_gon
 from rim_camera_ros.effects.rows import outside_rows
 from rim_camera_ros.pipeline import kernels
-from rim_camera_ros.pipeline.tables import AmplitudeModel, DistanceSolver, PlaneTable
+from rim_camera_ros.pipeline.amplitude_tables import AmplitudeModel
+from rim_camera_ros.pipeline.distance_tables import DistanceSolver, PlaneTable
 
 Image = NDArray[Any]
 

@@ -20,8 +20,8 @@ def mixed_pixels(distance: NDArray[Any], sigma: NDArray[Any] | float = 0.0) -> N
 
     A pixel is mixed if the pixels two before and two behind it differ by a step that neither side's
     own slope explains, while the pixel itself lies between them, off both. So up to three mixed pixels
-    in a row are found; surfaces narrower than two pixels are not told from mixed ones. ``distance`` [m]
-    with NaN where invalid; ``sigma`` [m] of one distance.
+    in a row are found; surfaces narrower than two pixels cannot be distinguished from mixed pixels.
+    ``distance`` [m] with NaN where invalid; ``sigma`` [m] of one distance.
     """
     result = np.zeros(distance.shape, bool)
     width = distance.shape[1]

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.pipeline import kernels
+from rim_camera_ros.pipeline import kernels, plane_kernels
 from rim_camera_ros.pipeline.planes import STRIDE, WINDOW, PlaneWindows
 
 #: The plane of a window beside it serves a pixel if it passes within this many metres of it, or three
@@ -74,7 +74,7 @@ class IncidenceEstimator:
             inverse[missing] = np.nan
         entries = self._planes.planes(inverse, sigma)
         if kernels.LIBRARY is not None:
-            return kernels.cosine(
+            return plane_kernels.cosine(
                 distance,
                 sigma,
                 rays=self._rays,

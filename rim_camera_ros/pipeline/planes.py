@@ -1,4 +1,4 @@
-"""Planes fitted to the inverse depth over windows of 5 x 5 pixels, and over wider ones where noise asks.
+"""Planes fitted to the inverse depth over windows of 5 x 5 pixels, wider where noise is high.
 
 On a plane n . X = p the inverse depth W = 1 / z is linear in the ray's ideal image coordinates,
 W = m . (x, y, 1) with m = n / p. Mean and slopes of W over a window are linear in W, so that m follows
@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.pipeline import kernels
+from rim_camera_ros.pipeline import kernels, plane_kernels
 
 #: Side of the window in pixels, and the step from window to window; so many pixels are one of the next scale.
 WINDOW = 5
@@ -30,12 +30,12 @@ RESIDUAL = 0.006
 EXCESS = 1.15
 #: Scales: windows of 5, 15 and 45 pixels.
 SCALES = 3
-#: 1-sigma of a plane's tilt [rad] above which the next wider plane is asked for.
+#: 1-sigma of a plane's tilt [rad] above which the next wider window is used.
 TILT = 0.02
 #: It is taken where it passes within so many metres or standard deviations of the window's mean, ...
 NEAR = 0.004
 SIGMAS = 3.0
-#: ... and its slopes agree within this many metres per pixel beside so many standard deviations.
+#: ... and its slopes agree within this many metres per pixel plus so many standard deviations.
 SLOPE = 0.0008
 SLOPE_SIGMAS = 4.0
 #: Rows and columns of the window whose noise stands for all.
@@ -43,7 +43,7 @@ _SAMPLES = ((0, 4), (2, 2), (4, 0))
 _SQUARE_3, _SQUARE_5 = (np.ones((n, n), np.uint8) for n in (3, 5))
 _TINY = np.float32(1e-20)
 _PIXELS = WINDOW**2
-#: Sum over the window of the squares of a pixel's column (or row) beside the centre.
+#: Sum over the window of the squares of a pixel's column (or row) from the centre.
 _SPREAD = 50.0
 _Plane = NDArray[np.float32]
 
@@ -91,7 +91,7 @@ class PlaneWindows:
             self._over = (v[:, None] * self._wider.stride + u).astype(np.intp) + 1
         self._compiled = None
         if kernels.LIBRARY is not None:
-            self._compiled = kernels.CompiledWindows(
+            self._compiled = plane_kernels.CompiledWindows(
                 self.shape,
                 columns=self.columns,
                 inverse=self._inverse,
@@ -179,7 +179,7 @@ class PlaneWindows:
         return np.asarray(sigma)[1:height:STRIDE, 1:width:STRIDE]
 
     def _compiled_planes(
-        self, compiled: kernels.CompiledWindows, inverse: _Plane, sigma: NDArray[Any] | float
+        self, compiled: plane_kernels.CompiledWindows, inverse: _Plane, sigma: NDArray[Any] | float
     ) -> NDArray[np.complex128]:
         factor = float(self._factor)
         asked = compiled.fit(inverse, sigma, factor=factor, excess=EXCESS, residual=RESIDUAL, tilt=TILT)

@@ -26,7 +26,7 @@ class ResolvedCorrection(Correction):
 
     ``role``: of the images (H, W, ``count``) that are linear in the light; ``resolve`` evaluates them.
     Stray light is undone in them, image by image; in distance and amplitude alone it cannot be, because
-    light of another distance may be told apart or not. ``responds``: the images are compressed as
+    light of another distance may be separable or not. ``responds``: the images are compressed as
     ``amplitude_nonlinearity`` says. Otherwise as `Correction`.
     """
 

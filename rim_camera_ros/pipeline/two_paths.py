@@ -1,4 +1,4 @@
-"""Light by two paths in one pixel, told apart by several modulation frequencies.
+"""Light by two paths in one pixel, separated by several modulation frequencies.
 
 The complex image at the frequency f_i is S_i / g_i = a exp(i k_i d) + b exp(i k_i (d + s)) with the wave
 number k_i = 4 pi f_i / c: a direct path of the distance d and one that is longer by s, with amplitudes
@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.frame import CorrectedFrame
@@ -36,11 +35,15 @@ class TwoPaths:
     """Fits two paths to the pixels of a camera that one path does not explain; ``span``: distances [m]."""
 
     def __init__(self, camera: Camera, span: tuple[float, float]) -> None:
+        from scipy.stats import chi2  # takes a good part of a node's start
+
         self._waves = np.array([2 * np.pi / one.sensor.ambiguity for one in camera.channels])
         gains = np.array([one.radiometry.gain for one in camera.channels])
         self._gains = gains / gains.mean()
         self._span = span
+        #: misfit of one path that noise exceeds so often, and what two unknowns more take of noise alone
         self._limit = float(chi2.isf(_FALSE_ALARM, 2 * len(gains) - 2))
+        self._gain = float(chi2.isf(_FALSE_ALARM, 2))
 
     def correct(
         self, parts: list[CorrectedFrame], distance: Image, sigma: Image, usable: NDArray[np.bool_]
@@ -66,8 +69,7 @@ class TwoPaths:
         for start in range(0, chosen.size, _CHUNK):
             part = chosen[start : start + _CHUNK]
             first, spread, misfit = self._fit(light[:, part], weight[:, part], near[part])
-            # two unknowns more: of noise alone they take what a chi-square of two degrees takes
-            better = alone[part] - misfit > float(chi2.isf(_FALSE_ALARM, 2))
+            better = alone[part] - misfit > self._gain
             better &= np.isfinite(spread) & (first > self._span[0]) & (first < self._span[1])
             where = at[part[better]]
             distance.ravel()[where] = first[better]

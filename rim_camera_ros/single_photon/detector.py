@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.phasor import SPEED_OF_LIGHT
@@ -115,6 +114,8 @@ class SinglePhotonDetector(PulseAndDiode):
 
         A Gaussian of `time_sigma`, integrated over the bins and wrapped at the cycle's end; sums to 1.
         """
+        from scipy.special import ndtr  # takes a good part of a node's start
+
         sigma, period = self.time_sigma, self.period
         start = np.mod(np.asarray(times, float), period)
         edges = np.arange(self.bins + 1)[:, None] * self.bin_width

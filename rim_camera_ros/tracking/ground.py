@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from rim_camera_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
 #: Optical axes (x right, y down, z forward) in a body's (x forward, y left, z up): REP 103.
-_OPTICAL = Rotation.from_matrix(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
+_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 #: The viewing direction must keep this horizontal share, or "forward" on the floor means nothing.
 _LEAST_HORIZONTAL = 0.05
 
@@ -50,13 +52,14 @@ class Ground:
 
         ``position`` (3,) in m. Raises `InputError` as the class does.
         """
-        roll, pitch, _ = (rotation * _OPTICAL.inv()).as_euler("xyz")
+        roll, pitch, _ = (rotation * _optical().inv()).as_euler("xyz")
         return cls(height=float(position[2]), roll=float(roll), pitch=float(pitch))
 
     @property
     def rotation(self) -> Rotation:
         """Rotation of the optical frame in the floor's frame."""
-        return Rotation.from_euler("xyz", [self.roll, self.pitch, 0.0]) * _OPTICAL
+        optical = _optical()
+        return type(optical).from_euler("xyz", [self.roll, self.pitch, 0.0]) * optical
 
     def from_optical(self, points: NDArray[Any]) -> Array:
         """Return points (N, 3) [m] of the optical frame in the floor's frame."""
@@ -70,3 +73,9 @@ class Ground:
         shifted[:, 2] -= self.height
         result: Array = shifted @ self.rotation.as_matrix()
         return result
+
+
+def _optical() -> Rotation:
+    from scipy.spatial.transform import Rotation  # takes a good part of a node's start
+
+    return Rotation.from_matrix(_OPTICAL)

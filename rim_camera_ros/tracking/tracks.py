@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
-from scipy.stats import chi2
 
 from rim_camera_ros.tracking.moving import Detection, divided
 
@@ -112,7 +111,10 @@ class Tracker:
     """Follows people from frame to frame; identities count from 1 and are not used again."""
 
     def __init__(self, settings: TrackSettings | None = None) -> None:
+        from scipy.optimize import linear_sum_assignment  # takes a good part of a node's start
+
         self.settings = settings or TrackSettings()
+        self._assignment = linear_sum_assignment
         self._tracks: list[Track] = []
         self._next = 1
 
@@ -176,7 +178,7 @@ class Tracker:
         """Give detections to tracks by the greatest likelihood within the gate; return those left over."""
         if not tracks or not found:
             return list(found)
-        gate = float(chi2.ppf(self.settings.gate, 2))
+        gate = -2.0 * math.log1p(-self.settings.gate)  # quantile of a chi-square of two degrees
         cost = np.full((len(tracks), len(found)), _FORBIDDEN)
         for i, track in enumerate(tracks):
             for k, one in enumerate(found):
@@ -186,7 +188,7 @@ class Tracker:
                 if mahalanobis <= gate:
                     cost[i, k] = mahalanobis + float(np.log(np.linalg.det(spread)))
         taken = set()
-        for row, column in zip(*linear_sum_assignment(cost), strict=True):
+        for row, column in zip(*self._assignment(cost), strict=True):
             if cost[row, column] < _FORBIDDEN:
                 taken.add(int(column))
                 self._see(tracks[row], found[column])

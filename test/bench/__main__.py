@@ -26,11 +26,15 @@ from rim_camera_ros.pipeline.correct import Correction
 from test.bench import cases, joint
 from test.bench.rows import Row, all_rows, parts_of_every_effect
 
+Clock = Callable[[], float]
+
 #: Rounds of A B, and least seconds of one A or B.
 ROUNDS = 9
 SECONDS = 0.05
 #: The complete correction may take this many times the sum of its parts.
 PARTS = 1.3
+#: Share of a correction that sigma and flags may take, where effects are undone that need other pixels.
+JUDGED = 0.1
 #: Frames whose correction must not let the memory grow by more than this many MB.
 FRAMES = 10_000
 GROWTH = 5.0
@@ -38,27 +42,28 @@ GROWTH = 5.0
 FASTER, SMALLER, SAME = 20.0, 10.0, 0.01
 
 
-def repetitions(work: Callable[[], Any]) -> int:
+def repetitions(work: Callable[[], Any], clock: Clock) -> int:
     """Return how often the work fits into `SECONDS`."""
     work()
-    start = time.perf_counter()
+    start = clock()
     work()
-    return max(1, round(SECONDS / (time.perf_counter() - start)))
+    return max(1, round(SECONDS / max(clock() - start, 1e-6)))
 
 
-def seconds(work: Callable[[], Any], number: int) -> float:
+def seconds(work: Callable[[], Any], number: int, clock: Clock) -> float:
     """Return the time of one run in seconds."""
-    start = time.perf_counter()
+    start = clock()
     for _ in range(number):
         work()
-    return (time.perf_counter() - start) / number
+    return (clock() - start) / number
 
 
-def medians(works: list[Callable[[], Any]]) -> list[float]:
-    """Return the median time in seconds of works that are run in turn."""
-    numbers = [repetitions(one) for one in works]
+def medians(works: list[Callable[[], Any]], *, clock: Clock = time.perf_counter) -> list[float]:
+    """Return the median time in seconds, by a clock, of works that are run in turn."""
+    numbers = [repetitions(one, clock) for one in works]
     rounds = [
-        [seconds(one, number) for one, number in zip(works, numbers, strict=True)] for _ in range(ROUNDS)
+        [seconds(one, number, clock) for one, number in zip(works, numbers, strict=True)]
+        for _ in range(ROUNDS)
     ]
     return [statistics.median(one) for one in zip(*rounds, strict=True)]
 
@@ -100,6 +105,33 @@ def parts() -> bool:
     ok = whole <= PARTS * total
     cells = (f"{total * 1e3:.3f}", f"{whole * 1e3:.3f}", f"{whole / total:.2f} of it", f"<= {PARTS}")
     print(line("all effects: sum of parts", "", *cells, verdict(ok)))
+    return ok
+
+
+def judgement() -> bool:
+    """Compare the correction with sigma and flags with that without them, in processor time."""
+    ok = True
+    size = cases.SIZES[0]
+    for name, camera, limit in (
+        ("plain", cases.plain(*size), None),
+        ("sr3000", cases.camera_of("sr3000", *size), JUDGED),
+        ("every effect", cases.every_effect(), JUDGED),
+    ):
+        frame, correction = cases.frame_of(camera), Correction(camera)
+        whole, alone = medians(
+            [
+                lambda frame=frame, correction=correction: correction.correct(frame),
+                lambda frame=frame, correction=correction: correction.correct_distance(frame),
+            ],
+            clock=time.process_time,
+        )
+        share = 1 - alone / whole
+        fits = limit is None or share <= limit
+        cells = (f"{alone * 1e3:.3f}", f"{whole * 1e3:.3f}", f"{100 * share:.0f} % of it")
+        required = "" if limit is None else f"<= {100 * limit:.0f} %"
+        judged = "" if limit is None else verdict(fits)
+        print(line(f"sigma, flags: {name}", f"{size[0]} x {size[1]}", *cells, required, judged))
+        ok &= fits
     return ok
 
 
@@ -151,6 +183,7 @@ def main() -> int:
     print(line("work (one thread)", "size", "naive [ms]", "ours [ms]", "result", "required", ""))
     results = [measured(row) for row in all_rows()]
     results.append(parts())
+    results.append(judgement())
     results.append(memory())
     results.append(adjustment())
     return 0 if all(results) else 1

@@ -3,7 +3,8 @@
 A camera is played back from a recording that is made first, so that the driver's own work is small, as it
 is with a camera on USB. This process listens to ``points``, and its own time does not count. The two ways are
 measured in turn (A B A B ...). Printed is the CPU time of all processes of a way for each cloud
-that came, the ratio of the two in each round, the frames that came, and what else the machine did meanwhile.
+that came, the ratio of the two in each round, the share of a core that the separate correction takes, the
+frames that came, and what else the machine did meanwhile.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -36,9 +36,12 @@ BEFORE = 20
 
 @dataclass(frozen=True)
 class Measured:
-    """CPU time for each cloud [ms], clouds a second, and how many cores all else kept busy."""
+    """CPU time for each cloud [ms], cores that the correction's process took, clouds a second, and how many
+    cores all else kept busy.
+    """
 
     cpu: float
+    correction: float
     clouds: float
     others: float
 
@@ -72,18 +75,19 @@ def measured(folder: Path, file: Path, bag: Path, *, together: bool, seconds: fl
             raise SystemExit(f"no clouds come\n{world.output()}")
         processes = [psutil.Process(pid) for pid in pids]
         count, begun = len(clouds), time.monotonic()
-        before, all_before = used(processes), busy()
+        before, all_before = [used(one) for one in processes], busy()
         world.until(lambda: time.monotonic() - begun >= seconds, seconds + 1.0)
         took = time.monotonic() - begun
-        cpu = used(processes) - before
-        everything = busy() - all_before
+        each = [used(one) - at for one, at in zip(processes, before, strict=True)]
+        cpu, everything = sum(each), busy() - all_before
         came = len(clouds) - count
-        return Measured(1e3 * cpu / max(came, 1), came / took, (everything - cpu) / took)
+        return Measured(1e3 * cpu / max(came, 1), each[0] / took, came / took, (everything - cpu) / took)
 
 
-def used(processes: Sequence[psutil.Process]) -> float:
-    """Return the CPU seconds that processes have used."""
-    return sum(one.cpu_times().user + one.cpu_times().system for one in processes)
+def used(process: psutil.Process) -> float:
+    """Return the CPU seconds that a process has used."""
+    times = process.cpu_times()
+    return float(times.user + times.system)
 
 
 def busy() -> float:
@@ -107,7 +111,10 @@ def main() -> int:
         f"CPU ms of driver and correction for each cloud, {given.camera}; {given.rounds} rounds of "
         f"{given.seconds:g} s; other: of {psutil.cpu_count()} cores, busy with all else and this listener"
     )
-    print(f"{'size':>9s} {'Hz':>4s}   separate   together   ratio (of the rounds)       clouds / s     other")
+    print(
+        f"{'size':>9s} {'Hz':>4s}   separate   together   ratio (of the rounds)       clouds / s     other"
+        "   correction, of a core"
+    )
     for size, rate in itertools.product(given.size, given.rate):
         width, height = (int(one) for one in size.split("x"))
         camera = (
@@ -130,7 +137,8 @@ def main() -> int:
         print(
             f"{size:>9s} {rate:4.0f} {middle[0]:10.2f} {middle[1]:10.2f}   {statistics.median(ratios):.2f} "
             f"({' '.join(f'{one:.2f}' for one in ratios)})".ljust(70)
-            + f"{clouds[0]:5.1f} {clouds[1]:5.1f}   {min(others):.1f}-{max(others):.1f}",
+            + f"{clouds[0]:5.1f} {clouds[1]:5.1f}   {min(others):.1f}-{max(others):.1f}"
+            + f"   {' '.join(f'{one.correction:.3f}' for one, _ in rounds)}",
             flush=True,
         )
     return 0

@@ -10,16 +10,18 @@ with World(tmp_path) as world:
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import itertools
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 import rclpy
@@ -54,12 +56,36 @@ LATCHED = QoSProfile(
 LOSSLESS_DRIVER = {"qos.images": "reliable", "qos.info": "reliable"}
 LOSSLESS_CORRECTION = {"qos.input": "reliable", "qos.points": "reliable", "qos.images": "reliable"}
 
-_domains = itertools.count(os.getpid() * 13 + 1000 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]))
+#: ROS domains (above 101 ports may be taken), from another one on in each process.
+_DOMAINS = 101
+_domains = itertools.count(os.getpid() * 13)
+_locks: dict[int, TextIO] = {}
 
 
 def next_domain() -> int:
-    """Return a ROS domain that no other test of this process uses (above 101 ports may be taken)."""
-    return 1 + next(_domains) % 101
+    """Return a ROS domain that no other test on this machine uses, until it is released or the process ends.
+
+    Tests in a domain by chance the same have set each other's parameters.
+    """
+    for number in itertools.islice(_domains, _DOMAINS):
+        domain = 1 + number % _DOMAINS
+        if domain in _locks:
+            continue
+        with contextlib.suppress(OSError):  # taken, or another user's
+            lock = (Path(tempfile.gettempdir()) / f"rim_camera_ros_domain_{domain}").open("w")
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                lock.close()
+                raise
+            _locks[domain] = lock
+            return domain
+    raise RuntimeError("every ROS domain is in use by a test")
+
+
+def release_domain(domain: int) -> None:
+    """Let other tests use a domain."""
+    _locks.pop(domain).close()
 
 
 def stamp_of(message: Any) -> int:
@@ -206,6 +232,7 @@ class World:
         self._executor.shutdown()
         rclpy.shutdown(context=self._context)
         self.node.destroy_node()
+        release_domain(self.domain)
 
     # --- nodes ----------------------------------------------------------------------------------
 

@@ -86,7 +86,7 @@ def test_frames_go_in_memory_and_raw_topics_to_who_listens(world: World) -> None
     assert world.until(lambda: len(distance) > 5), process.text
     assert world.until(lambda: stamp_of(points.last) in distance.by_stamp()), process.text
     said = world.diagnostics()
-    assert world.until(lambda: said.values("/camera/correction: frames").get("left_out_frames") == "0")
+    assert world.until(lambda: said.values("/camera/correction: frames").get("dropped_frames") == "0")
 
 
 def test_people_are_followed_in_memory(world: World) -> None:

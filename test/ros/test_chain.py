@@ -39,8 +39,12 @@ CORRECTED = {
 }
 
 
+@pytest.mark.parametrize("checked", ["1", ""], ids=["fields checked", "as users start it"])
 @pytest.mark.parametrize("together", [False, True], ids=["two processes", "one process"])
-def test_clouds_are_those_of_the_correction_bit_for_bit(world: World, *, together: bool) -> None:
+def test_clouds_are_those_of_the_correction_bit_for_bit(
+    world: World, *, together: bool, checked: str
+) -> None:
+    world.environment["ROS_PYTHON_CHECK_FIELDS"] = checked
     chain = Chain(
         world,
         driver={"scene": "room", "camera": "sr3000", "frame_rate": 25.0, "frames": 20, "seed": 3},
@@ -197,7 +201,7 @@ def test_reliable_subscriber(world: World, offered: str) -> None:
         assert "receives nothing" not in driver.text
     else:
         assert world.until(lambda: "receives nothing" in driver.text), world.output()
-        assert "/camera/distance/image_raw asks for another RELIABILITY" in driver.text
+        assert "/camera/distance/image_raw requests another RELIABILITY" in driver.text
         assert "qos.images:=reliable" in driver.text
         assert not images
 

@@ -15,7 +15,7 @@ pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import Image, PointCloud2
 
 from rim_camera_ros.bags.topics import ROLES
 from rim_camera_ros.camera_file import load_camera
@@ -26,7 +26,7 @@ from rim_camera_ros.nodes.common.handover import Handover
 from rim_camera_ros.nodes.common.run import Throttle
 from rim_camera_ros.nodes.correction.freshness import Freshness
 from rim_camera_ros.nodes.correction.input import MessageInput, Receiver
-from test.ros.harness import RELIABLE, World, stamp_of
+from test.ros.harness import BEST_EFFORT, RELIABLE, World, stamp_of
 
 MILLISECOND = 10**6
 
@@ -79,6 +79,32 @@ def test_what_is_taken_of_frames_that_wait(
     assert taken_of(*given, **settings) == expected
 
 
+@pytest.mark.parametrize(
+    ("maximum_age", "now", "expected"),
+    [
+        (0.05, 1051, True),
+        (0.05, 1049, False),
+        (0.0, 1900, False),  # what the clock says does not matter unless a limit is set
+        (0.05, 86_400_000, False),  # a recording's own stamps
+    ],
+)
+def test_a_stamp_is_held_against_the_clock(maximum_age: float, now: int, expected: bool) -> None:
+    fresh = Freshness({"maximum_age": maximum_age, "queue_depth": 5}, lambda: now * MILLISECOND)
+    assert fresh.expired(1000 * MILLISECOND) is expected
+
+
+def test_nothing_older_than_the_limit_leaves_the_node(world: World) -> None:
+    # to correct a frame takes longer than this
+    process = world.start("camera_node", scene="wall", frame_rate=25.0, maximum_age=0.0005)
+    points, said = world.collect(PointCloud2, "points", BEST_EFFORT), world.diagnostics()
+    name = "/camera/correction: frames"
+    assert world.until(lambda: int(said.values(name).get("dropped_frames", 0)) > 20), process.text
+    assert not points.messages
+    assert "maximum_age was over" in process.text
+    assert world.set("correction", maximum_age=0.0) == ""
+    assert world.until(lambda: len(points) > 5), process.text
+
+
 def test_a_rate_is_learned_from_the_stamps() -> None:
     fresh = Freshness({"maximum_age": 0.0, "queue_depth": 100}, lambda: 0)
     for stamp in range(0, 2000, 200):  # 5 Hz
@@ -125,7 +151,7 @@ def test_of_messages_that_wait_only_the_newest_frame_is_corrected(world: World) 
     assert delivered[0] == 1000
     assert delivered[-1] == 2200
     assert len(delivered) <= 5, delivered
-    assert source.left_out == {
+    assert source.dropped == {
         "a newer frame was there, or maximum_age was over": 31 - len(delivered),
     }
 

@@ -181,12 +181,12 @@ def test_halves_of_frames_are_paired_by_stamp() -> None:
     assert pairing.add(POINTS, 10, "p10") is None
     assert pairing.add(SIGMA, 20, "s20") is None
     assert pairing.add(POINTS, 20, "p20") == ("p20", "s20")
-    assert pairing.left_out == 0  # the first half had no chance
+    assert pairing.dropped == 0  # the first half had no chance
     assert pairing.add(SIGMA, 30, "s30") is None
     assert pairing.add(POINTS, 40, "p40") is None
     assert pairing.add(SIGMA, 40, "s40") == ("p40", "s40")
-    assert pairing.left_out == 1
+    assert pairing.dropped == 1
     for stamp in range(50, 150, 10):
         assert pairing.add(POINTS, stamp, "p") is None
-    assert pairing.left_out == 3  # eight wait
+    assert pairing.dropped == 3  # eight wait
     assert pairing.add(SIGMA, 70, "s70") == ("p", "s70")

@@ -192,7 +192,7 @@ def test_a_flood_of_readings_from_the_future_does_not_push_the_true_one_out() ->
         assert pairs.add("ambient", 10_000 * second + i, -300.0, 0.0) == []
     (frame,) = exposure(101 * second, None)
     assert frame.settings.ambient_temperature == 21.5
-    assert pairs.left_out["ambient far ahead of the images"] == 100_000
+    assert pairs.dropped["ambient far ahead of the images"] == 100_000
     # a clock that is set forward: the last value holds for one frame, then the new ones do
     (frame,) = exposure(4000 * second, 30.0)
     assert frame.settings.ambient_temperature == 21.5
@@ -209,7 +209,7 @@ def test_refused_messages_do_not_push_waiting_frames_out() -> None:
         assert pairs.add("amplitude", 1000 + i, pixels, 0.0) == []  # the partner of a refused one
     (frame,) = pairs.add("distance", 5, pixels, 0.0)
     assert frame.stamp == 5
-    assert pairs.left_out == {"distance refused": 1000}
+    assert pairs.dropped == {"distance refused": 1000}
 
 
 def test_findings_and_tally() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import tempfile
 import time
@@ -11,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from test.soak import faults, mutations
+from test.soak import faults, load, mutations
 
 
 def rows(duration: float) -> dict[str, Callable[[Path], Any]]:
@@ -20,6 +21,8 @@ def rows(duration: float) -> dict[str, Callable[[Path], Any]]:
     return {
         "kills": lambda folder: faults.kills(folder, count=max(3, min(50, int(20 * share / 4)))),
         "hostile": lambda folder: faults.hostile(folder, seconds=max(5.0, 10 * share)),
+        "endurance": lambda folder: load.endurance(folder, seconds=max(10.0, 20 * share)),
+        "overload": lambda folder: load.overload(folder, seconds=max(10.0, 10 * share)),
         "readers": lambda folder: faults.readers(folder, seconds=max(3.0, 3 * share)),
         "clock_jumps": lambda folder: faults.clock_jumps(folder),
         "full_disk": lambda folder: faults.full_disk(folder),
@@ -39,6 +42,9 @@ def main() -> int:
     """Run; status 1 where a fault could not be survived at all (an assertion of it failed)."""
     parser = argparse.ArgumentParser(prog="soak", description=__doc__)
     parser.add_argument("--duration", type=float, default=300.0, help="seconds, about (default: 300)")
+    parser.add_argument(
+        "--beside", type=int, default=0, help="processes that are always busy beside the nodes (default: 0)"
+    )
     parser.add_argument("--only", action="append", help="run only this fault; may be given several times")
     given = parser.parse_args()
     failed = False
@@ -46,13 +52,14 @@ def main() -> int:
         if given.only and name not in given.only:
             continue
         begun = time.monotonic()
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as folder, load.busy(given.beside):
             try:
                 figures = run(Path(folder))
             except AssertionError as error:
                 failed = True
                 figures = {"FAILED": str(error)[-2000:]}
-        print(f"{name} ({time.monotonic() - begun:.0f} s): {json.dumps(figures, default=str)}", flush=True)
+        took = f"{time.monotonic() - begun:.0f} s, load {os.getloadavg()[0]:.1f}"
+        print(f"{name} ({took}): {json.dumps(figures, default=str)}", flush=True)
     return int(failed)
 
 

@@ -256,7 +256,7 @@ def hostile(folder: Path, *, seconds: float, rate: float = 1000.0, seed: int = 2
             "hostile": sent,
             "hostile_per_s": sent / seconds,
             "refused": int(values["refused_messages"]),
-            "left_out": int(values["left_out_frames"]),
+            "dropped": int(values["dropped_frames"]),
             "memory_mb": [memory[0], max(memory[len(memory) // 4 :]), memory[-1]],
             "running": correction.running,
             "tracebacks": correction.text.count("Traceback"),
@@ -328,7 +328,7 @@ def reconfiguration(folder: Path, *, seconds: float, rate: float = 50.0, seed: i
             {key: int(new[key]) - int(old.get(key, 0)) for key in keys if key in new}
             for old, new, keys in (
                 (before[0], after[0], ("frames", "skipped", "not_published")),
-                (before[1], after[1], ("frames", "left_out_frames", "refused_messages", "not corrected")),
+                (before[1], after[1], ("frames", "dropped_frames", "refused_messages", "not corrected")),
             )
         ]
         late = np.array([one for _, one in listener.latency]) * 1e3

@@ -73,7 +73,7 @@ class Link:
 
 
 def serve(work: Callable[[Link], Mapping[str, Any]], *, keep: bool) -> None:
-    """Do the work that the node asks for, and tell it the result, or why there is none."""
+    """Do the work that the node requests, and send it the result, or why there is none."""
     link = Link(keep=keep)
     try:
         niceness = int(link.request.get("niceness", 0))

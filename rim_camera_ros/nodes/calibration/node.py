@@ -103,7 +103,7 @@ class CalibrationNode:
     # --- the work -------------------------------------------------------------------------------
 
     def _look_at_work(self) -> None:
-        """Tell what the process has told since the last look."""
+        """Publish what the process has reported since the last call."""
         work = self._work
         if work is None:
             return

@@ -102,7 +102,7 @@ def check(values: Values, changed: Collection[str], folders: Folders) -> None:
 def calibration_of(values: Values, folders: Folders) -> dict[str, Any]:
     """Return the request to the process that calibrates, for `calibration_process`.
 
-    Raises `InputError` that names the parameter, for what can be told without reading the files.
+    Raises `InputError` that names the parameter, for what is wrong before files are read.
     """
     check(values, values.keys(), folders)
     recordings = recordings_of(values)

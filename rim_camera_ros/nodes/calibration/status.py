@@ -10,7 +10,7 @@ from rim_camera_ros.nodes.common.findings import Finding, Level
 from rim_camera_ros.nodes.common.lifecycle import UNCONFIGURED
 
 _DOING = {"calibration": "calibrating", "recording": "recording"}
-#: Figures of a result in m, which are told in mm.
+#: Figures of a result in m, which are reported in mm.
 _LENGTHS = ("rms_before", "rms", "noise", "systematic")
 
 
@@ -48,8 +48,8 @@ class CalibrationStatus:
         assert work is not None
         finding = Finding(values={"work": work, "seconds": f"{seconds:.1f}"})
         if "result" in end:
-            told = _recorded if work == "recording" else _calibrated
-            told(finding, end["result"])
+            report = _recorded if work == "recording" else _calibrated
+            report(finding, end["result"])
         elif "cancelled" in end:
             finding.values["state"] = "cancelled"
             finding.note(f"the {work} was cancelled; nothing was written")

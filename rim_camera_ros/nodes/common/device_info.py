@@ -24,7 +24,7 @@ def file_values(name: str) -> dict[str, str]:
 
 
 class LatchedInfo:
-    """A topic of one status with keys and values, published when it changes and kept for who joins later."""
+    """A topic of one status with keys and values, published when it changes and latched."""
 
     def __init__(self, node: ManagedNode, topic: str) -> None:
         self._node = node

@@ -157,7 +157,7 @@ QUIET = {Level.WARN: 60.0, Level.ERROR: 10.0}
 @dataclass
 class _Check:
     logged: Level = Level.OK
-    left_out: int = 0
+    suppressed: int = 0
     seen: dict[Level, float] = field(default_factory=dict)
     lines: dict[Level, float] = field(default_factory=dict)
 
@@ -187,9 +187,9 @@ class Announcements:
             return (Level.OK, f"{name}: fine again") if holds == Level.OK else None
         if level <= check.logged:
             return None
-        check.left_out += begins
+        check.suppressed += begins
         if now - check.lines.get(level, -math.inf) < QUIET[level]:
             return None
-        more, check.left_out = check.left_out - 1, 0
+        more, check.suppressed = check.suppressed - 1, 0
         check.logged, check.lines[level] = level, now
         return level, f"{name}: {finding.message}" + (f" [{more} more like it]" if more > 0 else "")

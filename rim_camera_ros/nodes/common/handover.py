@@ -125,7 +125,7 @@ class Handover[Value]:
             take = self._take
             self._drop()
             if take is None or not self._waiting or self._busy:
-                return  # busy: a callback that takes values itself while it waits is in the midst of one
+                return  # busy: a callback that takes values itself while it waits is processing a value
             self._begun = True
             value = self._waiting.popleft()
             more = bool(self._waiting)

@@ -1,4 +1,4 @@
-"""Managed nodes (ROS 2 lifecycle) that start by themselves unless told otherwise."""
+"""Managed nodes (ROS 2 lifecycle) that configure and activate themselves by default."""
 
 from __future__ import annotations
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from array import array
 from functools import cache
 from importlib import import_module
 from typing import Any
@@ -50,7 +49,7 @@ def image(pixels: NDArray[Any], head: Header) -> Image:
         is_bigendian=0,
         step=encoded.step,
     )
-    message.data = _bytes(encoded.data)  # itself: what is given above is copied
+    _fill(message, encoded.data)
     return message
 
 
@@ -62,11 +61,9 @@ class CloudMessage:
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
-        height, width = shape
-        step = 4 * len(_POINT_FIELDS)
-        data = array("B", bytes(step * width * height))
-        self.points = np.frombuffer(data, "<f4").reshape(height, width, len(_POINT_FIELDS))
-        self._message = _cloud(data, self.points.shape, _POINT_FIELDS)
+        zeros = np.zeros((*shape, len(_POINT_FIELDS)), "<f4")
+        self._message = _cloud(zeros, _POINT_FIELDS)
+        self.points = np.frombuffer(self._message.data, "<f4").reshape(zeros.shape)
 
     def of(self, head: Header) -> PointCloud2:
         """Return the message with a header."""
@@ -95,13 +92,13 @@ def cloud(
         # the bytes of an integer pass as they are: nothing computes with them as with a float
         column = values.astype("<u4").view("<f4") if name == "flags" else values.astype("<f4", copy=False)
         plain = np.dstack([plain, column])
-    message = _cloud(_bytes(np.ascontiguousarray(plain)), plain.shape, fields)
+    message = _cloud(np.ascontiguousarray(plain), fields)
     message.header = head
     return message
 
 
-def _cloud(data: array[int], shape: tuple[int, ...], fields: list[PointField]) -> PointCloud2:
-    height, width, columns = shape
+def _cloud(points: NDArray[np.float32], fields: list[PointField]) -> PointCloud2:
+    height, width, columns = points.shape
     message = PointCloud2(
         height=height,
         width=width,
@@ -111,14 +108,14 @@ def _cloud(data: array[int], shape: tuple[int, ...], fields: list[PointField]) -
         row_step=4 * columns * width,
         is_dense=False,
     )
-    message.data = data  # itself: what is given above is copied
+    _fill(message, points)
     return message
 
 
 def compressed_image(format_and_data: tuple[str, bytes], head: Header) -> CompressedImage:
     """Return a compressed image of what `compression` returns."""
     message = CompressedImage(header=head, format=format_and_data[0])
-    message.data = array("B", format_and_data[1])
+    message.data.frombytes(format_and_data[1])
     return message
 
 
@@ -179,11 +176,9 @@ def _value(value: Any, kind: str) -> Any:
     return value.tolist() if kind.startswith("sequence") and isinstance(value, np.ndarray) else value
 
 
-def _bytes(values: NDArray[Any]) -> array[int]:
-    # any other type is checked element by element by the message's setter
-    data = array("B")
-    data.frombytes(memoryview(values).cast("B"))
-    return data
+def _fill(message: Any, values: NDArray[Any]) -> None:
+    # a value that is assigned is copied once more, or checked byte by byte (ROS_PYTHON_CHECK_FIELDS)
+    message.data.frombytes(memoryview(values).cast("B"))
 
 
 def topic_part(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Quality of service: sensor data by default, reliable where asked for, and a warning with the fix."""
+"""Quality of service: sensor data by default, reliable by a parameter, and a warning with the fix."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def publisher(
         if policy != "RELIABILITY":
             remedy = f"choose a compatible {policy.lower()} there"
         node.get_logger().warning(
-            f"a subscriber of {made.topic_name} asks for another {policy} than is offered and receives "
+            f"a subscriber of {made.topic_name} requests another {policy} than is offered and receives "
             f"nothing: {remedy}"
         )
 
@@ -82,7 +82,7 @@ def subscription(
     def incompatible(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         node.get_logger().warning(
-            f"a publisher of {made.topic_name} offers another {policy} than is asked for, nothing comes from "
+            f"a publisher of {made.topic_name} offers another {policy} than is requested, nothing comes from "
             f"it: start this node with {parameter}:={SENSOR_DATA}, or that publisher with reliable delivery"
         )
 

@@ -178,7 +178,7 @@ class Recorder:
 
 
 def _suiting(role: str, offers: list[QoSProfile]) -> QoSProfile:
-    """Return the best that all publishers can serve; poses that were published before are asked for."""
+    """Return the best that all publishers can serve; poses that were published before are requested."""
     reliable = all(one.reliability == ReliabilityPolicy.RELIABLE for one in offers)
     kept = role in POSE_ROLES and all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in offers)
     return QoSProfile(

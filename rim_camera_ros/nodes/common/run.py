@@ -165,8 +165,8 @@ def _no_matter(number: int, frame: Any) -> None:
 def use_shipped_profile(environment: MutableMapping[str, str], *, profile: Path, middleware: str) -> str:
     """Have Fast DDS use ``profile`` where the user has set nothing, and return which settings are used.
 
-    Its own shared memory of 512 KB is filled by one image of 512 x 424 pixels, and the messages beside it
-    come seconds late. ``middleware``: the name of the one in use. To be called before nodes are made.
+    Its own shared memory of 512 KB is filled by one image of 512 x 424 pixels, and further messages come
+    seconds late. ``middleware``: its name. To be called before nodes are made.
     """
     if middleware not in _FAST_DDS:
         return f"middleware: {middleware}, with its own settings"
@@ -207,19 +207,19 @@ def _failed(name: str, problem: str, status: int) -> int:
 
 
 class Throttle:
-    """Warnings, of each kind at most one in five seconds, with the number of those left out."""
+    """Warnings, of each kind at most one in five seconds, with the number of those suppressed."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._last: dict[str, float] = {}
-        self._left_out: dict[str, int] = {}
+        self._suppressed: dict[str, int] = {}
 
     def warn(self, kind: str, text: str) -> None:
         """Log a warning of a kind, unless one was just logged."""
         now = time.monotonic()
         if kind in self._last and now - self._last[kind] < _QUIET:
-            self._left_out[kind] = self._left_out.get(kind, 0) + 1
+            self._suppressed[kind] = self._suppressed.get(kind, 0) + 1
             return
-        more = self._left_out.pop(kind, 0)
+        more = self._suppressed.pop(kind, 0)
         self._last[kind] = now
         self._node.get_logger().warning(text + (f" [{more} more like it]" if more else ""))

@@ -1,24 +1,18 @@
-"""Transforms on /tf and /tf_static, told and listened to, without tf2_ros, which comes from apt alone."""
+"""The mount of a camera on /tf_static, without tf2_ros, which comes from apt alone."""
 
 from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
 
 from rim_camera_ros.nodes.common.qos import latched
-from rim_camera_ros.tracking.transform_tree import TransformTree
 
 TOPIC = "/tf_static"
-_MOVING = "/tf"
-#: Messages that may wait: those of many nodes come at once, as in tf2.
-_DEPTH = 100
 #: Optical axes (x right, y down, z forward) in a body's (x forward, y left, z up): REP 103.
 _OPTICAL = (-0.5, 0.5, -0.5, 0.5)
 
@@ -99,45 +93,3 @@ class Mount:
         transform = mount(values)
         transform.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message(transforms=[transform]))
-
-
-class Transforms:
-    """``tree`` holds what came on /tf and /tf_static; ``changed`` is called after each message."""
-
-    def __init__(self, node: Node, changed: Callable[[], None]) -> None:
-        self.tree = TransformTree()
-        self._node = node
-        self._changed = changed
-        self._from: list[Subscription] = []
-
-    def listen(self, wanted: bool) -> None:
-        """Begin to listen, or end it and forget; say so where tf2_msgs is missing."""
-        if wanted == bool(self._from):
-            return
-        if not wanted:
-            for one in self._from:
-                self._node.destroy_subscription(one)
-            self._from, self.tree = [], TransformTree()
-            return
-        message = transform_message()
-        if message is None:
-            self._node.get_logger().warning(
-                f"base_frame is given, but tf2_msgs is not installed: mount.* holds {INSTALL}"
-            )
-            return
-        moving = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-        resting = latched()
-        resting.depth = _DEPTH
-        for topic, profile in ((_MOVING, moving), (TOPIC, resting)):
-            self._from.append(self._node.create_subscription(message, topic, self._take, profile))
-
-    def _take(self, message: Any) -> None:
-        for one in message.transforms:
-            move, turn = one.transform.translation, one.transform.rotation
-            self.tree.add(
-                one.header.frame_id,
-                one.child_frame_id,
-                position=(move.x, move.y, move.z),
-                quaternion=(turn.x, turn.y, turn.z, turn.w),
-            )
-        self._changed()

@@ -63,12 +63,20 @@ class Freshness:
             return 0
         newest = waiting[-1].stamp
         self._note(newest)
-        limit = round(self._values[MAXIMUM_AGE.name] * NANOSECONDS)
-        if limit and limit < self._now() - newest < _JUMP:
+        if self.expired(newest):
             return len(waiting)
-        limit = limit or self._three_periods()
+        limit = self._limit or self._three_periods()
         late = any(limit < newest - one.stamp < _JUMP for one in waiting) if limit else False
         return len(waiting) - 1 if late or len(waiting) > self._values[QUEUE_DEPTH.name] else 0
+
+    def expired(self, stamp: int) -> bool:
+        """Return whether a stamp [ns] is farther behind the clock than a maximum age that is set allows."""
+        limit = self._limit
+        return bool(limit) and limit < self._now() - stamp < _JUMP
+
+    @property
+    def _limit(self) -> int:
+        return round(float(self._values[MAXIMUM_AGE.name]) * NANOSECONDS)
 
     def _note(self, stamp: int) -> None:
         if self._newest is not None and 0 < stamp - self._newest < _JUMP:

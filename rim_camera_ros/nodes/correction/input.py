@@ -56,7 +56,7 @@ class Input(Protocol):
     """A source of raw frames."""
 
     @property
-    def left_out(self) -> Mapping[str, int]:
+    def dropped(self) -> Mapping[str, int]:
         """What did not become a frame since `begin`, by reason."""
 
     def begin(self, delivery: str) -> None:
@@ -89,9 +89,9 @@ class MessageInput:
         self._pairing = StampPairing(self._published)
 
     @property
-    def left_out(self) -> Mapping[str, int]:
+    def dropped(self) -> Mapping[str, int]:
         """Return what did not become a frame, or was not taken, since `begin`, by reason."""
-        return _with_dropped(self._pairing.left_out, self._frames)
+        return _with_dropped(self._pairing.dropped, self._frames)
 
     def begin(self, delivery: str) -> None:
         """Subscribe to the driver's topics."""
@@ -133,7 +133,7 @@ class MessageInput:
         return lambda message: self._take(role, message)
 
     def _take(self, role: str, message: Any) -> None:
-        """Take a message of a role; what is wrong with it is counted and said, and its frame is left out."""
+        """Take a message of a role; what is wrong with it is counted and said, and its frame is dropped."""
         if role not in self._from:
             return  # it came while the node was being deactivated
         stamp = messages.stamp_of(message)
@@ -199,17 +199,17 @@ class MemoryInput:
     def __init__(self, receiver: Receiver, frames: Handover[Exposure]) -> None:
         self._receiver = receiver
         self._frames = frames
-        self._left_out: Counter[str] = Counter()
+        self._dropped: Counter[str] = Counter()
         frames.connect(receiver.node)
 
     @property
-    def left_out(self) -> Mapping[str, int]:
+    def dropped(self) -> Mapping[str, int]:
         """Return what was not taken since `begin`, by reason."""
-        return _with_dropped(self._left_out, self._frames)
+        return _with_dropped(self._dropped, self._frames)
 
     def begin(self, delivery: str) -> None:
         """Take frames; with reliable delivery the driver waits for the correction."""
-        self._left_out = Counter()
+        self._dropped = Counter()
         keep_all = delivery == qos.RELIABLE
         self._frames.begin(self._take, keep_all=keep_all, surplus=self._receiver.fresh.surplus)
 
@@ -231,7 +231,7 @@ class MemoryInput:
             for image in frame.by_role.values():
                 _check_shape(image.shape, self._receiver.camera())
         except InputError as error:
-            self._left_out["distance refused"] += 1
+            self._dropped["distance refused"] += 1
             _refuse(self._receiver, "distance", "frame", error)
             return
         if geometry is not None:
@@ -239,8 +239,8 @@ class MemoryInput:
         self._receiver.deliver([frame], exposure.frame_id)
 
 
-def _with_dropped(left_out: Counter[str], frames: Handover[Exposure]) -> Mapping[str, int]:
-    return left_out + Counter({_DROPPED: frames.dropped})
+def _with_dropped(dropped: Counter[str], frames: Handover[Exposure]) -> Mapping[str, int]:
+    return dropped + Counter({_DROPPED: frames.dropped})
 
 
 def _refuse(receiver: Receiver, role: str, what: str, error: Exception) -> None:

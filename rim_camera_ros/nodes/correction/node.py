@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
+from collections import Counter
 from collections.abc import Collection, Set
 from dataclasses import replace
 from typing import Any
@@ -23,6 +24,7 @@ from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.files import find_camera
 from rim_camera_ros.frame import RawFrame, Settings
 from rim_camera_ros.measurement import FrameCorrection, measurement_of
+from rim_camera_ros.nodes.common import qos
 from rim_camera_ros.nodes.common.device_info import LatchedInfo, file_values
 from rim_camera_ros.nodes.common.diagnostics import Diagnostics
 from rim_camera_ros.nodes.common.folders import Folders
@@ -34,8 +36,8 @@ from rim_camera_ros.nodes.correction.aside import Aside
 from rim_camera_ros.nodes.correction.freshness import Freshness
 from rim_camera_ros.nodes.correction.input import Input, MemoryInput, MessageInput, Receiver
 from rim_camera_ros.nodes.correction.parameters import (
-    BESIDE,
     EFFECT,
+    INDEPENDENT,
     PEOPLE,
     SPECS,
     correction_of,
@@ -52,7 +54,9 @@ _TICK = 0.1
 _LINGER = 0.5
 #: Integration times lately seen whose tables another camera file or effect makes before it takes effect.
 _SEEN = 4
-#: Sentences that are said once; more of them are not said at all.
+#: Why frames that were corrected are not published.
+_EXPIRED = "maximum_age was over once it was corrected"
+#: Notes of the correction that are logged, each once.
 _NOTES_AT_MOST = 200
 
 
@@ -90,16 +94,17 @@ class CorrectionNode:
         self._last: RawFrame | None = None
         self._seen: dict[float | None, Settings] = {}
         self._noted: set[str] = set()
-        self._left_out: dict[str, int] = {}
+        self._warned_of: dict[str, int] = {}
         self._clouds = Handover[CorrectedCloud]() if clouds is None else clouds
         self._topics: CorrectedPublishers | None = None
+        self._fresh = Freshness(values, lambda: int(self.node.get_clock().now().nanoseconds))
         receiver = Receiver(
             self.node,
             self._throttle,
             self._status.refused,
             lambda: self._camera,
             self._correct,
-            Freshness(self._parameters.values, lambda: int(self.node.get_clock().now().nanoseconds)),
+            self._fresh,
             lambda: bool(self._parameters.values["samples"]),
         )
         self._input: Input = MessageInput(receiver) if frames is None else MemoryInput(receiver, frames)
@@ -147,14 +152,14 @@ class CorrectionNode:
         """Make the tables and offer the topics."""
         warm_up(self._correction)
         values = self._parameters.values
-        self._topics = CorrectedPublishers(self.node, values, clouds=self._clouds)
+        self._topics = CorrectedPublishers(self.node, values, clouds=self._clouds, expired=self._expired)
         self._info = LatchedInfo(self.node, "~/camera_file")
         self._say_file()
         self._log.info(f"correcting {self.node.get_namespace()} with camera file {values['camera']}")
 
     def activate(self) -> None:
         """Take raw frames from now on."""
-        self._left_out.clear()
+        self._warned_of.clear()
         self._input.begin(self._parameters.values["qos.input"])
         self._status.begin()
 
@@ -195,10 +200,19 @@ class CorrectionNode:
             if len(self._noted) < _NOTES_AT_MOST:
                 self._noted.add(note)
                 self._log.warning(note)
-        for reason, count in self._input.left_out.items():
-            if count > self._left_out.get(reason, 0):
-                self._left_out[reason] = count
-                self._throttle.warn(reason, f"{reason}: {count} left out so far")
+        for reason, count in self._dropped().items():
+            if count > self._warned_of.get(reason, 0):
+                self._warned_of[reason] = count
+                self._throttle.warn(reason, f"{reason}: {count} dropped so far")
+
+    def _expired(self, stamp: int) -> bool:
+        """Return whether a frame is too old to be published; with reliable input none is."""
+        return self._parameters.values["qos.input"] != qos.RELIABLE and self._fresh.expired(stamp)
+
+    def _dropped(self) -> Counter[str]:
+        """Return what was not corrected, or not published, by reason."""
+        expirations = 0 if self._topics is None else self._topics.expirations
+        return Counter(self._input.dropped) + Counter({_EXPIRED: expirations})
 
     def _note_setting(self, settings: Settings) -> None:
         self._seen.pop(settings.integration_time, None)
@@ -208,7 +222,7 @@ class CorrectionNode:
 
     def _look_at_frames(self) -> Any:
         self._status.phase = self.node.phase
-        return self._status.frames(self._input.left_out)
+        return self._status.frames(self._dropped())
 
     # --- parameters and services ----------------------------------------------------------------
 
@@ -225,12 +239,12 @@ class CorrectionNode:
         return {EFFECT + name: name in camera.effects and name not in off for name in registry()}
 
     def _prepare(self, values: Values, changed: Set[str]) -> Apply:
-        """Check new values and build the correction that they ask for; return what puts it into effect.
+        """Check new values and build the correction that they describe; return what puts it into effect.
 
         It is built, with its tables, in another thread, and frames go on being corrected as before. This
         returns, and the service answers, when all is ready.
         """
-        if changed <= BESIDE:
+        if changed <= INDEPENDENT:
             return lambda: None
         anew = "camera" in changed
         if anew:

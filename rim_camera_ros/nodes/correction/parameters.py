@@ -66,7 +66,7 @@ SPECS = (
 )
 
 #: Parameters that change nothing of the correction itself.
-BESIDE = frozenset({"save_as", "points.fields", MAXIMUM_AGE.name, QUEUE_DEPTH.name})
+INDEPENDENT = frozenset({"save_as", "points.fields", MAXIMUM_AGE.name, QUEUE_DEPTH.name})
 
 #: A parameter of the correction in `camera_node`.
 PEOPLE = Spec("people", False, "follow people who walk through the view, in the same process", read_only=True)

@@ -15,7 +15,7 @@ _Publishers = dict[bytes, str]
 class PublisherWatch:
     """Counts the publishers of topics, and warns once of each change where one has several.
 
-    Two nodes of one name cannot be told apart by their names, nor their messages: publishers are counted by
+    Neither names nor messages distinguish two nodes of the same name: publishers are counted by
     the identifiers (gid) that the middleware gives them. ``topics`` are relative to the node's namespace. A
     change counts when two looks after each other find the same: publishers are discovered one by one.
     """

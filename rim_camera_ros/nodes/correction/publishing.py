@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Callable, Set
 
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from rim_camera_ros.bags.image_transport import compressed, compressed_depth
@@ -38,11 +39,21 @@ _DEPTH = {"depth", "depth_compressed", *_RECTIFIED}
 class CorrectedPublishers:
     """Publishers of the corrected frames; ``values`` are the correction's parameters.
 
-    ``clouds``: hands points and sigma to a node in the same process, too.
+    ``clouds``: hands points and sigma to a node in the same process, too. ``expired`` says of a stamp [ns]
+    whether its frame, now that it is corrected, is too old to be published; ``expirations`` counts those.
     """
 
-    def __init__(self, node: ManagedNode, values: Values, *, clouds: Handover[CorrectedCloud]) -> None:
+    def __init__(
+        self,
+        node: ManagedNode,
+        values: Values,
+        *,
+        clouds: Handover[CorrectedCloud],
+        expired: Callable[[int], bool],
+    ) -> None:
         self._node = node
+        self._expired = expired
+        self.expirations = 0
         self._clouds = clouds
         self._values = values
         self._of: dict[str, Publisher] = {}
@@ -73,26 +84,31 @@ class CorrectedPublishers:
             return None
         head = messages.header(frame.stamp, frame_id)
         fields = self._values["points.fields"].split("+")
-        corrected: CorrectedDistance
-        full: CorrectedFrame | None = None
-        if whole or handed or wanted & _WHOLE or ("points" in wanted and len(fields) > 1):
-            corrected = full = correction.correct(frame)
-            self._publish_whole(full, wanted, head)
-        else:
-            corrected = correction.correct_distance(frame)
-        if handed or ("points" in wanted and len(fields) > 1):
-            points = correction.cloud(corrected)
-            if full is not None:
-                self._clouds.put(CorrectedCloud(points, full.sigma, head, frame.stamp))
+        further = "points" in wanted and len(fields) > 1
+        full = correction.correct(frame) if whole or handed or further or wanted & _WHOLE else None
+        corrected: CorrectedDistance = correction.correct_distance(frame) if full is None else full
+        points: NDArray[np.float32] | None = None
+        cloud: PointCloud2 | None = None
+        if full is not None and (handed or further):
+            points = correction.cloud(full)
             if "points" in wanted:
-                sigma = full.sigma if full is not None and "sigma" in fields else None
-                flags = full.flags if full is not None and "flags" in fields else None
-                self._of["points"].publish(messages.cloud(points, head, sigma=sigma, flags=flags))
+                sigma = full.sigma if "sigma" in fields else None
+                flags = full.flags if "flags" in fields else None
+                cloud = messages.cloud(points, head, sigma=sigma, flags=flags)
         elif "points" in wanted:
             if self._cloud is None or self._cloud.points.shape[:2] != frame.shape:
                 self._cloud = messages.CloudMessage(frame.shape)
             correction.cloud(corrected, out=self._cloud.points)
-            self._of["points"].publish(self._cloud.of(head))
+            cloud = self._cloud.of(head)
+        if (wanted or handed) and self._expired(frame.stamp):
+            self.expirations += 1
+            return full
+        if cloud is not None:  # first: it is waited for
+            self._of["points"].publish(cloud)
+        if points is not None and full is not None:
+            self._clouds.put(CorrectedCloud(points, full.sigma, head, frame.stamp))
+        if full is not None:
+            self._publish_whole(full, wanted, head)
         if "corrected_distance" in wanted:
             self._of["corrected_distance"].publish(messages.image(corrected.distance, head))
         if "depth_camera_info" in wanted:

@@ -33,7 +33,7 @@ _TOO_DARK = (0.8, 0.7)
 #: for the minutes that a task takes; 0.8 mm/min, which an SR-3000 reaches half a minute later.
 _DRIFTS = (1e-3 / 60, 0.8e-3 / 60)
 #: Departure [-] of the noise from the predicted one, as the logarithm of their ratio, with which a camera
-#: counts as another one than calibrated, and as the same again (0.83 to 1.2).
+#: counts as different from the calibrated camera, and as the same again (0.83 to 1.2).
 _DEPARTS = (math.log(GREATEST), math.log(1.2))
 _DAY = 86400.0
 #: Pixels of which medians are stated.
@@ -116,18 +116,18 @@ class CorrectionStatus:
 
     # --- findings -------------------------------------------------------------------------------
 
-    def frames(self, left_out: Mapping[str, int]) -> Finding:
-        """Return whether frames come, whole and in time; ``left_out``: counts by reason."""
+    def frames(self, dropped: Mapping[str, int]) -> Finding:
+        """Return whether frames come, whole and in time; ``dropped``: counts by reason."""
         now = time.monotonic()
         finding = Finding(values=self.flow.values(now))
         counts = {
             **{f"refused {role}": count for role, count in self.refused.items()},
-            **{f"left out: {reason}": count for reason, count in left_out.items()},
+            **{f"dropped: {reason}": count for reason, count in dropped.items()},
             "not corrected": self.uncorrected,
         }
         finding.values |= {
             "refused_messages": str(self.refused.total()),
-            "left_out_frames": str(sum(left_out.values())),
+            "dropped_frames": str(sum(dropped.values())),
             **{name: str(count) for name, count in counts.items()},
         }
         lately = self._tally.recent(counts, now)
@@ -245,7 +245,7 @@ class CorrectionStatus:
         return finding
 
     def consistency(self) -> Finding:
-        """Return whether the noise of the frames is the one that the camera file states."""
+        """Return whether the noise of the frames is that of the camera file."""
         finding = Finding()
         verdict = None if self._watch is None else self._watch.verdict
         if verdict is None:

@@ -242,7 +242,7 @@ class DriverNode:
     # --- parameters and services ----------------------------------------------------------------
 
     def _prepare(self, values: Values, changed: Set[str]) -> Apply:
-        """Check new values and open the device that they ask for; return what puts them into effect."""
+        """Check new values and open the device that they need; return what puts them into effect."""
         for name, kind in _FILES.items():
             if name in changed:
                 self._folders.check(values[name], kind=kind, place=name)
@@ -330,7 +330,7 @@ def _geometry(values: Values) -> Intrinsics | None:
 
 
 def _file_in_use(values: Values) -> dict[str, str]:
-    """Return the camera file that describes what is published: a recording has none but the one given."""
+    """Return the values of the camera file of what is published; of a recording only if a file is given."""
     name = values["camera_info"] or ("" if values["source"] == "playback" else values["camera"])
     return file_values(name) if name else {}
 

@@ -144,7 +144,7 @@ SPECS = (
 
 #: Parameters that describe the published transform.
 MOUNT = frozenset(one.name for one in SPECS if one.name.startswith("mount.")) | {"base_frame", "frame_id"}
-#: Parameters that can be changed while a device runs; the others that describe it make another one.
+#: Parameters that can be changed while a device runs; the others that describe it open another device.
 _WHILE_RUNNING = {
     "frame_rate",
     "integration_time",

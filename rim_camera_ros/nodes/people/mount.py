@@ -8,7 +8,7 @@ from rclpy.node import Node
 
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.nodes.common.findings import Finding, Level
-from rim_camera_ros.nodes.common.transforms import Transforms
+from rim_camera_ros.nodes.people.transforms import Transforms
 from rim_camera_ros.tracking.ground import Ground
 
 #: Changes of height [m] and of angles [rad] below which a mount is the same: joints and localisation are not
@@ -17,7 +17,7 @@ _SAME_HEIGHT, _SAME_ANGLE = 0.01, 0.005
 
 
 class MountOf:
-    """The mount of a camera from /tf and /tf_static; ``changed`` is called when it becomes another one.
+    """The mount of a camera from /tf and /tf_static; ``changed`` is called when it changes.
 
     ``ground``: the floor below the camera, None while no base frame is used or nothing leads from it.
     """

@@ -174,8 +174,8 @@ class PeopleNode:
         silent = [
             one.topic_name for one in self._from.values() if self.node.count_publishers(one.topic_name) == 0
         ]
-        left_out = self._pairing.left_out if self._clouds is None else self._clouds.dropped
-        return self._status.frames(left_out, " and ".join(silent))
+        dropped = self._pairing.dropped if self._clouds is None else self._clouds.dropped
+        return self._status.frames(dropped, " and ".join(silent))
 
     # --- parameters and services ----------------------------------------------------------------
 

@@ -10,10 +10,10 @@ CAPACITY = 8
 
 
 class CloudPairing:
-    """Pairs the cloud and the sigma image of one stamp; ``left_out`` counts halves that stayed alone."""
+    """Pairs the cloud and the sigma image of one stamp; ``dropped`` counts halves that stayed alone."""
 
     def __init__(self) -> None:
-        self.left_out = 0
+        self.dropped = 0
         self._waiting: dict[int, dict[str, Any]] = {}
         self._begun = False
 
@@ -40,4 +40,4 @@ class CloudPairing:
     def _drop(self) -> None:
         # who joins late finds one half of the first frame: nothing is wrong with that
         if self._begun:
-            self.left_out += 1
+            self.dropped += 1

@@ -84,7 +84,7 @@ SPECS = (
     Spec(
         "cluster.maximum_sigma",
         _CLUSTER.maximum_sigma,
-        "points with a greater standard deviation are left out [m]",
+        "points with a greater standard deviation are ignored [m]",
         limits=(0.001, 10.0),
     ),
     Spec(

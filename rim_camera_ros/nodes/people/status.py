@@ -32,15 +32,15 @@ class PeopleStatus:
         latency = (time.time_ns() - stamp) / 1e9
         self.flow.add(time.monotonic(), stamp=stamp, latency=latency, processing=processing)
 
-    def frames(self, left_out: int, waiting_for: str) -> Finding:
+    def frames(self, dropped: int, waiting_for: str) -> Finding:
         """Return whether frames come; ``waiting_for``: the topic that nobody publishes, or ''."""
         now = time.monotonic()
         finding = Finding(values=self.flow.values(now))
         counts = {f"refused {role}": count for role, count in self.refused.items()}
-        counts["cloud or sigma without the other"] = left_out
+        counts["cloud or sigma without the other"] = dropped
         finding.values |= {
             "refused_messages": str(self.refused.total()),
-            "left_out_frames": str(left_out),
+            "dropped_frames": str(dropped),
         }
         lately = self._tally.recent(counts, now)
         if self.phase != ACTIVE:
