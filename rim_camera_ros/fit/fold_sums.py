@@ -39,6 +39,22 @@ class Fold:
     gain_weight: Array | None = None
     cross: Array | None = None
 
+    def errors_beside(self, values: Array, offsets: Array, gains: Array | None) -> dict[str, float]:
+        """Return the nuisances for regressors (K,), offsets and gains of pixels (P,) that others found.
+
+        What the poses have in common and the offsets can trade with each other: errors that were found with
+        other offsets would leave what the two differ by.
+        """
+        own = slice(len(values), len(values) + len(self.nuisances))
+        prior = np.array([sigma**-2 for _, sigma, _ in self.nuisances])
+        at = np.array([start for *_, start in self.nuisances])
+        right = self.gram[own, -1] - self.gram[own, : len(values)] @ values - prior * at
+        right -= self.pixel[:, own].T @ offsets
+        if gains is not None and self.gain is not None:
+            right -= self.gain[:, own].T @ gains
+        found = np.linalg.solve(self.gram[own, own] + np.diag(prior), right)
+        return {name: float(e) for (name, *_), e in zip(self.nuisances, found, strict=True)}
+
 
 def _rows(images: Sequence[Array], pixels: Array) -> Array:
     """Return the chosen pixels of images (H, W) as rows (len(images), N), 0 where not finite."""

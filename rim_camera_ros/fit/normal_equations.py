@@ -97,6 +97,10 @@ class PixelPriors:
         result[self.seen] = values
         return result
 
+    def where_seen(self, values: Array) -> Array:
+        """Return values of all pixels (N, ...) for those that were seen (P, ...)."""
+        return values if self.seen is None else np.asarray(values[self.seen])
+
 
 class PixelElimination:
     """The offset and the gain of each pixel, eliminated from the sum of some folds.
