@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.cli import main
 from rim_camera_ros.frame import Pose, Settings
 from rim_camera_ros.photogrammetry.board_detection import find_board
+from rim_camera_ros.photogrammetry.board_stations import BoardStations
 from rim_camera_ros.photogrammetry.from_images import ImagePoses, Known, poses_of_recording, write_poses
 from rim_camera_ros.photogrammetry.texture_targets import targets_of
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
@@ -88,6 +90,18 @@ def test_a_checkerboard(checkerboard: tuple[Camera, Scene, Path], tmp_path: Path
         pose = frame.truth["board"]
         np.testing.assert_allclose(pose.covariance, found.poses.stations[number].pose.covariance, rtol=1e-12)
         assert frame.pose_stamps["board"] == found.first[number]
+
+
+def test_a_board_in_the_hand_has_a_station_wherever_it_rests(
+    checkerboard: tuple[Camera, Scene, Path],
+) -> None:
+    """Nobody tells poses: the images alone say that the board moved."""
+    camera, scene, bag = checkerboard
+    stations = BoardStations(scene.surfaces[0], camera)
+    with Recording(bag) as recording:
+        frames = [replace(one, truth={}, pose_stamps={}) for one in recording.frames()]
+    assert len(list(stations.frames(iter(frames)))) == 8 * FRAMES
+    assert list(stations.station.values()) == [k for k in range(8) for _ in range(FRAMES)]
 
 
 @pytest.mark.parametrize(
