@@ -89,12 +89,12 @@ def _level(ratios: Array, poses: int) -> float:
 def _pixel_means(fitted: Fit, scores: Scores, place: Sequence[int]) -> Array | None:
     """Return the weighted mean of each column over each pixel's values (P, K), None without a pattern."""
     folds = fitted.equations.folds
-    if folds[0].pixel.shape[0] == 1:
+    if not fitted.equations.pixels.size or fitted.equations.pixels.seen is None:
         return None
     columns = [int(scores.base[i]) for i in place]
     total = np.sum([one.pixel[:, columns] for one in folds], axis=0)
     weight = np.sum([one.weight for one in folds], axis=0) + fitted.equations.pattern_prior**-2
-    return np.asarray(total / weight[:, None])
+    return fitted.equations.pixels.everywhere(total / weight[:, None])
 
 
 def _scores_of(

@@ -100,7 +100,7 @@ class Solution:
     def pattern_variance(self, leave_out: int | None = None) -> Array:
         """Return the variance of the pattern's estimate (H, W) in m^2 by the noise; infinite where unseen."""
         kept = [one for i, one in enumerate(self.fit.equations.folds) if i != leave_out]
-        weight = np.sum([one.weight for one in kept], axis=0)
+        weight = self.fit.equations.pixels.everywhere(np.sum([one.weight for one in kept], axis=0))
         shape = self.fit.camera.shape
         if weight.size != shape[0] * shape[1]:
             return np.full(shape, np.inf)

@@ -24,7 +24,7 @@ from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.evidence import Scores
 
 Array = NDArray[Any]
-#: Changes of parameters, errors of poses and powers, fixed pattern (H, W) in m.
+#: Changes of parameters, errors of poses and powers, fixed pattern (H, W) in m, NaN where it is not known.
 _Parameters = tuple[Mapping[str, float], Mapping[str, float], Array]
 
 #: Ratio of held-out distances' RMS above which the improved camera is none, and what is said then.
@@ -179,16 +179,23 @@ def _clean_by(camera: Camera, problem: Problem, scene: Scene, views: Views) -> M
 def _held_out(fitted: Fit, problem: Problem, folds: Mapping[tuple[int, int], int]) -> tuple[float, float]:
     """Return RMS [m] and chi-square per value of held-out poses.
 
-    A pose's own errors and power are found with the parameters of the other folds.
+    A pose's own errors and power are found beside the parameters and the fixed pattern of the other folds,
+    in whose pixels they are judged: of the others nothing is known.
     """
     scores = Scores(fitted.equations, range(len(fitted.parameters)))
     chi_square, rows = scores.chi_square(held_out=True)
     others: list[_Parameters] = []
+    parts, pixels = fitted.equations.folds, fitted.equations.pixels
+    shape = fitted.camera.shape
     for k, trained in enumerate(scores.trained):
         own = scores.values(leave_out=k)
         values = np.array([own[r.label] for r in scores.regressors])
-        _, flat, _ = trained.recover(values)
-        others.append((own, scores.full.recover(values)[0], flat.reshape(fitted.camera.shape)))
+        _, flat, gains = trained.recover(values)
+        gains = None if gains is None else pixels.where_seen(gains)
+        errors = parts[k].errors_beside(values, pixels.where_seen(flat), gains)
+        weight = np.sum([one.weight for i, one in enumerate(parts) if i != k], axis=0)
+        known = pixels.everywhere(weight) > 0
+        others.append((own, errors, np.where(known, flat, np.nan).reshape(shape)))
     blocks = blocks_of(problem, fitted.camera, fitted.scene) if others else []
     all_poses: _Parameters = ({}, fitted.nuisances, fitted.pattern)
     total, number = 0.0, 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import Column, Context, Dependency, DistanceTerm, Image, Signal
 from rim_camera_ros.effects.candidate import Candidate, Facts, linear
 from rim_camera_ros.effects.graph import Graph, over_distance
+from rim_camera_ros.optics import Optics, pixel_rays
 from rim_camera_ros.parameters import quantity
 
 #: No distance is longer [m]: between it and 0 the term is linear.
@@ -50,32 +52,21 @@ class DistanceScale(DistanceTerm):
     def term(self, distance: Image, amplitude: Image, context: Context) -> Image | float:
         if self.principal_point is None:
             return self.scale * distance
-        ray, there = self._at_one_metre(context.camera)
-        ratio = np.sqrt((1 + (ray**2).sum(axis=-1)) / (1 + (there**2).sum(axis=-1)))
-        result: Image = (self.scale - 1 + ratio) * distance
+        result: Image = (self.scale - 1 + _by_other_axis(context.camera, self.principal_point)[0]) * distance
         return result
 
     def distance_knots(self) -> tuple[float, ...]:
         return () if self.principal_point is None else (0.0, _FARTHEST)
 
-    def _at_one_metre(self, camera: Camera) -> tuple[Image, Image]:
-        """Return x and y at z = 1 (H, W, 2) of the rays by the optics of the camera and of the driver."""
-        focal = np.array([camera.optics.fx, camera.optics.fy])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ray = camera.rays[..., :2] / camera.rays[..., 2:]
-        return ray, ray - np.array(self.principal_point or (0.0, 0.0)) / focal
-
     def columns(self, signal: Signal, context: Context) -> dict[str, Column]:
         distance = np.asarray(signal.distance)
         if self.principal_point is None:
             return {"scale": (distance, 0.0)}
-        ray, there = self._at_one_metre(context.camera)
-        optics = context.camera.optics
-        change = np.sqrt(1 + (ray**2).sum(axis=-1)) / (1 + (there**2).sum(axis=-1)) ** 1.5 * distance
+        _, across, down = _by_other_axis(context.camera, self.principal_point)
         return {
             "scale": (distance, 0.0),
-            "principal_point.0": (change * there[..., 0] / optics.fx, 0.0),
-            "principal_point.1": (change * there[..., 1] / optics.fy, 0.0),
+            "principal_point.0": (across * distance, 0.0),
+            "principal_point.1": (down * distance, 0.0),
         }
 
     def sentence(self) -> str:
@@ -108,3 +99,24 @@ class DistanceScale(DistanceTerm):
     @classmethod
     def example(cls, camera: Camera) -> DistanceScale:
         return cls(scale=-0.0011, principal_point=(0.35, -0.55))
+
+
+def _by_other_axis(camera: Camera, point: tuple[float, float]) -> tuple[Image, Image, Image]:
+    """Return what becomes of a distance of 1 m (H, W), and its derivatives by both numbers of ``point``."""
+    return _at_one_metre(camera.optics, camera.sensor.width, camera.sensor.height, point)
+
+
+@lru_cache(maxsize=4)
+def _at_one_metre(
+    optics: Optics, width: int, height: int, point: tuple[float, float]
+) -> tuple[Image, Image, Image]:
+    rays = pixel_rays(optics, width=width, height=height)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ray = rays[..., :2] / rays[..., 2:]
+    there = ray - np.array(point) / (optics.fx, optics.fy)
+    own, other = (np.sqrt(1 + (one**2).sum(axis=-1)) for one in (ray, there))
+    slopes = (own / other**3)[..., None] * there / (optics.fx, optics.fy)
+    result = (own / other, np.ascontiguousarray(slopes[..., 0]), np.ascontiguousarray(slopes[..., 1]))
+    for image in result:
+        image.flags.writeable = False
+    return result

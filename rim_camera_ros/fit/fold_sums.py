@@ -23,10 +23,10 @@ class Fold:
     ``nuisances``: name, 1-sigma of the prior, and where the equations are linearised (their prior's mean is
     0).
     ``gram`` (M, M) over regressors, this fold's nuisances and the observations (last); ``pixel`` (P, M) and
-    ``weight`` (P,) the sums per pixel of products with its offset; ``gain`` (P, M) those with the relative
-    gain of the pixel, in both channels (None: gains are known), ``gain_weight`` (P,) and ``cross`` (P,) its
-    own and those with the offset; ``rows`` the number of observations, ``log_sigma`` the sum of their log
-    standard deviations.
+    ``weight`` (P,) the sums per pixel that was seen of products with its offset; ``gain`` (P, M) those with
+    the relative gain of the pixel, in both channels (None: gains are known), ``gain_weight`` (P,) and
+    ``cross`` (P,) its own and those with the offset; ``rows`` the number of observations, ``log_sigma`` the
+    sum of their log standard deviations.
     """
 
     nuisances: list[tuple[str, float, float]]
@@ -38,6 +38,22 @@ class Fold:
     gain: Array | None = None
     gain_weight: Array | None = None
     cross: Array | None = None
+
+    def errors_beside(self, values: Array, offsets: Array, gains: Array | None) -> dict[str, float]:
+        """Return the nuisances for regressors (K,), offsets and gains of pixels (P,) that others found.
+
+        What the poses have in common and the offsets can trade with each other: errors that were found with
+        other offsets would leave what the two differ by.
+        """
+        own = slice(len(values), len(values) + len(self.nuisances))
+        prior = np.array([sigma**-2 for _, sigma, _ in self.nuisances])
+        at = np.array([start for *_, start in self.nuisances])
+        right = self.gram[own, -1] - self.gram[own, : len(values)] @ values - prior * at
+        right -= self.pixel[:, own].T @ offsets
+        if gains is not None and self.gain is not None:
+            right -= self.gain[:, own].T @ gains
+        found = np.linalg.solve(self.gram[own, own] + np.diag(prior), right)
+        return {name: float(e) for (name, *_), e in zip(self.nuisances, found, strict=True)}
 
 
 def _rows(images: Sequence[Array], pixels: Array) -> Array:
@@ -226,20 +242,21 @@ def _gain_share(prediction: Prediction, distances: _Channel, light: _Channel) ->
 class FoldSums:
     """The sums of one fold of poses: of ``count`` regressors.
 
-    ``pattern`` asks for the sums per pixel, ``gains`` for those of the gains of pixels.
+    ``pattern`` asks for the sums per pixel, ``gains`` for those of the gains of pixels. ``rows`` (H W,) is
+    the row of each pixel in them (-1: none), of ``pixels`` rows.
     """
 
-    def __init__(self, count: int, pixels: int, *, pattern: bool, gains: bool = False) -> None:
-        self._count = count
+    def __init__(self, count: int, pixels: int, *, rows: Array, pattern: bool, gains: bool = False) -> None:
+        self._count, self._rows_of = count, rows
         self._nuisances: dict[str, tuple[float, float]] = {}
         self._gram = np.zeros((count, count))
         self._right = np.zeros(count)
         self._square = 0.0
         self._rows = 0
         self._log_sigma = 0.0
-        self._pixel = _PixelSums(count, pixels) if pattern else None
+        self._pixel = _PixelSums(count, pixels, rows) if pattern else None
         self._weight: Array = np.zeros(pixels if pattern else 1)
-        self._gain = _PixelSums(count, pixels) if pattern and gains else None
+        self._gain = _PixelSums(count, pixels, rows) if pattern and gains else None
         self._gain_weight: Array = np.zeros(pixels)
         self._gain_cross: Array = np.zeros(pixels)
         # of each nuisance: products with the regressors, and with y
@@ -256,15 +273,16 @@ class FoldSums:
             return
         number = {name: self._count + i for i, name in enumerate(self._nuisances)}
         places = [*range(self._count), *(number[name] for name, *_ in share.nuisances)]
-        self._weight[share.pixels] += share.weight
+        rows = self._rows_of[share.pixels]
+        self._weight[rows] += share.weight
         self._pixel.add(share.offsets, places)
         if share.gain is not None and self._gain is not None:
             gain = share.gain
             for part in (gain.distance, gain.light):
                 self._gain.add(part, places)
-            self._gain_weight[share.pixels] += gain.weight
-            self._gain_weight[gain.light.channel.pixels] += gain.light_weight
-            self._gain_cross[share.pixels] += gain.cross
+            self._gain_weight[rows] += gain.weight
+            self._gain_weight[self._rows_of[gain.light.channel.pixels]] += gain.light_weight
+            self._gain_cross[rows] += gain.cross
 
     def _sum(self, gram: Array, nuisances: Sequence[tuple[str, float, float]]) -> None:
         count = self._count
@@ -309,7 +327,8 @@ class _PixelSums:
     They are the largest arrays of an adjustment, which grow in their place and are never copied.
     """
 
-    def __init__(self, count: int, pixels: int) -> None:
+    def __init__(self, count: int, pixels: int, rows: Array) -> None:
+        self._rows_of = rows
         self._sums: Array = np.zeros((count, pixels))
         self._y: Array = np.zeros(pixels)
 
@@ -317,13 +336,14 @@ class _PixelSums:
         """Add products; ``places`` are the rows here of all columns but the last, the observations."""
         self._grow(max(places, default=-1) + 1)
         channel = part.channel
-        buffer = np.empty(channel.pixels.size)
+        rows = self._rows_of[channel.pixels]
+        buffer = np.empty(rows.size)
         for number, row in zip(channel.index.tolist(), channel.dense, strict=True):
             target = self._sums[places[number]] if number < len(places) else self._y
-            target[channel.pixels] += np.multiply(row, part.factor, out=buffer)
+            target[rows] += np.multiply(row, part.factor, out=buffer)
         mine = np.flatnonzero(channel.group >= 0)
         # a pixel has one of them: no place is named twice
-        self._sums[channel.group[mine], channel.pixels[mine]] += channel.value[mine] * part.factor[mine]
+        self._sums[channel.group[mine], rows[mine]] += channel.value[mine] * part.factor[mine]
 
     def all(self, size: int) -> Array:
         """Return the sums (P, ``size``), the observations last; column by column, as they were summed."""

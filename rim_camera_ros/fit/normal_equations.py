@@ -79,12 +79,27 @@ class PixelPriors:
     """What is known of every pixel: 1-sigma of its ``offset`` [m] and of its relative ``gain`` (0: known).
 
     ``gains_at`` (P,) are the logarithms of the gains where the equations are linearised; their prior is
-    about 0.
+    about 0. ``seen`` are the numbers of the P pixels of which there are sums, in an array of ``size``
+    pixels (None: all); the others keep the middle of their priors.
     """
 
     offset: float = PATTERN_PRIOR
     gain: float = 0.0
     gains_at: Array | None = None
+    seen: Array | None = None
+    size: int = 0
+
+    def everywhere(self, values: Array) -> Array:
+        """Return values of the pixels that were seen (P, ...) for all pixels, 0 elsewhere."""
+        if self.seen is None:
+            return values
+        result = np.zeros((self.size, *values.shape[1:]))
+        result[self.seen] = values
+        return result
+
+    def where_seen(self, values: Array) -> Array:
+        """Return values of all pixels (N, ...) for those that were seen (P, ...)."""
+        return values if self.seen is None else np.asarray(values[self.seen])
 
 
 class PixelElimination:
@@ -146,13 +161,14 @@ class PixelElimination:
         return offset, share * offset + np.sqrt(self._c[block])[:, None] * noise[1]
 
     def solve(self, values: Array) -> tuple[Array, Array | None]:
-        """Return offsets [m] and changes of the gains (P,) for values of all else, as `_stacked` orders."""
+        """Return offsets [m] and changes of the gains of all pixels for values of all else, as `_stacked`."""
         offset = -_times(self._folds, self._count, values)
+        everywhere = self._priors.everywhere
         if not self.with_gains:
-            return offset / self._a, None
+            return everywhere(offset / self._a), None
         gain = -_times(self._folds, self._count, values, gain=True) - self._pull
         gain = (gain - offset * self._b / self._a) / self._c
-        return (offset - self._b * gain) / self._a, gain
+        return everywhere((offset - self._b * gain) / self._a), everywhere(gain)
 
 
 def _given(values: Array | None) -> Array:
@@ -352,14 +368,36 @@ def accumulate(
         key = (prediction.station.recording, prediction.station.pose)
         return 0 if fold_of is None else fold_of[key], found
 
+    seen = _pixels_seen(forward)
+    row_of = np.full(seen.size, -1)
+    pixels = np.flatnonzero(seen)
+    row_of[pixels] = np.arange(pixels.size)
     sums: dict[int, FoldSums] = {}
     for number, found in in_order(share, taken(), threads=forward.threads):
         if number not in sums:
-            pixels = camera.sensor.width * camera.sensor.height
-            sums[number] = FoldSums(len(regressors), pixels, pattern=pattern, gains=gain_prior > 0)
+            sums[number] = FoldSums(
+                len(regressors), pixels.size, rows=row_of, pattern=pattern, gains=gain_prior > 0
+            )
         sums[number].add(found)
     # each is let go of with its fold: they are the largest arrays of an adjustment
     folds = [sums.pop(number).fold() for number in sorted(sums)]
     at = forward.amplitude_model.pixels
-    priors = PixelPriors(pattern_prior, gain_prior, None if at is None else at.ravel())
+    priors = PixelPriors(
+        pattern_prior,
+        gain_prior,
+        None if at is None else at.ravel()[pixels],
+        seen=pixels if pattern else None,
+        size=seen.size,
+    )
     return NormalEquations(regressors, folds, camera.shape, priors, forward.threads)
+
+
+def _pixels_seen(forward: Forward) -> NDArray[np.bool_]:
+    """Return which pixels (H W,) hold a value that may be fitted, in any station: the others need no sums."""
+    seen = np.zeros(forward.camera.shape, bool)
+    for number, station in enumerate(forward.dataset.stations):
+        mine = station.count > 0
+        if forward.masks is not None:
+            mine &= forward.masks[number][0] | forward.masks[number][1]
+        seen |= mine
+    return seen.ravel()

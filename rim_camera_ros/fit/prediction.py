@@ -158,7 +158,9 @@ class Prediction:
         changes = curves.columns(self.view.geometry, self.context.ambiguity, labels)
         if not self.spread:
             return [self.reading_change(0.0, one) for one in changes]
-        return [self.light_change(None, one + 0j) for one in changes]
+        # a plane has few of the angles between which a curve bends, and spreading light is what takes time
+        none = (np.zeros(self.distance.shape), np.zeros(self.distance.shape))
+        return [self.light_change(None, one + 0j) if one.any() else none for one in changes]
 
     def light_columns(self) -> list[tuple[Array, Array]]:
         """Return the derivatives by light that all pixels share [counts], its real and imaginary part."""

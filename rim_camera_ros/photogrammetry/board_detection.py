@@ -29,6 +29,9 @@ _LEAST_POINTS = 4
 _COMPARED = 60
 #: Least correlation of texture and image of a board that is believed.
 LEAST_CORRELATION = 0.4
+#: ... and of one that is taken without looking whether another look at the image shows it better: a detector
+#: may find one marker of many, or blobs that are not the circles.
+_SURE = 0.8
 #: Two ways to lay the board whose correlations differ by less cannot be told apart.
 _SAME = 0.1
 
@@ -62,6 +65,7 @@ def find_board(
     """
     image = np.nan_to_num(np.asarray(amplitude, np.float32))
     greys = list(_greys(image))
+    found: FoundBoard | None = None
     for scale in _ENLARGEMENTS:
         if scale > 1 and scale * max(image.shape) > _LARGEST:
             break
@@ -71,9 +75,11 @@ def find_board(
                 enlarged = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
                 large = np.asarray(enlarged, np.uint8)
             best = _best(_laid(large, targets, scale), grey, surface, optics, near)
-            if best is not None:
+            if best is not None and best.correlation >= _SURE:
                 return best
-    return None
+            if best is not None and (found is None or best.correlation > found.correlation):
+                found = best
+    return found
 
 
 def _greys(image: NDArray[np.float32]) -> Iterator[Grey]:

@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 #: The board rests as long as its points move by less than this, RMS of what they have in common [px].
 _REST = 0.12
 _WINDOW = 3
+#: ... and as long as the image there stays alike: where a board has left, corners are found nowhere near, and
+#: what does not move is where they were looked for. Noise takes little of the correlation of such contrasts.
+_ALIKE = 0.8
 
 
 @dataclass
@@ -76,6 +79,8 @@ class BoardStations:
         self, reference: tuple[NDArray[np.float32], FoundBoard, Any], image: NDArray[np.float32]
     ) -> bool:
         before, found, _ = reference
+        if not _alike(before, image, found.points):
+            return False
         if self.targets.circles:
             again = find_board(image, self.surface, self.targets, self.camera.optics, near=found.pose)
             if again is None or again.points.shape != found.points.shape:
@@ -83,6 +88,17 @@ class BoardStations:
             return _common_motion(found.points, again.points - found.points) < _REST
         moved = [_settled(one, found.points) for one in (before, image)]
         return _common_motion(found.points, moved[1] - moved[0]) < _REST
+
+
+def _alike(before: NDArray[np.float32], image: NDArray[np.float32], points: Array) -> bool:
+    """Whether two images look the same in and around the rectangle of points (n, 2)."""
+    height, width = image.shape
+    u0, v0 = (max(int(one) - _WINDOW, 0) for one in points.min(axis=0))
+    u1, v1 = (int(one) + _WINDOW + 2 for one in points.max(axis=0))
+    own, other = (one[v0 : min(v1, height), u0 : min(u1, width)].ravel() for one in (before, image))
+    if np.ptp(own) == 0 or np.ptp(other) == 0:
+        return False
+    return float(np.corrcoef(own, other)[0, 1]) > _ALIKE
 
 
 def _settled(image: NDArray[np.float32], points: Array) -> Array:

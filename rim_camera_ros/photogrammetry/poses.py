@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.frame import Pose
@@ -36,6 +37,10 @@ Array = NDArray[np.float64]
 #: Degrees of freedom that all stations together count for in the variance of one station: an image tells
 #: its own variance poorly.
 _COMMON_FREEDOM = 20.0
+#: Rounds in which the error that all targets have beside their own sigmas is found, and the change of it
+#: (relative) that ends them.
+_ROUNDS = 5
+_SETTLED = 0.02
 
 
 @dataclass(frozen=True)
@@ -72,7 +77,8 @@ class BoardPoses:
 
     ``scale_sigma``: relative 1-sigma of what all distances have in common, by focal length and size of the
     board; ``common_share``: the share of the variance along the normal that is the same at all stations, for
-    ``pose_common`` of a scene file. ``sigma_zero``: RMS of residuals over the sigmas of the targets.
+    ``pose_common`` of a scene file. ``sigma_zero``: RMS of residuals over the sigmas of the targets, which
+    hold ``common_error`` [px], what every coordinate errs by beside the sigma that its own image gives.
     """
 
     stations: Mapping[int, StationPose]
@@ -80,6 +86,7 @@ class BoardPoses:
     common_share: float
     sigma_zero: float
     notes: tuple[str, ...]
+    common_error: float = 0.0
 
 
 def estimate_poses(
@@ -95,18 +102,20 @@ def estimate_poses(
     the board, go into the covariance of every pose, C = s^2 (A'A)^-1 + G C_optics G' + sigma^2 t t', with
     G = -(A'A)^-1 A'B of the derivatives A by the pose and B by the optics. s^2 is the variance of the
     residuals of the station, drawn towards that of all stations. Gross errors are rejected (Baarda 1968).
+    The sigma of a target is what its own grey values say: of some they are fitted by luck, and neither the
+    board's print nor the lens model is in them. A variance that all targets have in common is added to
+    theirs, such that residuals are as large as they should be (Mandel & Paule 1970).
 
     Raises `RimError` where no station has a pose.
     """
     by_optics = _optics_matrix(covariance)
-    found: dict[int, tuple[Adjusted, Bundle, int]] = {}
-    notes = list(observations.notes)
-    for station in sorted({one.station for one in observations.points}):
-        mine = tuple(one for one in observations.points if one.station == station)
-        try:
-            found[station] = _adjusted(replace(observations, points=mine), optics)
-        except RimError as error:
-            notes.append(f"station {station} has no pose: {error.problem}")
+    common_error = 0.0
+    for _ in range(_ROUNDS):
+        found, failures = _all_adjusted(observations, optics, common_error)
+        before, common_error = common_error, _common_error(found.values(), common_error)
+        if abs(common_error - before) <= _SETTLED * common_error:
+            break
+    notes = [*observations.notes, *failures]
     if not found:
         raise RimError(
             f"no station has a pose{': ' + notes[-1] if notes else ''}",
@@ -148,7 +157,51 @@ def estimate_poses(
         common_share=float(np.median(shares)),
         sigma_zero=float(np.sqrt(pooled)),
         notes=tuple(notes),
+        common_error=common_error,
     )
+
+
+_Found = tuple[Adjusted, Bundle, int]
+
+
+def _all_adjusted(
+    observations: Observations, optics: Optics, common_error: float
+) -> tuple[dict[int, _Found], list[str]]:
+    """Adjust every station, targets with an error [px] in common; those without a pose are said in words."""
+    by_station: dict[int, list[ImagePoint]] = {}
+    for one in observations.points:
+        sigma = float(np.hypot(one.sigma, common_error))
+        by_station.setdefault(one.station, []).append(replace(one, sigma=sigma))
+    found: dict[int, _Found] = {}
+    failures = []
+    for station, points in sorted(by_station.items()):
+        try:
+            found[station] = _adjusted(replace(observations, points=tuple(points)), optics)
+        except RimError as error:
+            failures.append(f"station {station} has no pose: {error.problem}")
+    return found, failures
+
+
+def _common_error(found: Iterable[_Found], now: float) -> float:
+    """Return the error [px] that explains the residuals beside the sigmas of the targets, which hold ``now``.
+
+    The one with which squares of residuals over their variances add up to the redundancy, 0 where they are
+    smaller than that without it.
+    """
+    parts = [(one.residuals, bundle.sigma**2 - now**2, one.redundancy) for one, bundle, _ in found]
+    if not parts:
+        return now
+    squares = np.concatenate([np.sum(residuals**2, axis=1) for residuals, _, _ in parts])
+    own = np.concatenate([variance for _, variance, _ in parts])
+    redundancy = sum(count for _, _, count in parts)
+
+    def excess(variance: float) -> float:
+        return float(np.sum(squares / (own + variance))) - redundancy
+
+    most = float(squares.sum()) / max(redundancy, 1)
+    if redundancy <= 0 or excess(1e-12 * most) <= 0:
+        return 0.0
+    return float(np.sqrt(brentq(excess, 1e-12 * most, most)))
 
 
 def _optics_matrix(covariance: OpticsCovariance | None) -> Array:
@@ -160,7 +213,7 @@ def _optics_matrix(covariance: OpticsCovariance | None) -> Array:
     return result
 
 
-def _adjusted(observations: Observations, optics: Optics) -> tuple[Adjusted, Bundle, int]:
+def _adjusted(observations: Observations, optics: Optics) -> _Found:
     """Adjust one station; the number of targets that were rejected.
 
     A plane that is seen small looks nearly the same mirrored at the line of sight (Schweighofer & Pinz 2006):
@@ -209,7 +262,7 @@ def _mirrored(rotation: Array, shift: Array, centre: Array) -> tuple[Array, Arra
 
 def _adjusted_from(
     observations: Observations, optics: Optics, start: Mapping[int, tuple[Array, Array]]
-) -> tuple[Adjusted, Bundle, int]:
+) -> _Found:
     """Adjust one station from approximate poses, without gross errors."""
     points, rejected = observations.points, 0
     while True:

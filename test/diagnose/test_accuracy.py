@@ -6,17 +6,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from rim_camera_ros.camera_file import added
 from rim_camera_ros.diagnose.accuracy import Accuracy, accuracy
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.reduction import reduce_recording
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.parameters import NestedList
+from rim_camera_ros.scene import load_scene
 from rim_camera_ros.select.search import search
 
+from ..calibrate.floor import UNKNOWN, floor_camera, floor_scene, write_floor
 from ..calibrate.helpers import camera, record, scene
 
 
@@ -67,3 +71,19 @@ def test_a_table_of_too_many_values_is_of_all_poses_and_says_so(tmp_path: Path) 
 
 def test_without_a_table_nothing_is_said_of_one() -> None:
     assert Accuracy(0.01, 0.005, 0.004, 2.0, 1.0, held_out=True).notes() == []
+
+
+@pytest.mark.parametrize("sigma", [(0.005, 0.003), (0.03, 0.02)])
+def test_poses_that_are_alike_do_not_trade_with_the_pattern(
+    tmp_path: Path, sigma: tuple[float, float]
+) -> None:
+    """Nothing is left out: what remains of held-out poses is the noise, however badly poses are known."""
+    known = floor_camera(tmp_path, scale=4)
+    write_floor(tmp_path / "bag", known, tmp_path, poses=14, seed=3, wrong=0.004)
+    board = load_scene(floor_scene(tmp_path, UNKNOWN, sigma=sigma))
+    data = reduce_recording(tmp_path / "bag", known, scene=board)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=known)
+    result = search(Problem(data, board), known, facts, effects=["distance_scale"], most=0)
+    found = accuracy(known, known, result)
+    # the offset of a pixel is known from a dozen looks
+    assert found.rms_before == pytest.approx(found.noise_floor * np.sqrt(1 + 1 / 11), rel=0.06)

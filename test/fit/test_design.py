@@ -11,6 +11,7 @@ import pytest
 from rim_camera_ros.camera import Camera, Covariance
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit import normal_equations
 from rim_camera_ros.fit.design import common_pose_block, known_optics, reflectivity_block
 from rim_camera_ros.fit.fold_sums import Fold
 from rim_camera_ros.fit.forward import Forward
@@ -116,6 +117,36 @@ def test_offset_and_gain_of_a_pixel_are_eliminated_as_a_dense_solution_does() ->
     _, offsets, gains = reduced.recover(np.array([0.4, -0.2, 0.1]))
     assert offsets == pytest.approx(solution[:pixels], rel=1e-9)
     assert gains == pytest.approx(solution[pixels:], rel=1e-9)
+
+
+@pytest.mark.parametrize("gains", [False, True])
+def test_pixels_that_no_station_saw_take_no_part(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gains: bool
+) -> None:
+    """The sums of the pixels that were seen alone against those of all pixels."""
+    told, board = camera(tmp_path), scene(tmp_path)
+    told = replace(told, radiometry=replace(told.radiometry, pattern_sigma=0.02 if gains else 0.0))
+    data = record(told, board, seed=7)
+    unseen = np.ones(told.shape, bool)
+    unseen[5:30, 7:41] = False
+    data.stations = [replace(one, count=np.where(unseen, 0, one.count)) for one in data.stations]
+    forward = Forward(data, board, told)
+    forward.estimate_amplitudes()
+    block = reflectivity_block(board)
+    assert block is not None
+    few = normal_equations.accumulate(forward, [block])
+    monkeypatch.setattr(normal_equations, "_pixels_seen", lambda one: np.ones(one.camera.shape, bool).ravel())
+    whole = normal_equations.accumulate(forward, [block])
+    assert len(few.folds[0].weight) <= 25 * 34 < len(whole.folds[0].weight) == unseen.size
+    one, other = few.reduced(), whole.reduced()
+    np.testing.assert_allclose(one.gram, other.gram, rtol=1e-9, atol=1e-9 * np.abs(other.gram).max())
+    np.testing.assert_allclose(one.right, other.right, rtol=1e-7, atol=1e-9 * np.abs(other.right).max())
+    assert one.log_norm == pytest.approx(other.log_norm)
+    values = 0.01 * np.arange(len(few.regressors))
+    for mine, theirs in zip(one.recover(values)[1:], other.recover(values)[1:], strict=True):
+        assert (mine is None) == (theirs is None)
+        if mine is not None and theirs is not None:
+            np.testing.assert_allclose(mine, theirs, rtol=1e-6, atol=1e-9)
 
 
 def with_covariance(told: Camera) -> Camera:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,12 @@ from rim_camera_ros.bags import Recording
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.cli import main
+from rim_camera_ros.frame import Pose, Settings
+from rim_camera_ros.photogrammetry.board_detection import find_board
+from rim_camera_ros.photogrammetry.board_stations import BoardStations
 from rim_camera_ros.photogrammetry.from_images import ImagePoses, Known, poses_of_recording, write_poses
+from rim_camera_ros.photogrammetry.texture_targets import targets_of
+from rim_camera_ros.pipeline.simulate import Exposure, Simulation
 from rim_camera_ros.scene import Scene, load_scene, rotation_matrix
 
 CAMERA = """
@@ -84,3 +90,46 @@ def test_a_checkerboard(checkerboard: tuple[Camera, Scene, Path], tmp_path: Path
         pose = frame.truth["board"]
         np.testing.assert_allclose(pose.covariance, found.poses.stations[number].pose.covariance, rtol=1e-12)
         assert frame.pose_stamps["board"] == found.first[number]
+
+
+def test_a_board_in_the_hand_has_a_station_wherever_it_rests(
+    checkerboard: tuple[Camera, Scene, Path],
+) -> None:
+    """Nobody tells poses: the images alone say that the board moved."""
+    camera, scene, bag = checkerboard
+    stations = BoardStations(scene.surfaces[0], camera)
+    with Recording(bag) as recording:
+        frames = [replace(one, truth={}, pose_stamps={}) for one in recording.frames()]
+    assert len(list(stations.frames(iter(frames)))) == 8 * FRAMES
+    assert list(stations.station.values()) == [k for k in range(8) for _ in range(FRAMES)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "position", "orientation"),
+    [
+        # a detector finds one marker of twelve at first
+        ("apriltag", (-0.0114, -0.0004, 0.5305), (0.22133, 0.21772, 0.1129, 0.94386)),
+        # blobs that are not the circles
+        ("circles", (0.0402, 0.0524, 0.55), (0, 0.21644, 0, 0.9763)),
+    ],
+)
+def test_the_look_that_shows_the_board_best_is_taken(
+    tmp_path: Path,
+    kind: str,
+    position: tuple[float, float, float],
+    orientation: tuple[float, float, float, float],
+) -> None:
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    assert main(["board", kind, "--out", str(tmp_path / "board"), "--quiet"]) == 0
+    scene = load_scene(tmp_path / "board.yaml")
+    camera, surface = load_camera(tmp_path / "camera.yaml"), scene.surfaces[0]
+    simulation = Simulation(camera, scene, seed=3)
+    exposure = Exposure(0, Settings(integration_time=10.0), {surface.name: Pose(position, orientation)})
+    frame = simulation.frame(exposure)
+    targets = targets_of(surface)
+    assert targets is not None
+    found = find_board(frame.amplitude.astype(np.float32), surface, targets, camera.optics)
+    assert found is not None
+    np.testing.assert_allclose(found.pose.position, position, atol=0.006)
+    turn = rotation_matrix(found.pose.orientation).T @ rotation_matrix(orientation)
+    assert np.arccos((np.trace(turn) - 1) / 2) < 0.03
