@@ -69,7 +69,7 @@ class ResolvedCorrection(Correction):
         if images is None:
             if self._stray is not None:
                 self.notes.add(f"{self._stray.name} is not undone: that needs the {self._role} of each frame")
-            return frame
+            return self._with_sigma(frame)
         expected = (*self.camera.shape, self._count)
         if images.shape != expected:
             raise InputError(
@@ -90,6 +90,16 @@ class ResolvedCorrection(Correction):
             distance=np.where(frame.distance > 0, distance, np.float32(np.nan)),
             amplitude=published.astype(np.float32, copy=False),
             sigma=sigma,
+        )
+
+    def _with_sigma(self, frame: RawFrame) -> RawFrame:
+        """Return the frame with the noise of its distances, where that goes with more than the light."""
+        metres = frame.distance.astype(np.float32)
+        if frame.distance.dtype.kind != "f":
+            metres *= np.float32(self.camera.sensor.lsb)
+        light = self.camera.light_of(frame.amplitude.astype(np.float32))
+        return replace(
+            frame, sigma=self.camera.sigma_distance(light, distance=metres, settings=frame.settings)
         )
 
 
