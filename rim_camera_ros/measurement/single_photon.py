@@ -121,15 +121,16 @@ class SinglePhoton(PulseAndDiode, OneFrequency):
         detector, most = self.detector(camera), camera.sensor.saturation
         given = self._dark_counts(camera, time, settings.body_temperature)
         stated = self._dark_counts(camera, camera.sensor.integration_time, None)
-        if given == stated:
+        if not given > 0 < stated:
             return None
-        (photons, read_out), own = _nearest(detector, given, most), _nearest(detector, stated, most)
+        # the bound is computed anew for few numbers of dark counts
+        near = stated * math.exp(round(math.log(given / stated) / _ALIKE) * _ALIKE)
+        (photons, read_out), own = _nearest(detector, near, most), _nearest(detector, stated, most)
         return NoiseFactors((photons / own[0]) ** 2, (read_out / own[1]) ** 2, 1.0)
 
     def _dark_counts(self, camera: Camera, time: float, temperature: float | None) -> float:
-        """Return the dark counts of an exposure to `_ALIKE`, so that few bounds are computed."""
-        counts = self.detector(camera).dark_rate(temperature) * camera.sensor.exposure_seconds(time)
-        return math.exp(round(math.log(counts) / _ALIKE) * _ALIKE) if counts > 0 else 0.0
+        """Return the dark counts of an exposure."""
+        return self.detector(camera).dark_rate(temperature) * camera.sensor.exposure_seconds(time)
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
         """Return what is known of pulse, diode and bins."""
