@@ -125,6 +125,23 @@ def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
     return None
 
 
+def offset_beyond(fitted: Fit) -> str | None:
+    """Return in words that all pixels measure too long or too short alike; None: within what poses err."""
+    stated = [
+        one.prior
+        for one in fitted.equations.regressors
+        if one.label.startswith(COMMON_POSE) and one.label.endswith("offset")
+    ]
+    metres = float(np.median(fitted.pattern[fitted.pattern != 0])) if fitted.pattern.any() else 0.0
+    if not stated or abs(metres) <= BEYOND * max(stated):
+        return None
+    return (
+        f"all distances are {abs(metres) * 1e3:.1f} mm {'longer' if metres > 0 else 'shorter'} than by the "
+        "files, at all poses alike: the camera has another offset than its file, or the poses another "
+        "origin; one recording at one frequency cannot tell which, and offsets of the pixels take it up"
+    )
+
+
 def reflectivities_beyond(fitted: Fit, scene: Scene) -> str | None:
     """Return which surface reflects otherwise than stated, by far more than is stated; None: none does."""
     priors = {one.label: one.prior for one in fitted.equations.regressors}

@@ -101,7 +101,7 @@ class GateEstimator:
         return float(begin * self._step), float(found[last] * self._step)
 
     def estimate(self, images: Array) -> GateEstimates:
-        """Return the estimates of images (gates, pixels) in counts.
+        """Return the estimates of images (gates, pixels) in counts above the black level.
 
         Raises ValueError for another number of images.
         """

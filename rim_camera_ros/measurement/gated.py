@@ -80,6 +80,7 @@ class Gated(PulseAndGates, OneFrequency):
             resolve,
             role=self.samples[0],
             count=len(self.gates),
+            black_level=self.black_level,
             responds=True,
             **options,
         )

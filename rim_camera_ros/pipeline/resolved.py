@@ -26,8 +26,8 @@ class ResolvedCorrection(Correction):
 
     ``role``: of the images (H, W, ``count``) that are linear in the light; ``resolve`` evaluates them.
     Stray light is undone in them, image by image; in distance and amplitude alone it cannot be, because
-    light of another distance may be told apart or not. ``responds``: the images are compressed as
-    ``amplitude_nonlinearity`` says. Otherwise as `Correction`.
+    light of another distance may be told apart or not. ``black_level`` [counts] is taken off first.
+    ``responds``: the images are compressed as ``amplitude_nonlinearity`` says. Otherwise as `Correction`.
     """
 
     def __init__(
@@ -37,6 +37,7 @@ class ResolvedCorrection(Correction):
         *,
         role: str,
         count: int,
+        black_level: float = 0.0,
         responds: bool = False,
         without: Iterable[str] = (),
         minimum_amplitude: float | None = None,
@@ -51,6 +52,7 @@ class ResolvedCorrection(Correction):
         )
         self._stray = None if given & apart else stray
         self._resolve, self._role, self._count = resolve, role, count
+        self._black_level = black_level
         self._published = response_of(camera)
         undone = self._published is not None and self._published.name not in given
         self._response = self._published if responds and undone else None
@@ -77,8 +79,12 @@ class ResolvedCorrection(Correction):
                 remedy="give the camera file of this sensor, with its measurement",
             )
         planes = np.moveaxis(images, -1, 0)
+        if self._black_level:
+            planes = planes.astype(np.float32) - np.float32(self._black_level)
         if self._response is not None:
-            planes = self._response.expanded(planes.astype(np.float32))
+            # below the black level there is noise only
+            lit = self._response.expanded(np.maximum(planes, 0).astype(np.float32))
+            planes = np.where(planes > 0, lit, planes)
         if self._stray is not None:
             planes = _without_stray_light(planes.astype(np.float32), self._stray)
         distance, amplitude, sigma = self._resolve(planes, frame.settings)

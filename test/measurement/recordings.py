@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +15,9 @@ from rim_camera_ros.camera_file import load_camera, with_effects
 from rim_camera_ros.devices.timeline import Timeline
 from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.files import find_camera
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.reduction import reduce_frames
+from rim_camera_ros.frame import RawFrame
 from rim_camera_ros.measurement import measurement_of
 from rim_camera_ros.scene import Scene, load_scene
 
@@ -65,26 +68,33 @@ def board(
     return load_scene(path)
 
 
-def record(
-    path: Path, true: Camera, stated: Camera, scene: Scene, *, seed: int, samples: bool = False
-) -> Path:
-    """Write a recording of the true camera; its device evaluates the samples as the stated one's does."""
+def frames(true: Camera, stated: Camera, scene: Scene, *, seed: int) -> Iterator[RawFrame]:
+    """Yield frames of the true camera, whose device evaluates the samples as the stated one's does."""
     simulation = measurement_of(true).simulation(true, scene, seed=seed)
     bare = replace(with_effects(stated, {}), minimum_amplitude=0.0)
     device = measurement_of(bare).correction(bare)
+    for exposure in Timeline(scene, true, start=10**9):
+        frame = simulation.frame(exposure)
+        found = device.correct(frame)
+        counts = np.rint(np.nan_to_num(found.distance) / stated.sensor.lsb).clip(0, 65535)
+        amplitude = np.rint(np.nan_to_num(found.amplitude)).clip(0, 65535).astype(np.uint16)
+        saturated = frame.amplitude >= true.sensor.saturation
+        yield replace(
+            frame,
+            distance=counts.astype(np.uint16),
+            amplitude=np.where(saturated, frame.amplitude, amplitude),
+        )
+
+
+def record(path: Path, true: Camera, stated: Camera, scene: Scene, *, seed: int) -> Path:
+    """Write such frames as a recording, without their samples."""
     with RecordingWriter(path) as writer:
-        for exposure in Timeline(scene, true, start=10**9):
-            frame = simulation.frame(exposure)
-            found = device.correct(frame)
-            counts = np.rint(np.nan_to_num(found.distance) / stated.sensor.lsb).clip(0, 65535)
-            amplitude = np.rint(np.nan_to_num(found.amplitude)).clip(0, 65535).astype(np.uint16)
-            saturated = frame.amplitude >= true.sensor.saturation
-            writer.write_raw(
-                replace(
-                    frame,
-                    distance=counts.astype(np.uint16),
-                    amplitude=np.where(saturated, frame.amplitude, amplitude),
-                    images=frame.images if samples else {},
-                )
-            )
+        for frame in frames(true, stated, scene, seed=seed):
+            writer.write_raw(replace(frame, images={}))
     return path
+
+
+def dataset(true: Camera, stated: Camera, scene: Scene, *, seed: int) -> Dataset:
+    """Return such frames as the stations of a fit."""
+    recorded = list(frames(true, stated, scene, seed=seed))
+    return Dataset(list(reduce_frames(recorded, stated)), ["simulated"], [], len(recorded))
