@@ -329,7 +329,7 @@ class Forward:
             sigma=np.sqrt(variance),
             amplitude_sigma=np.sqrt(amplitude_variance),
             amplitude_noise=np.sqrt(noise_variance),
-            amplitude_share=1.0 / alike,
+            amplitude_share=(noise_variance + model_variance) / amplitude_variance,
             used=used,
             amplitude_used=amplitude_used,
             slope_distance=1.0 + terms.by_distance,
