@@ -87,13 +87,15 @@ class _Judged:
 class _Score:
     """Mean loss and patches of each pose, the losses beyond the expected, and those of the reflectivities.
 
-    Losses are twice the negative log likelihood up to a constant that all set-ups share.
+    ``offset`` [m]: what all distances have in common. Losses are twice the negative log likelihood up to a
+    constant that all set-ups share.
     """
 
     poses: dict[_Key, tuple[float, float]]
     excess: dict[_Key, float]
     reflectivities: float
     beyond: float
+    offset: float
 
 
 def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypothesis]:
@@ -101,7 +103,7 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
     files = _coarse(dataset, scene, camera)
     given = _score(files)
     poses = dataset.poses
-    found = [Hypothesis(AS_GIVEN, "", 0.0, 0.0)]
+    found = [Hypothesis(AS_GIVEN, "", 0.0, 0.0, value=given.offset)]
     found += _compared(trials_of(*files), files, given, poses)
     # a surface of which neither size nor pattern is right fits with neither of them alone
     patterned = {one.surface for one in found if one.is_better and one.hypothesis in _OF_PATTERN}
@@ -211,7 +213,7 @@ def _score(files: Files) -> _Score:
     found, cost = _reflectivities(judged, sigma)
     poses = {one.key: (one.loss(found), one.patches) for one in judged}
     excess = {one.key: one.loss(found) - one.expected for one in judged}
-    return _Score(poses, excess, float(cost.sum()), float(np.sum(found**2 / sigma**2)))
+    return _Score(poses, excess, float(cost.sum()), float(np.sum(found**2 / sigma**2)), offset)
 
 
 def _common_offset(predictions: Sequence[Prediction]) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -125,14 +125,9 @@ def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
     return None
 
 
-def offset_beyond(fitted: Fit) -> str | None:
-    """Return in words that all pixels measure too long or too short alike; None: within what poses err."""
-    stated = [
-        one.prior
-        for one in fitted.equations.regressors
-        if one.label.startswith(COMMON_POSE) and one.label.endswith("offset")
-    ]
-    metres = float(np.median(fitted.pattern[fitted.pattern != 0])) if fitted.pattern.any() else 0.0
+def offset_beyond(metres: float, nuisances: Sequence[Nuisance]) -> str | None:
+    """Return in words that all distances differ from the files by so much; None: within what poses err."""
+    stated = [one.stated for one in nuisances if one.name == "common_pose_offset"]
     if not stated or abs(metres) <= BEYOND * max(stated):
         return None
     return (

@@ -26,7 +26,6 @@ from rim_camera_ros.diagnose.naming import (
     with_unknown,
 )
 from rim_camera_ros.diagnose.noise_verdict import OF_NOISE, beside_unknown, with_variance
-from rim_camera_ros.diagnose.nuisances import offset_beyond
 from rim_camera_ros.diagnose.result import Diagnosis, Missing, Ranked
 from rim_camera_ros.diagnose.second_camera import second_camera, with_second_camera
 from rim_camera_ros.diagnose.variance import Variance
@@ -189,15 +188,7 @@ def _begun(found: Findings) -> _Draft:
         where=nowhere(fitted),
         ranking=ranking,
         ties=[sorted({one.effect, *one.ties}) for one in result.found if one.ties],
-        notes=sorted(
-            {
-                *fitted.notes,
-                *fitted.forward.notes,
-                *found.dataset.notes,
-                *notes_of_light(fitted),
-                *filter(None, [offset_beyond(fitted)]),
-            }
-        ),
+        notes=sorted({*fitted.notes, *fitted.forward.notes, *found.dataset.notes, *notes_of_light(fitted)}),
     )
     if found.reason is not None:
         draft.verdict, draft.model, draft.ties = "inconsistent_setup", found.camera, []
