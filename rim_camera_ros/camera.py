@@ -222,6 +222,23 @@ class Camera:
                 remedy="give the camera file of that frequency: each is calibrated by itself",
             )
 
+    def sigma_distance(
+        self,
+        amplitude: NDArray[Any],
+        *,
+        distance: NDArray[Any] | None = None,
+        settings: Settings | None = None,
+    ) -> NDArray[Any]:
+        """Return the 1-sigma of one distance [m] at amplitudes [counts] before their compression.
+
+        At a ``distance`` [m] and ``settings`` where the way of measuring makes noise depend on them; without
+        both, that of the noise section.
+        """
+        factors = None
+        if distance is not None and settings is not None and self.measurement is not None:
+            factors = self.measurement.noise_factors(self, distance, settings)
+        return self.noise.sigma_distance(amplitude, background=self.background, factors=factors)
+
     @property
     def noise_range(self) -> float:
         """R in metres of the amplitude's noise, sigma_A = 2 pi A sigma_d / R (`Noise.circular_range`)."""

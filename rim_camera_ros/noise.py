@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.parameters import quantity
+
+
+class NoiseFactors(NamedTuple):
+    """Factors [-] on the variances of `Noise` at distances and settings, of the pixels' shape or one for all.
+
+    On those of the signal's photons, of what does not depend on the light, and of unmodulated light.
+    """
+
+    photons: NDArray[Any] | float
+    read_out: NDArray[Any] | float
+    background: NDArray[Any] | float
 
 
 @dataclass(frozen=True)
@@ -27,16 +38,24 @@ class Noise:
         above=0.0,
     )
 
-    def sigma_distance(self, amplitude: NDArray[Any], *, background: float = 0.0) -> NDArray[Any]:
+    def sigma_distance(
+        self,
+        amplitude: NDArray[Any],
+        *,
+        background: float = 0.0,
+        factors: NoiseFactors | None = None,
+    ) -> NDArray[Any]:
         """Return the 1-sigma of one distance in metres for amplitudes in counts; inf where A <= 0.
 
         ``background`` (counts of unmodulated light) adds shot^2 * background / A^2 to the variance.
+        ``factors``: on the variances, where these depend on more than the light.
         """
         dtype = amplitude.dtype if amplitude.dtype.kind == "f" else np.dtype(float)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             inverse = np.where(amplitude > 0, 1.0 / np.maximum(amplitude, 1e-30), np.inf).astype(dtype)
-            extra = self.amplitude**2 + self.shot**2 * background
-            variance = self.floor**2 + inverse * (self.shot**2 + inverse * extra)
+            photons, read_out, light = (1.0, 1.0, 1.0) if factors is None else factors
+            extra = self.amplitude**2 * read_out + self.shot**2 * background * light
+            variance = self.floor**2 + inverse * (self.shot**2 * photons + inverse * extra)
             result: NDArray[Any] = np.sqrt(np.where(amplitude > 0, variance, np.inf))
             return result.astype(dtype, copy=False)
 

@@ -92,9 +92,6 @@ def _noise_by_light(prediction: Prediction) -> Array:
     predicted = prediction.model_amplitude
     with np.errstate(invalid="ignore", divide="ignore"):
         measured = predicted * prediction.station.amplitude / prediction.model_reading
-        sigmas = [
-            camera.noise.sigma_distance(np.maximum(one, 1.0), background=camera.background)
-            for one in (measured, predicted)
-        ]
+        sigmas = [camera.sigma_distance(np.maximum(one, 1.0)) for one in (measured, predicted)]
         ratio = sigmas[0] / sigmas[1]
     return np.asarray(np.fmax(np.nan_to_num(ratio, nan=1.0, posinf=1.0), 1.0))

@@ -87,13 +87,15 @@ class _Judged:
 class _Score:
     """Mean loss and patches of each pose, the losses beyond the expected, and those of the reflectivities.
 
-    Losses are twice the negative log likelihood up to a constant that all set-ups share.
+    ``offset`` [m]: what all distances have in common. Losses are twice the negative log likelihood up to a
+    constant that all set-ups share.
     """
 
     poses: dict[_Key, tuple[float, float]]
     excess: dict[_Key, float]
     reflectivities: float
     beyond: float
+    offset: float
 
 
 def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypothesis]:
@@ -101,7 +103,7 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
     files = _coarse(dataset, scene, camera)
     given = _score(files)
     poses = dataset.poses
-    found = [Hypothesis(AS_GIVEN, "", 0.0, 0.0)]
+    found = [Hypothesis(AS_GIVEN, "", 0.0, 0.0, value=given.offset)]
     found += _compared(trials_of(*files), files, given, poses)
     # a surface of which neither size nor pattern is right fits with neither of them alone
     patterned = {one.surface for one in found if one.is_better and one.hypothesis in _OF_PATTERN}
@@ -196,23 +198,35 @@ def _some_poses(dataset: Dataset) -> Dataset:
 
 
 def _score(files: Files) -> _Score:
-    """Return how badly a set-up fits the poses."""
+    """Return how badly a set-up fits the poses, without the offset that all its distances share.
+
+    That is the camera's, whatever the set-up.
+    """
     scene = files[1]
     forward = coarse_forward(*files)
-    judged = [
-        one for each in forward.predictions(slopes=False) if (one := _judged(forward, each)) is not None
-    ]
+    predictions = list(forward.predictions(slopes=False))
+    offset = _common_offset(predictions)
+    judged = [one for each in predictions if (one := _judged(forward, each, offset)) is not None]
     sigma = np.concatenate(
         [np.full(one.tiles, max(one.reflectivity_sigma, _EXACT)) for one in scene.surfaces]
     )
     found, cost = _reflectivities(judged, sigma)
     poses = {one.key: (one.loss(found), one.patches) for one in judged}
     excess = {one.key: one.loss(found) - one.expected for one in judged}
-    return _Score(poses, excess, float(cost.sum()), float(np.sum(found**2 / sigma**2)))
+    return _Score(poses, excess, float(cost.sum()), float(np.sum(found**2 / sigma**2)), offset)
 
 
-def _judged(forward: Forward, one: Prediction) -> _Judged | None:
-    """Return what is judged of a station; None where nothing was measured."""
+def _common_offset(predictions: Sequence[Prediction]) -> float:
+    """Return the median [m] of what distances differ by, over all pixels of a set-up; 0 without any."""
+    apart = np.concatenate(
+        [np.zeros(0), *(one.residual[one.view.clean & (one.station.count > 0)] for one in predictions)]
+    )
+    apart = apart[np.isfinite(apart)]
+    return float(np.median(apart)) if apart.size else 0.0
+
+
+def _judged(forward: Forward, one: Prediction, offset: float) -> _Judged | None:
+    """Return what is judged of a station without ``offset`` [m]; None where nothing was measured."""
     key = (one.station.recording, one.station.pose)
     measured = one.station.count > 0
     if not measured.any():
@@ -224,7 +238,7 @@ def _judged(forward: Forward, one: Prediction) -> _Judged | None:
     described = np.array([each.is_described for each in forward.scene.surfaces])
     with np.errstate(divide="ignore", invalid="ignore"):
         scatter = one.sigma**2 + _CAMERA_DISTANCE**2
-        distance = np.minimum(np.nan_to_num(one.residual**2 / scatter, nan=_MOST), _MOST)
+        distance = np.minimum(np.nan_to_num((one.residual - offset) ** 2 / scatter, nan=_MOST), _MOST)
         ratio = np.log(one.station.amplitude / one.model_amplitude)
         noise = (one.amplitude_noise / one.model_amplitude) ** 2
         variance = noise + CAMERA_AMPLITUDE**2

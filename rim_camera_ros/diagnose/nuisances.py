@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -138,6 +138,18 @@ def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
                 "stands elsewhere than its poses say; measure it anew, or state a larger pose_sigma"
             )
     return None
+
+
+def offset_beyond(metres: float, nuisances: Sequence[Nuisance]) -> str | None:
+    """Return in words that all distances differ from the files by so much; None: within what poses err."""
+    stated = [one.stated for one in nuisances if one.name == "common_pose_offset"]
+    if not stated or abs(metres) <= BEYOND * max(stated):
+        return None
+    return (
+        f"all distances are {abs(metres) * 1e3:.1f} mm {'longer' if metres > 0 else 'shorter'} than by the "
+        "files, at all poses alike: the camera has another offset than its file, or the poses another "
+        "origin; one recording at one frequency cannot tell which, and offsets of the pixels take it up"
+    )
 
 
 def reflectivities_beyond(fitted: Fit, scene: Scene) -> str | None:

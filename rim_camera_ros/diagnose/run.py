@@ -18,6 +18,7 @@ from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, o
 from rim_camera_ros.diagnose.nuisances import (
     common_pose_beyond,
     nuisances_of,
+    offset_beyond,
     optics_beyond,
     poses_beyond,
     reflectivities_beyond,
@@ -270,6 +271,10 @@ def with_setups(diagnosis: Diagnosis, setups: list[Hypothesis]) -> Diagnosis:
     reason = diagnosis.reason
     if reason is None:
         setups = sorted(setups, key=lambda one: one.hypothesis != AS_GIVEN)
+    if diagnosis.verdict == "consistent" and setups:
+        # offsets of the pixels took it up
+        said = offset_beyond(setups[0].value, diagnosis.nuisances)
+        diagnosis.notes.extend([] if said is None else [said])
     best = setups[0] if setups else None
     if (
         reason is not None

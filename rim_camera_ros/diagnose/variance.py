@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -17,6 +17,7 @@ from rim_camera_ros.fit.common_variation import Movement, together
 from rim_camera_ros.fit.data import KEPT_FRAMES, Station
 from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.noise import relative_variance
 from rim_camera_ros.noise import Noise
 
 Array = NDArray[Any]
@@ -125,7 +126,7 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
     beside a response that was found, whose small-signal gain follows from its form.
     """
     camera = forward.camera
-    amplitude, measured, model, freedom = [], [], [], []
+    amplitude, measured, model, freedom, beyond = [], [], [], [], []
     common, shares, floors = [], [], []
     moves: list[Movement] = []
     second = effect_of(camera, ForeignLight)
@@ -141,6 +142,9 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
             continue
         amplitude.append(one.amplitude[pixels])
         measured.append(station.distance_variance[pixels])
+        beyond.append(
+            relative_variance(camera, amplitude[-1], one.delivered.distance[pixels], station.settings)
+        )
         own = (one.sigma**2 - one.variance_of_other)[pixels] * station.frames
         model.append(
             own + (0.0 if second is None else second.scatter(one.amplitude[pixels], one.context) ** 2)
@@ -149,7 +153,9 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
     floor = float(np.sqrt(np.mean(np.concatenate(floors)))) if sum(map(len, floors)) else 0.0
     if not amplitude:
         return Variance(1.0, np.inf, (), camera.noise, None, np.inf, floor, False)
-    a, s, m, f = (np.concatenate(parts).astype(float) for parts in (amplitude, measured, model, freedom))
+    parts = (amplitude, measured, model, freedom, beyond)
+    a, s, m, f, d = (np.concatenate(one).astype(float) for one in parts)
+    s, m = s / d, m / d
     if free_scale:
         factor = _scale_of_light(a, s, m, f, camera.noise)
         m = m * _scaled_variance(a, factor, camera.noise)
@@ -251,7 +257,8 @@ def _fitted_noise(amplitude: Array, measured: Array, model: Array, freedom: Arra
     # the same least squares in as few equations as unknowns
     triangle = np.linalg.qr(np.column_stack([design / scale, target]), mode="r")
     solution = nnls(triangle[:, :-1], triangle[:, -1])[0] / scale
-    return Noise(
+    return replace(
+        noise,
         floor=float(np.sqrt(solution[0])),
         shot=float(np.sqrt(solution[2])) if with_shot else noise.shot,
         amplitude=float(np.sqrt(solution[1])),

@@ -104,7 +104,10 @@ def of_noise(fitted: Fit, before: Camera, after: Camera) -> Where:
     """Locate another noise: the root of the change of one frame's variance between two cameras."""
 
     def value(one: Prediction) -> Array:
-        sigmas = [c.noise.sigma_distance(one.amplitude, background=c.background) for c in (before, after)]
+        sigmas = [
+            c.sigma_distance(one.amplitude, distance=one.distance, settings=one.station.settings)
+            for c in (before, after)
+        ]
         return np.asarray(np.sqrt(np.abs(sigmas[1] ** 2 - sigmas[0] ** 2)))
 
     return _locate(fitted, value)
@@ -170,7 +173,7 @@ def nowhere(fitted: Fit) -> Where:
 
 def _sigma(one: Prediction) -> Array:
     camera = one.context.camera
-    noise = camera.noise.sigma_distance(one.amplitude, background=camera.background)
+    noise = camera.sigma_distance(one.amplitude, distance=one.distance, settings=one.station.settings)
     return np.asarray(np.hypot(noise, camera.sensor.lsb / np.sqrt(12)))
 
 

@@ -111,6 +111,7 @@ def _table(
         pulse_width=shutter.pulse_width,
         rise_time=shutter.rise_time,
         read_noise=shutter.read_noise,
+        black_level=shutter.black_level,
         pulse_rate=shutter.pulse_rate,
     )
     grid = np.arange(_PLACES) * (shutter.ambiguity / _PLACES)

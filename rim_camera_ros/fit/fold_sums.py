@@ -198,7 +198,7 @@ def share_of(
         offsets=distances.times(np.ones(pixels.size)),
         weight=weight,
         pixels=pixels,
-        rows=len(weight) + round(float(share.sum())),
+        rows=len(weight) + round(float(np.take(prediction.amplitude_freedom, lit).sum())),
         log_sigma=-0.5 * float(np.log(weight).sum() + (share * np.log(weight_a)).sum()),
         gain=_gain_share(prediction, distances, light) if gains else None,
     )

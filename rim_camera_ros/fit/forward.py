@@ -24,6 +24,7 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.prediction import Prediction, Shift
 from rim_camera_ros.fit.views import NEAR, Margins, View, Views
+from rim_camera_ros.frame import Settings
 from rim_camera_ros.noise import sigma_amplitude
 from rim_camera_ros.phasor import wrap_residual
 from rim_camera_ros.scene import Geometry, Scene, see
@@ -307,7 +308,9 @@ class Forward:
         if response is not None and self.light_curves is not None:
             model_reading = model_reading * self.light_curves.response(safe)
             slope_published = slope_published * self.light_curves.response(latent)
-        variance, amplitude_variance = self._variances(self._noise_amplitude(station, latent), context)
+        variance, amplitude_variance = self._variances(
+            self._noise_amplitude(station, latent), light.distance, station.settings
+        )
         variance = (variance + camera.sensor.lsb**2 / 12) / n
         single_variance = amplitude_variance * slope_published**2 + 1.0 / 12
         # neighbours share the error of a prediction: their mean is no better than one of them
@@ -340,6 +343,7 @@ class Forward:
             amplitude_sigma=np.sqrt(amplitude_variance),
             amplitude_noise=np.sqrt(noise_variance),
             amplitude_share=1.0 / alike,
+            amplitude_freedom=(noise_variance + model_variance) / amplitude_variance,
             used=used,
             amplitude_used=amplitude_used,
             slope_distance=1.0 + terms.by_distance,
@@ -363,11 +367,12 @@ class Forward:
         light = np.asarray((self.camera_of_noise or self.camera).light_of(station.amplitude.astype(float)))
         return np.where(np.isfinite(light) & (light > 0), light, predicted)
 
-    def _variances(self, amplitude: Array, context: Context) -> tuple[Array, Array]:
+    def _variances(self, amplitude: Array, distance: Array, settings: Settings) -> tuple[Array, Array]:
         """Return the variances of one frame's distance [m^2] and amplitude [counts^2]."""
-        sigma = self.camera.noise.sigma_distance(amplitude, background=self.camera.background)
+        sigma = self.camera.sigma_distance(amplitude)
         by_amplitude = sigma_amplitude(sigma, amplitude, ambiguity=self.camera.noise_range)
-        return sigma**2, by_amplitude**2
+        whole = self.camera.sigma_distance(amplitude, distance=distance, settings=settings)
+        return whole**2, by_amplitude**2
 
     def _latent(
         self, station: Station, predicted: Array, n: Array, model: AmplitudeModel
@@ -380,7 +385,7 @@ class Forward:
         """
         if model.tau == 0.0:
             return predicted, 1.0
-        sigma = self.camera.noise.sigma_distance(predicted, background=self.camera.background)
+        sigma = self.camera.sigma_distance(predicted)
         noise = 2 * np.pi / self.camera.noise_range * sigma / np.sqrt(n)
         share = model.tau**2 / (model.tau**2 + noise**2)
         measured = self._expanded(station.amplitude.astype(float))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import response_of
 from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.frame import Settings
 from rim_camera_ros.noise import Noise
 
 Array = NDArray[Any]
@@ -86,7 +87,7 @@ def fit_noise(dataset: Dataset, camera: Camera) -> NoiseFit | None:
     if len(found) < LEAST_CLASSES:
         return None
     a, level, error = np.array([one[:3] for one in found]).T
-    old = camera.noise.sigma_distance(a, background=camera.background) ** 2
+    old = camera.sigma_distance(a) ** 2
     deviation = float(np.sum(((level - old) / error) ** 2))
     departs = float(np.sqrt(np.mean((np.sqrt(level / old) - 1) ** 2)))
     confirmed = deviation < len(a) + 3 * float(np.sqrt(2 * len(a))) or departs < CLOSE
@@ -106,6 +107,14 @@ def fit_noise(dataset: Dataset, camera: Camera) -> NoiseFit | None:
     )
 
 
+def relative_variance(camera: Camera, amplitude: Array, distance: Array, settings: Settings) -> Array:
+    """Return the variance [-] of distances over that of the noise section, which knows amplitudes alone."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        plain = camera.sigma_distance(amplitude)
+        whole = camera.sigma_distance(amplitude, distance=distance, settings=settings)
+        return np.asarray((whole / plain) ** 2)
+
+
 def _variances(dataset: Dataset, camera: Camera) -> tuple[Array, Array, Array]:
     """Return amplitudes, variances and degrees of freedom of the pixels that were valid in every frame."""
     threshold = max(camera.sensor.amplitude_threshold, camera.minimum_amplitude or 0.0)
@@ -120,7 +129,9 @@ def _variances(dataset: Dataset, camera: Camera) -> tuple[Array, Array, Array]:
         good &= (level > 0) & (level > threshold + LEAST_RATIO * np.nan_to_num(spread))
         if response is not None:
             level = np.asarray(response.expanded(level))
-        parts.append((level[good], one.distance_variance[good].astype(float), (one.count[good] - 1.0)))
+        relative = relative_variance(camera, level, one.distance, one.settings)
+        variance = one.distance_variance[good].astype(float) / relative[good]
+        parts.append((level[good], variance, (one.count[good] - 1.0)))
     if not parts:
         return np.zeros(0), np.zeros(0), np.zeros(0)
     amplitude, variance, freedom = (np.concatenate([one[i] for one in parts]) for i in range(3))
@@ -145,11 +156,13 @@ def _fitted(amplitude: Array, level: Array, error: Array, camera: Camera) -> Noi
     """
     columns = np.stack([np.ones_like(amplitude), 1 / amplitude, 1 / amplitude**2], axis=1)
     weight = 1 / np.maximum(error, 1e-3 * level)
-    shape = camera.noise.sigma_distance(amplitude, background=camera.background) ** 2
+    shape = camera.sigma_distance(amplitude) ** 2
     if np.ptp(np.log(amplitude)) < np.log(2.0):
         factor = float(np.sqrt(np.average(level / shape, weights=(shape * weight) ** 2)))
         old = camera.noise
-        return Noise(floor=old.floor * factor, shot=old.shot * factor, amplitude=old.amplitude * factor)
+        return replace(
+            old, floor=old.floor * factor, shot=old.shot * factor, amplitude=old.amplitude * factor
+        )
     for _ in range(5):
         scaled = columns * weight[:, None]
         size = np.linalg.norm(scaled, axis=0)
@@ -161,4 +174,4 @@ def _fitted(amplitude: Array, level: Array, error: Array, camera: Camera) -> Noi
         weight = weight * np.where(z > limit, limit / np.maximum(z, 1e-12), 1.0)
     floor, shot, slope = np.sqrt(np.maximum(solution, 0.0))
     slope = float(np.sqrt(max(slope**2 - shot**2 * camera.background, 0.0)))
-    return Noise(floor=float(floor), shot=float(shot), amplitude=slope)
+    return replace(camera.noise, floor=float(floor), shot=float(shot), amplitude=slope)

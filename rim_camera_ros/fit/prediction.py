@@ -34,7 +34,8 @@ class Prediction:
     ``amplitude_used`` mark the pixels to fit; ``sigma`` the standard deviation of the station's mean by the
     noise model, with ``variance_of_other`` [m^2], that of a recording which it is compared with;
     ``amplitude_noise`` that of the amplitude. ``amplitude_sigma`` holds the errors of predicted amplitudes as
-    well, which neighbours share: a pixel counts as ``amplitude_share`` of an observation. ``amplitude`` is
+    well, which neighbours share: a pixel counts as ``amplitude_share`` of an observation, and its chi-square
+    is expected to be ``amplitude_freedom``, more where its own noise is the greater part. ``amplitude`` is
     the latent amplitude [counts]: what the terms see; it follows a relative change of the predicted light by
     the share ``amplitude_follows``, as the rest of it is what was measured.
     """
@@ -53,6 +54,7 @@ class Prediction:
     amplitude_sigma: Array
     amplitude_noise: Array
     amplitude_share: Array
+    amplitude_freedom: Array
     used: NDArray[np.bool_]
     amplitude_used: NDArray[np.bool_]
     slope_distance: Array | float

@@ -29,6 +29,7 @@ from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR, NormalEquations, 
 from rim_camera_ros.fit.prediction import Shift
 from rim_camera_ros.fit.steps import moved_light
 from rim_camera_ros.fit.views import Views
+from rim_camera_ros.measurement import measurement_of
 from rim_camera_ros.scene import Scene, ScenePose
 
 Array = NDArray[Any]
@@ -161,7 +162,8 @@ def forward_of(
 
 def light_groups(problem: Problem, camera: Camera) -> list[tuple[str, ...]]:
     """Return the curves of the light that are fitted beside the camera."""
-    groups = [RIPPLES] if problem.gain else []
+    # harmonics of a modulation make the light ripple: pulses have none
+    groups = [RIPPLES] if problem.gain and measurement_of(camera).demodulates else []
     if problem.reflectance:
         groups.append(SURFACES)
     if problem.response is not None and response_of(camera) is not None:

@@ -29,7 +29,7 @@ _TELLS, _SEES = 0.02, 0.05
 #: Share of the light that a second gate must see within that part of the pulse's depth.
 _SHARED, _NEAR = 0.01, 0.05
 #: Least variance of an image [counts^2]: that of rounding.
-_ROUNDING = 1.0 / 12.0
+ROUNDING = 1.0 / 12.0
 _TINY = 1e-30
 
 
@@ -102,7 +102,7 @@ class GateEstimator:
         return float(begin * self._step), float(found[last] * self._step)
 
     def estimate(self, images: Array) -> GateEstimates:
-        """Return the estimates of images (gates, pixels) in counts.
+        """Return the estimates of images (gates, pixels) in counts above the black level.
 
         Raises ValueError for another number of images.
         """
@@ -151,7 +151,7 @@ class GateEstimator:
         g, slope = self._at(distance)
         w = np.broadcast_to(self._windows[:, None], g.shape)
         extra = 0.0 if self._known is None else self._known * w
-        weight = 1.0 / (np.maximum(q + extra, 0.0) + self.shutter.read_noise**2 + _ROUNDING)
+        weight = 1.0 / (np.maximum(q + extra, 0.0) + self.shutter.read_noise**2 + ROUNDING)
 
         def inner(one: Array, two: Array) -> Array:
             return np.asarray((weight * one * two).sum(axis=0))

@@ -47,6 +47,13 @@ class PulseAndGates:
     read_noise: float = quantity(
         "counts", "1-sigma of one image, beside that of the photons", default=5.0, minimum=0.0
     )
+    black_level: float = quantity(
+        "counts",
+        "an image without any light, on which the read-out noise is: what is cut at 0 is no longer symmetric",
+        default=0.0,
+        minimum=0.0,
+        maximum=65535.0,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,7 +29,8 @@ class GatedSimulation(PulsedSimulation):
     """Makes the image of every gate and evaluates them as the device would.
 
     The amplitude is the light of the pulse in counts, as if a gate had let all of it through. The image of
-    the role ``gates`` (H, W, gates), uint16, holds the counts; a pixel that is full in one of them saturates.
+    the role ``gates`` (H, W, gates), uint16, holds the counts above 0, black level included; a pixel that is
+    full in one of them saturates.
     """
 
     @cached_property
@@ -70,10 +71,12 @@ class GatedSimulation(PulsedSimulation):
             images = self._rng.poisson(images) + self.shutter.read_noise * self._rng.standard_normal(
                 images.shape
             )
-        images = np.clip(self._chain.published(np.maximum(images, 0.0)), 0.0, _FULL)
+        # the noise of the read-out may be below the black level, the response is that of the light
+        dark, level = np.minimum(images, 0.0), self.shutter.black_level
+        images = np.clip(self._chain.published(np.maximum(images, 0.0)) + dark + level, 0.0, _FULL)
         if self.quantised:
             images = np.rint(images)
-        found = self._estimator.estimate(images.reshape(len(images), -1))
+        found = self._estimator.estimate(images.reshape(len(images), -1) - level)
         shape = self.camera.shape
         distance, amplitude = found.distance.reshape(shape), found.amplitude.reshape(shape)
         distance[impossible] = np.nan

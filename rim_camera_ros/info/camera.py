@@ -23,7 +23,7 @@ def camera_facts(camera: Camera) -> dict[str, Any]:
     rays = camera.rays
     middle = rays[sensor.height // 2], rays[:, sensor.width // 2]
     times = _integration_times(camera)
-    sigma = camera.noise.sigma_distance(np.array(_AMPLITUDES), background=camera.background)
+    sigma = camera.sigma_distance(np.array(_AMPLITUDES))
     measurement = measurement_of(camera)
     correction = measurement.correction(camera)
     effects = _effects(measurement.parts(camera))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.frame import CorrectedDistance, CorrectedFrame, RawFrame, Settings
+from rim_camera_ros.noise import NoiseFactors
 from rim_camera_ros.phasor import Waveform
 from rim_camera_ros.scene import Geometry, Scene
 
@@ -120,6 +121,11 @@ class Measurement(Protocol):
     ) -> FrameCorrection:
         """Return what corrects frames of the camera."""
 
+    def noise_factors(
+        self, camera: Camera, distance: NDArray[Any], settings: Settings
+    ) -> NoiseFactors | None:
+        """Return how the noise goes with distance [m] and settings; None where it does not."""
+
     def camera_of_frame(self, camera: Camera, frame: RawFrame) -> Camera:
         """Return the ordinary camera of a raw frame's distance and amplitude."""
 
@@ -165,6 +171,12 @@ class OneFrequency:
         from rim_camera_ros.pipeline.correct import Correction
 
         return Correction(camera, **options)
+
+    def noise_factors(
+        self, camera: Camera, distance: NDArray[Any], settings: Settings
+    ) -> NoiseFactors | None:
+        """Return None: it goes with the amplitude alone."""
+        return None
 
     def camera_of_frame(self, camera: Camera, frame: RawFrame) -> Camera:
         """Return the camera itself."""

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, ClassVar
+from functools import lru_cache
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.frame import Settings
-from rim_camera_ros.gated.estimation import GateEstimator
+from rim_camera_ros.gated.estimation import ROUNDING, GateEstimator
 from rim_camera_ros.gated.gates import GatedShutter, PulseAndGates
 from rim_camera_ros.measurement.base import FrameCorrection, FrameSimulation, OneFrequency
 from rim_camera_ros.measurement.single_photon import check_effects, check_waveform
-from rim_camera_ros.noise import Noise
+from rim_camera_ros.noise import Noise, NoiseFactors
 from rim_camera_ros.phasor import Waveform
 from rim_camera_ros.scene import Scene
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 #: Counts at which the noise of photons and that of the read-out are taken, and the distances of the median.
 _BRIGHT, _FAINT, _PLACES = 1e6, 1e-3, 200
@@ -81,6 +80,7 @@ class Gated(PulseAndGates, OneFrequency):
             resolve,
             role=self.samples[0],
             count=len(self.gates),
+            black_level=self.black_level,
             responds=True,
             **options,
         )
@@ -90,12 +90,22 @@ class Gated(PulseAndGates, OneFrequency):
 
         shot of the pulse's photons, amplitude of the read-out; unmodulated light is left out.
         """
-        estimator = self.estimator(camera)
-        at = np.linspace(*estimator.limits, _PLACES + 2)[1:-1]
-        shot = float(np.median(estimator.bound(at, amplitude=_BRIGHT))) * math.sqrt(_BRIGHT)
-        # so little light that its photons add no noise
-        amplitude = float(np.median(estimator.bound(at, amplitude=_FAINT))) * _FAINT
+        shot, amplitude = (float(np.median(one)) for one in _noise_at(self.shutter(camera))[1:])
         return Noise(floor=0.0, shot=shot, amplitude=amplitude, circular_range=2.0 * math.pi * shot)
+
+    def noise_factors(self, camera: Camera, distance: NDArray[Any], settings: Settings) -> NoiseFactors:
+        """Return the Cramer-Rao bounds at the distances over their medians, as variances.
+
+        Unmodulated light adds photons to each gate as the read-out adds electrons: it acts as that does.
+        """
+        at, shot, amplitude = _noise_at(self.shutter(camera))
+        near = np.nan_to_num(distance)
+        photons, read_out = (
+            np.square(np.interp(near, at, one) / np.median(one)) for one in (shot, amplitude)
+        )
+        electrons = self.read_noise**2 + ROUNDING
+        light = read_out * (np.median(amplitude) / np.median(shot)) ** 2 / electrons
+        return NoiseFactors(photons, read_out, light)
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
         """Return pulse, gates, and the distances that they tell."""
@@ -118,3 +128,13 @@ class Gated(PulseAndGates, OneFrequency):
                 )
             )
         return rows
+
+
+@lru_cache(maxsize=16)
+def _noise_at(shutter: GatedShutter) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Return distances [m], and the bounds there: of photons [m sqrt(counts)], of read-out [m counts]."""
+    estimator = GateEstimator(shutter)
+    at = np.linspace(*estimator.limits, _PLACES + 2)[1:-1]
+    shot = estimator.bound(at, amplitude=_BRIGHT) * math.sqrt(_BRIGHT)
+    # so little light that its photons add no noise
+    return at, shot, estimator.bound(at, amplitude=_FAINT) * _FAINT

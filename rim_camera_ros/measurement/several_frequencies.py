@@ -11,10 +11,10 @@ import numpy as np
 
 from rim_camera_ros.bags.topics import FREQUENCIES
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.frame import RawFrame
+from rim_camera_ros.frame import RawFrame, Settings
 from rim_camera_ros.measurement.base import Change, FrameCorrection, FrameSimulation, Part
 from rim_camera_ros.measurement.wraps import WrapTable, common_range
-from rim_camera_ros.noise import Noise
+from rim_camera_ros.noise import Noise, NoiseFactors
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.phasor import SPEED_OF_LIGHT
 from rim_camera_ros.scene import Scene
@@ -156,6 +156,10 @@ class SeveralFrequencies:
         from rim_camera_ros.pipeline.several_frequencies import SeveralCorrections
 
         return SeveralCorrections(camera, without=without, minimum_amplitude=minimum_amplitude)
+
+    def noise_factors(self, camera: Camera, distance: Any, settings: Settings) -> NoiseFactors | None:
+        """Return None: that of every frequency goes with its amplitude alone."""
+        return None
 
     def camera_of_frame(self, camera: Camera, frame: RawFrame) -> Camera:
         """Return that of the first frequency, or of the resolved distance."""

@@ -4,19 +4,31 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from scipy.optimize import nnls
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.measurement.base import FrameCorrection, FrameSimulation, OneFrequency
-from rim_camera_ros.noise import Noise
-from rim_camera_ros.phasor import SPEED_OF_LIGHT, Waveform
+from rim_camera_ros.noise import Noise, NoiseFactors
+from rim_camera_ros.phasor import Waveform
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.single_photon.detector import PulseAndDiode, SinglePhotonDetector
+from rim_camera_ros.single_photon.estimation import PulseEstimator, fisher_sigma
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+#: Signals [photons] at which the noise is fitted to the bound: the least that it describes to 10 %, and how
+#: many of them up to saturation.
+_FEWEST, _SIGNALS = 50.0, 30
+#: Relative step of dark counts for which the bound is computed anew.
+_ALIKE = 0.02
+#: Cycles in which no photon hides another.
+_MANY = 10**9
 #: Standard deviations of the pulse that a period must have room for.
 _ROOM = 16.0
 
@@ -60,7 +72,6 @@ class SinglePhoton(PulseAndDiode, OneFrequency):
     def correction(self, camera: Camera, **options: Any) -> FrameCorrection:
         """Return the chain of effects in reverse, after the evaluation of a histogram where there is one."""
         from rim_camera_ros.pipeline.resolved import ResolvedCorrection
-        from rim_camera_ros.single_photon.estimation import PulseEstimator
 
         detector = self.detector(camera)
         estimator = PulseEstimator(detector)
@@ -92,18 +103,34 @@ class SinglePhoton(PulseAndDiode, OneFrequency):
         return camera.background / self.coincident(camera)
 
     def noise(self, camera: Camera) -> Noise:
-        """Return the noise of a distance without a histogram: the limits of the Cramer-Rao bound.
+        """Return the noise of a distance without a histogram: the form nearest to the Cramer-Rao bound.
 
-        shot = c sigma_t / 2 of photons of the pulse, and the dark counts of an exposure, as other light.
+        Of the integration time and the temperature that the file states.
         """
-        detector = self.detector(camera)
-        shot = SPEED_OF_LIGHT * detector.time_sigma / 2.0
-        stated = camera.sensor.integration_time
-        seconds = 0.0 if stated is None else camera.sensor.exposure_seconds(stated)
-        dark = self.coincident(camera) * detector.dark_rate() * seconds
-        return Noise(
-            floor=0.0, shot=shot, amplitude=shot * math.sqrt(dark), circular_range=2.0 * math.pi * shot
-        )
+        dark = self._dark_counts(camera, camera.sensor.integration_time or 0.0, None)
+        shot, amplitude = _nearest(self.detector(camera), dark, camera.sensor.saturation)
+        return Noise(floor=0.0, shot=shot, amplitude=amplitude, circular_range=2.0 * math.pi * shot)
+
+    def noise_factors(
+        self, camera: Camera, distance: NDArray[Any], settings: Settings
+    ) -> NoiseFactors | None:
+        """Return how many more dark counts settings make than those that the file states."""
+        time = camera.stated_integration_time(settings)
+        if time is None or camera.sensor.integration_time is None:
+            return None
+        detector, most = self.detector(camera), camera.sensor.saturation
+        given = self._dark_counts(camera, time, settings.body_temperature)
+        stated = self._dark_counts(camera, camera.sensor.integration_time, None)
+        if not given > 0 < stated:
+            return None
+        # the bound is computed anew for few numbers of dark counts
+        near = stated * math.exp(round(math.log(given / stated) / _ALIKE) * _ALIKE)
+        (photons, read_out), own = _nearest(detector, near, most), _nearest(detector, stated, most)
+        return NoiseFactors((photons / own[0]) ** 2, (read_out / own[1]) ** 2, 1.0)
+
+    def _dark_counts(self, camera: Camera, time: float, temperature: float | None) -> float:
+        """Return the dark counts of an exposure."""
+        return self.detector(camera).dark_rate(temperature) * camera.sensor.exposure_seconds(time)
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
         """Return what is known of pulse, diode and bins."""
@@ -121,6 +148,29 @@ class SinglePhoton(PulseAndDiode, OneFrequency):
                 f"{self.dark_count_doubling:g} degC warmer",
             ),
         ]
+
+
+@lru_cache(maxsize=256)
+def _nearest(detector: SinglePhotonDetector, dark: float, most: float) -> tuple[float, float]:
+    """Return shot [m sqrt(counts)] and amplitude [m counts] of the noise nearest to the Cramer-Rao bound.
+
+    By relative least squares of the variances over the signals [photons] up to ``most``, without pile-up;
+    ``dark`` counts and afterpulses are the other light. The bins make shot greater than c sigma_t / 2.
+    """
+    signals = np.geomspace(_FEWEST, most, _SIGNALS)
+    bounds = [
+        fisher_sigma(
+            detector,
+            distance=detector.ambiguity / 2.0,
+            signal=float(one),
+            background=dark + detector.afterpulse_probability * float(one),
+            cycles=_MANY,
+        )
+        for one in signals
+    ]
+    terms = np.stack([1.0 / signals, 1.0 / signals**2], axis=1) / np.square(bounds)[:, None]
+    shot, amplitude = np.sqrt(nnls(terms, np.ones(_SIGNALS))[0])
+    return float(shot), float(amplitude)
 
 
 def check_effects(camera: Camera, way: str) -> None:

@@ -90,7 +90,7 @@ class AmplitudeModel:
         lit = amplitude > 0
         safe = np.where(lit & np.isfinite(amplitude), amplitude, 1.0)
         term = np.where(lit, self._term(safe), np.nan)
-        sigma = camera.noise.sigma_distance(safe, background=camera.background)
+        sigma = camera.sigma_distance(safe)
         if self._terms:
             added = np.nan_to_num(self._slope(safe)) * sigma_amplitude(
                 sigma, safe, ambiguity=camera.noise_range

@@ -116,10 +116,11 @@ class NoiseWatch:
         if camera.sensor.wraps:
             span = np.float32(FULL_SCALE * camera.sensor.lsb)
             change -= span * np.rint(change / span)
-        sigma = camera.noise.sigma_distance(light, background=camera.background)
+        sigma = camera.sigma_distance(light)
         # noise is circular, so this choice leaves the noise of the distance as it is
         brighter = np.abs(last.amplitude.astype(np.float32) - frame.amplitude)
         sigma_amplitude = noise_of_amplitude(sigma, amplitude, ambiguity=camera.noise_range)
+        sigma = camera.sigma_distance(light, distance=self._metres(frame.distance), settings=frame.settings)
         at_rest = brighter <= _AT_REST * math.sqrt(2) * np.maximum(sigma_amplitude, _ROUNDING)
         pixels = np.count_nonzero(usable)
         usable &= at_rest & (sigma > 0)

@@ -26,8 +26,8 @@ class ResolvedCorrection(Correction):
 
     ``role``: of the images (H, W, ``count``) that are linear in the light; ``resolve`` evaluates them.
     Stray light is undone in them, image by image; in distance and amplitude alone it cannot be, because
-    light of another distance may be separable or not. ``responds``: the images are compressed as
-    ``amplitude_nonlinearity`` says. Otherwise as `Correction`.
+    light of another distance may be separable or not. ``black_level`` [counts] is taken off first.
+    ``responds``: the images are compressed as ``amplitude_nonlinearity`` says. Otherwise as `Correction`.
     """
 
     def __init__(
@@ -37,6 +37,7 @@ class ResolvedCorrection(Correction):
         *,
         role: str,
         count: int,
+        black_level: float = 0.0,
         responds: bool = False,
         without: Iterable[str] = (),
         minimum_amplitude: float | None = None,
@@ -51,6 +52,7 @@ class ResolvedCorrection(Correction):
         )
         self._stray = None if given & apart else stray
         self._resolve, self._role, self._count = resolve, role, count
+        self._black_level = black_level
         self._published = response_of(camera)
         undone = self._published is not None and self._published.name not in given
         self._response = self._published if responds and undone else None
@@ -69,7 +71,7 @@ class ResolvedCorrection(Correction):
         if images is None:
             if self._stray is not None:
                 self.notes.add(f"{self._stray.name} is not undone: that needs the {self._role} of each frame")
-            return frame
+            return self._with_sigma(frame)
         expected = (*self.camera.shape, self._count)
         if images.shape != expected:
             raise InputError(
@@ -77,8 +79,12 @@ class ResolvedCorrection(Correction):
                 remedy="give the camera file of this sensor, with its measurement",
             )
         planes = np.moveaxis(images, -1, 0)
+        if self._black_level:
+            planes = planes.astype(np.float32) - np.float32(self._black_level)
         if self._response is not None:
-            planes = self._response.expanded(planes.astype(np.float32))
+            # below the black level there is noise only
+            lit = self._response.expanded(np.maximum(planes, 0).astype(np.float32))
+            planes = np.where(planes > 0, lit, planes)
         if self._stray is not None:
             planes = _without_stray_light(planes.astype(np.float32), self._stray)
         distance, amplitude, sigma = self._resolve(planes, frame.settings)
@@ -90,6 +96,16 @@ class ResolvedCorrection(Correction):
             distance=np.where(frame.distance > 0, distance, np.float32(np.nan)),
             amplitude=published.astype(np.float32, copy=False),
             sigma=sigma,
+        )
+
+    def _with_sigma(self, frame: RawFrame) -> RawFrame:
+        """Return the frame with the noise of its distances, where that goes with more than the light."""
+        metres = frame.distance.astype(np.float32)
+        if frame.distance.dtype.kind != "f":
+            metres *= np.float32(self.camera.sensor.lsb)
+        light = self.camera.light_of(frame.amplitude.astype(np.float32))
+        return replace(
+            frame, sigma=self.camera.sigma_distance(light, distance=metres, settings=frame.settings)
         )
 
 

@@ -275,10 +275,10 @@ class Simulation:
         if self.noise:
             shape = distance.shape
             delivered = signal.amplitude
-            sigma = self.camera.noise.sigma_distance(delivered, background=self.camera.background)
+            sigma = self.camera.sigma_distance(delivered)
             lit = delivered > 0
             sigma = np.where(lit, sigma, 0.0)
-            sigma_a = sigma_amplitude(sigma, delivered, ambiguity=context.ambiguity)
+            sigma_a = sigma_amplitude(sigma, delivered, ambiguity=self.camera.noise_range)
             distance = distance + sigma * self._rng.standard_normal(shape, dtype=np.float32)
             noisy = np.maximum(delivered + sigma_a * self._rng.standard_normal(shape, dtype=np.float32), 0.0)
             amplitude = self._chain.published(noisy)

@@ -192,7 +192,11 @@ def _uncertainty(result: Calibration) -> list[Part]:
     setting = setting_of(camera)
     walls = [Wall(distance, setting) for distance in distances_of(camera)]
     shown = uncertainty(camera, result.paths, result.covariance, walls, pattern=_pattern_variance(result))
-    images = [one * 1e3 for one in shown]
+    # a wall where the camera measures no distance has no error
+    seen = [(wall, one * 1e3) for wall, one in zip(walls, shown, strict=True) if np.isfinite(one).any()]
+    if not seen:
+        return []
+    walls, images = [one for one, _ in seen], [one for _, one in seen]
     top = max(float(np.nanquantile(one, 0.98)) for one in images)
     picture = maps(
         [

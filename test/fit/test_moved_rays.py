@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rim_camera_ros.fit.forward import Forward
@@ -32,11 +33,14 @@ def test_a_camera_constant_is_fitted_over_the_edges_of_tiles(tmp_path: Path) -> 
     assert found.sigma["optics.fx"] < 0.004 * truth.optics.fx
     # the weight of all amplitudes is that of their patches, wherever edges are said to be
     assert found.rows == begun.rows
-    moved = Forward(data, board, truth)
+    moved, as_begun = Forward(data, board, truth), Forward(data, board, truth)
     assert any((moved.patches_seen()[key] != patches[key]).any() for key in patches)
-    moved.patches = patches
-    shares = [one.amplitude_share for one in moved.predictions(slopes=False)]
-    assert all(
-        (share == 1 / patches[(one.recording, one.placed)]).all()
-        for share, one in zip(shares, data.stations, strict=True)
-    )
+    as_begun.patches = patches
+    for own, held in zip(moved.predictions(slopes=False), as_begun.predictions(slopes=False), strict=True):
+        # noise + error^2 x pixels that share it
+        both = np.stack([own.amplitude_noise**2, held.amplitude_noise**2])
+        error = np.stack([own.amplitude_sigma**2, held.amplitude_sigma**2]) - both
+        counts = patches[(own.station.recording, own.station.placed)]
+        shared = own.view.geometry.hit & (error[0] > 0)
+        ratio = (error[1] / np.where(shared, error[0], 1.0))[shared]
+        assert ratio == pytest.approx((counts / moved.views.alike(own.view))[shared], rel=1e-6)
