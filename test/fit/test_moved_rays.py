@@ -32,7 +32,7 @@ def test_a_camera_constant_is_fitted_over_the_edges_of_tiles(tmp_path: Path) -> 
     assert found.camera.optics.fy == pytest.approx(truth.optics.fy, abs=4 * found.sigma["optics.fy"])
     assert found.sigma["optics.fx"] < 0.004 * truth.optics.fx
     # the weight of all amplitudes is that of their patches, wherever edges are said to be
-    assert found.rows == begun.rows
+    assert found.rows == pytest.approx(begun.rows, rel=1e-3)
     moved, as_begun = Forward(data, board, truth), Forward(data, board, truth)
     assert any((moved.patches_seen()[key] != patches[key]).any() for key in patches)
     as_begun.patches = patches
