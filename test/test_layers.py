@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import rim_camera_ros
+from rim_camera_ros.measurement import TYPES
 
 ROOT = Path(rim_camera_ros.__file__).parent
 #: From the lowest layer on; a name is a folder or a module of the package.
@@ -59,3 +60,36 @@ def test_no_module_imports_a_layer_above_its_own(name: str) -> None:
 def test_nothing_is_imported_in_a_circle() -> None:
     graph = {name: set(imports(path, at_once=True)) for name, path in modules().items()}
     assert len(list(TopologicalSorter(graph).static_order())) >= len(graph)
+
+
+#: Where the ways of measuring are defined, and where their devices are.
+DEFINE = ("measurement", "single_photon", "gated", "devices")
+#: The reader of camera files, in which a list of frequencies is a way of measuring; the chain of that way.
+READ = {"camera_file", "pipeline.several_frequencies"}
+
+
+def kinds(path: Path) -> Iterator[str]:
+    """Yield what a module says of the kind of a sensor: classes of ways of measuring, and their names."""
+    names = {one.__name__ for one in TYPES.values()}
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Name | ast.Attribute):
+            name = node.id if isinstance(node, ast.Name) else node.attr
+            if name in names:
+                yield name
+        elif isinstance(node, ast.Compare | ast.MatchValue):
+            for one in ast.walk(node):
+                if isinstance(one, ast.Constant) and one.value in TYPES:
+                    yield str(one.value)
+
+
+def test_no_module_asks_which_kind_of_sensor_a_camera_has() -> None:
+    """They ask the `Measurement` for what they need; the files that define one are the exception."""
+    found = {
+        name: sorted(set(kinds(path)))
+        for name, path in modules().items()
+        if name.partition(".")[0] not in DEFINE and name not in READ
+    }
+    assert {name: one for name, one in found.items() if one} == {}
+    # the search finds them where they are
+    assert list(kinds(modules()["camera_file"]))
+    assert list(kinds(modules()["measurement"]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -170,3 +171,22 @@ def test_info_says_how_the_camera_measures(camera: Camera) -> None:
     text = camera_text(camera_facts(camera))
     assert camera.device in text
     assert "sensor" in text
+
+
+@pytest.mark.parametrize("name", ["azure_kinect", "kinect_v2", "epfl64", "epfl32", "gated"])
+def test_every_number_has_a_source_or_a_reason(name: str) -> None:
+    """Beside it, or above its group: a bare "assumed" is none."""
+    lines = find_camera(name).read_text().splitlines()
+    bare = [one for one in lines if re.search(r"assumed\W*$", one)]
+    assert bare == []
+    section = {"sensor", "optics", "radiometry", "noise", "measurement"}
+    inside = commented = False
+    for line in lines:
+        key = re.match(r"(\w+):", line)
+        if key:
+            inside = key[1] in section
+            commented = "#" in line
+        elif inside and re.match(r"\s+#", line):
+            commented = True
+        elif inside and re.search(r": .*\d", line) and "#" not in line and not commented:
+            raise AssertionError(f"no source: {line}")

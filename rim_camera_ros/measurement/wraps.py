@@ -28,6 +28,8 @@ Image = NDArray[np.float32]
 
 #: Share of an ambiguity range by which noise may carry a distance across its end: 0.6 rad of phase.
 _SLACK = 0.1
+#: Growth of J to the next likely wraps below which all others are counted, odds of 3e4.
+_CLOSE = np.float32(20.0)
 #: Pixels that are resolved together, so that what is computed on the way stays in the processor's cache.
 _BLOCK = 1 << 14
 
@@ -39,14 +41,17 @@ def common_range(frequencies: Sequence[float]) -> float:
 
 @dataclass(frozen=True)
 class Resolved:
-    """Distances (H, W) [m] of the most likely wraps, and how much J grows to the next likely ones."""
+    """Distances (H, W) [m] of the most likely wraps, and twice the log of their odds against all others.
+
+    Of two sets of wraps that is how much J grows to the next likely one.
+    """
 
     distance: Image
     lead: Image
 
     @property
     def wrong(self) -> Image:
-        """Probability that the next likely wraps are the true ones, of the two: 1 / (1 + exp(lead / 2))."""
+        """Probability that other wraps are the true ones: 1 / (1 + exp(lead / 2))."""
         result = 1 / (1 + np.exp(np.minimum(self.lead, np.float32(80.0)) / 2))
         return np.asarray(result, np.float32)
 
@@ -102,6 +107,7 @@ class WrapTable:
         best = np.full(first.shape, np.inf, np.float32)
         second = best.copy()
         found = np.full(first.shape, np.nan, np.float32)
+        costs: list[Image] = []
         for m, limits in self._hypotheses:
             there = first + np.float32(m * self.ambiguities[self._lead])
             cost = np.zeros_like(first)
@@ -127,7 +133,15 @@ class WrapTable:
             np.minimum(second, np.maximum(cost, best), out=second)
             np.copyto(found, there, where=cost < best)
             np.minimum(best, cost, out=best)
-        return found, second - best
+            costs.append(cost)
+        lead = second - best
+        # of few pixels the others beyond the next matter
+        close = np.flatnonzero(lead < _CLOSE)
+        if close.size:
+            nearest = best[close]
+            total = sum(np.exp((nearest - one[close]) / 2) for one in costs)
+            lead[close] = -2 * np.log(np.maximum(total - 1, np.float32(1e-9)))
+        return found, lead
 
     def probability_of_error(self, sigmas: Sequence[float]) -> float:
         """Return how probable wrong wraps are, at most, with standard deviations [m] of the distances.

@@ -21,7 +21,6 @@ from rim_camera_ros.frame import (
     Settings,
 )
 from rim_camera_ros.measurement.several_frequencies import SeveralFrequencies
-from rim_camera_ros.phasor import Waveform
 from rim_camera_ros.pipeline.correct import Correction
 from rim_camera_ros.pipeline.mixed import mixed_pixels
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
@@ -40,25 +39,13 @@ class SeveralSimulations:
     """Simulates one distance and amplitude image for each frequency of a camera.
 
     Emitted power and scene are the same for all, the noise of each is its own. All frequencies are exposed at
-    the frame's stamp.
+    the frame's stamp. ``options`` as of `Simulation`.
     """
 
-    def __init__(
-        self,
-        camera: Camera,
-        scene: Scene,
-        *,
-        seed: int = 0,
-        waveform: Waveform | None = None,
-        noise: bool = True,
-        quantised: bool = True,
-    ) -> None:
+    def __init__(self, camera: Camera, scene: Scene, **options: Any) -> None:
         self.camera, self.scene = camera, scene
         self.notes: set[str] = set()
-        first = Simulation(
-            camera.channels[0], scene, seed=seed, waveform=waveform, noise=noise, quantised=quantised,
-            notes=self.notes,
-        )  # fmt: skip
+        first = Simulation(camera.channels[0], scene, notes=self.notes, **options)
         self.channels = [first, *(first.beside(one, i) for i, one in enumerate(camera.channels[1:], 1))]
         self._stated = " ".join(f"{one.sensor.modulation_frequency:.10g}" for one in camera.channels)
 

@@ -77,21 +77,22 @@ def test_the_most_likely_wraps_are_those_of_an_enumeration(frequencies: tuple[fl
     d, s = measured(periods, distance, sigma, rng)
     found = WrapTable(periods, (low, high)).resolve(d, s)
     best = np.full(distance.size, np.inf)
-    answer, second = np.full(distance.size, np.nan), np.full(distance.size, np.inf)
+    answer, costs = np.full(distance.size, np.nan), []
     weights = 1 / sigma**2
     for row in itertools.product(*(range(-1, int(high // one) + 2) for one in periods)):
         places = np.stack([d[i][0].astype(float) + row[i] * periods[i] for i in range(len(periods))])
         mean = weights @ places / weights.sum()
         cost = weights @ (places - mean) ** 2
         cost[(mean < low) | (mean > high)] = np.inf
-        second = np.minimum(second, np.maximum(cost, best))
+        costs.append(cost)
         answer = np.where(cost < best, mean, answer)
         best = np.minimum(best, cost)
     assert np.allclose(found.distance[0], answer, atol=1e-4)
-    lead = second - best
+    others = np.exp((best - np.array(costs)) / 2).sum(axis=0) - 1
+    lead = -2 * np.log(others)
     near = lead < 10  # the table leaves out wraps that need noise of more than a tenth of a period
     assert near.sum() > 50
-    assert np.allclose(found.lead[0][near], lead[near], rtol=2e-3, atol=2e-3)
+    assert np.allclose(found.lead[0][near], lead[near], rtol=2e-3, atol=0.02)
 
 
 @pytest.mark.parametrize("frequencies", [KINECT, TWO])
@@ -108,6 +109,29 @@ def test_wrong_wraps_are_as_frequent_as_stated(frequencies: tuple[float, ...]) -
         assert wrong > 150
         assert found.wrong[0].mean() == pytest.approx(wrong / n, rel=0.15)
         assert wraps.probability_of_error(sigma) == pytest.approx(wrong / n, rel=0.15)
+
+
+@pytest.mark.parametrize("frequencies", [KINECT, TWO])
+@pytest.mark.parametrize("times", [2.0, 2.5, 3.0, 4.0])
+def test_faint_wraps_are_wrong_as_often_as_stated(frequencies: tuple[float, ...], times: float) -> None:
+    """With phases of phasors in circular noise, whose sigma is that of the measured amplitude.
+
+    Measured amplitudes are noisy themselves: what is stated may be too much, by three tenths at 4 sigma.
+    """
+    periods, rng, n = ranges(*frequencies), np.random.default_rng(12), 60_000
+    high = common_range(frequencies) - 0.1
+    distance = rng.uniform(0.5, high - 0.2, n)
+    d, sigma = [], []
+    for period in periods:
+        noise = rng.standard_normal(n) + 1j * rng.standard_normal(n)
+        phasor = times * np.exp(2j * np.pi * distance / period) + noise
+        d.append((np.angle(phasor) / (2 * np.pi) % 1 * period).astype(np.float32)[None])
+        sigma.append((period / (2 * np.pi) / np.abs(phasor)).astype(np.float32)[None])
+    found = table(frequencies, 0.3, high).resolve(d, sigma)
+    known = np.isfinite(found.wrong[0])
+    assert known.mean() > 0.98
+    wrong = np.abs(found.distance[0] - distance)[known] > min(periods) / 3
+    assert 0.93 * wrong.mean() < found.wrong[0][known].mean() < 1.33 * wrong.mean()
 
 
 @pytest.mark.parametrize("frequencies", [KINECT, TWO])
