@@ -44,11 +44,8 @@ class Rate:
         return max(0.0, middle - float(half)), min(1.0, middle + float(half))
 
     def meets(self, *, at_least: float = 0.0, at_most: float = 1.0) -> bool | None:
-        """Whether the interval touches the demanded range; None without cases."""
-        if not self.count:
-            return None
-        low, high = self.interval
-        return high >= at_least and low <= at_most
+        """Whether the rate itself is in the demanded range; None without cases."""
+        return at_least <= self.share <= at_most if self.count else None
 
 
 def rate(flags: Iterable[bool]) -> Rate:

@@ -169,7 +169,7 @@ def _explained_rows(results: Sequence[Result]) -> list[Row]:
             measure + " (median)",
             "≥ 90 %",
             f"{middle:.1%} ({low * 100:.1f} to {high * 100:.1f}), {len(shares)} cases".replace("%", " %"),
-            high >= 0.9,
+            middle >= 0.9,
         ),
         Row("the same, cases in which it is at least 90 %", "-", written(found), None),
     ]
@@ -192,7 +192,7 @@ def _overlap_row(results: Sequence[Result]) -> Row:
     if not values:
         return Row(measure, "≥ 0.9", "no cases", None)
     middle, low, high = median_interval(values)
-    return Row(measure, "≥ 0.9", f"{middle:.2f} ({low:.2f} to {high:.2f}), {len(values)} cases", high >= 0.9)
+    return Row(measure, "≥ 0.9", f"{middle:.2f} ({low:.2f} to {high:.2f}), {len(values)} cases", middle >= 0.9)
 
 
 def overlapping(results: Iterable[Result]) -> list[Result]:
