@@ -13,8 +13,8 @@ commit `{commit:.12}`, package `{package:.16}`, generator `{generator:.16}` (sha
 NOT_SCORING = " **These are not the scoring forms: the figures prove nothing.**"
 
 DEFINITIONS = """\
-A rate, or a median, counts as met when it is itself; its 95 % interval (Wilson's; distribution-free) says what
-the number of cases is worth. The measures in full:
+A rate, or a median, counts as met when it is itself; its 95 % interval (Wilson's; distribution-free) says
+what the number of cases is worth. The measures in full:
 
 - *Named right*: the effects under `missing` are exactly those left out. For sections that every camera file
   has (noise, radiometry, camera constant, lens distortion) the name under `adjusted` with the verdict

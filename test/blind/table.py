@@ -192,7 +192,8 @@ def _overlap_row(results: Sequence[Result]) -> Row:
     if not values:
         return Row(measure, "≥ 0.9", "no cases", None)
     middle, low, high = median_interval(values)
-    return Row(measure, "≥ 0.9", f"{middle:.2f} ({low:.2f} to {high:.2f}), {len(values)} cases", middle >= 0.9)
+    written_out = f"{middle:.2f} ({low:.2f} to {high:.2f}), {len(values)} cases"
+    return Row(measure, "≥ 0.9", written_out, middle >= 0.9)
 
 
 def overlapping(results: Iterable[Result]) -> list[Result]:
