@@ -8,7 +8,6 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from scipy.optimize import nnls
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.frame import Settings
@@ -168,6 +167,8 @@ def _nearest(detector: SinglePhotonDetector, dark: float, most: float) -> tuple[
         )
         for one in signals
     ]
+    from scipy.optimize import nnls  # takes a good part of a node's start
+
     terms = np.stack([1.0 / signals, 1.0 / signals**2], axis=1) / np.square(bounds)[:, None]
     shot, amplitude = np.sqrt(nnls(terms, np.ones(_SIGNALS))[0])
     return float(shot), float(amplitude)
