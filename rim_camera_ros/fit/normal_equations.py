@@ -182,9 +182,9 @@ class Reduced:
 
     ``gram`` (K, K) and ``right`` (K,) or (K, R); ``square`` y' V^-1 y; ``log_norm`` half the log
     determinant of V; ``rows`` observations, whose squares are expected to sum up to ``expected``. ``recover``
-    gives nuisances, pattern [m] and changes of the gains of pixels (None: known) for given
-    regressor values; ``without_errors`` eliminates the nuisances from right-hand sides (M - 1, R) from which offsets and gains of ``pixels`` are eliminated, as `_stacked`
-    orders them: (K, R).
+    gives nuisances, pattern [m] and changes of the gains of pixels (None: known) for given regressor values;
+    ``without_errors`` eliminates the nuisances from right-hand sides (M - 1, R) from which offsets and gains
+    of ``pixels`` are eliminated, as `_stacked` orders them: (K, R).
     """
 
     gram: Array
