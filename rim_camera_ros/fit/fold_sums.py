@@ -25,8 +25,9 @@ class Fold:
     ``gram`` (M, M) over regressors, this fold's nuisances and the observations (last); ``pixel`` (P, M) and
     ``weight`` (P,) the sums per pixel that was seen of products with its offset; ``gain`` (P, M) those with
     the relative gain of the pixel, in both channels (None: gains are known), ``gain_weight`` (P,) and
-    ``cross`` (P,) its own and those with the offset; ``rows`` the number of observations, ``log_sigma`` the
-    sum of their log standard deviations.
+    ``cross`` (P,) its own and those with the offset; ``rows`` the number of observations, ``expected`` what
+    their squares are expected to sum up to (None: as many), ``log_sigma`` the sum of their log standard
+    deviations.
     """
 
     nuisances: list[tuple[str, float, float]]
@@ -38,6 +39,7 @@ class Fold:
     gain: Array | None = None
     gain_weight: Array | None = None
     cross: Array | None = None
+    expected: float | None = None
 
     def errors_beside(self, values: Array, offsets: Array, gains: Array | None) -> dict[str, float]:
         """Return the nuisances for regressors (K,), offsets and gains of pixels (P,) that others found.
@@ -139,6 +141,7 @@ class Share:
     weight: Array
     pixels: Array
     rows: int
+    expected: float
     log_sigma: float
     gain: GainShare | None = None
 
@@ -198,7 +201,8 @@ def share_of(
         offsets=distances.times(np.ones(pixels.size)),
         weight=weight,
         pixels=pixels,
-        rows=len(weight) + round(float(np.take(prediction.amplitude_freedom, lit).sum())),
+        rows=len(weight) + round(float(share.sum())),
+        expected=len(weight) + float(np.take(prediction.amplitude_freedom, lit).sum()),
         log_sigma=-0.5 * float(np.log(weight).sum() + (share * np.log(weight_a)).sum()),
         gain=_gain_share(prediction, distances, light) if gains else None,
     )
@@ -252,7 +256,7 @@ class FoldSums:
         self._gram = np.zeros((count, count))
         self._right = np.zeros(count)
         self._square = 0.0
-        self._rows = 0
+        self._rows, self._expected = 0, 0.0
         self._log_sigma = 0.0
         self._pixel = _PixelSums(count, pixels, rows) if pattern else None
         self._weight: Array = np.zeros(pixels if pattern else 1)
@@ -267,6 +271,7 @@ class FoldSums:
     def add(self, share: Share) -> None:
         """Add a station's share."""
         self._rows += share.rows
+        self._expected += share.expected
         self._log_sigma += share.log_sigma
         self._sum(share.gram, share.nuisances)
         if self._pixel is None:
@@ -314,7 +319,9 @@ class FoldSums:
             gram[place[one], place[other]] = value
         pixel = np.zeros((1, size)) if self._pixel is None else self._pixel.all(size)
         nuisances = [(name, *self._nuisances[name]) for name in names]
-        fold = Fold(nuisances, gram, pixel, self._weight, self._rows, self._log_sigma)
+        fold = Fold(
+            nuisances, gram, pixel, self._weight, self._rows, self._log_sigma, expected=self._expected
+        )
         if self._gain is not None:
             fold.gain = self._gain.all(size)
             fold.gain_weight, fold.cross = self._gain_weight, self._gain_cross

@@ -181,16 +181,17 @@ class Reduced:
     """Equations of the regressors after eliminating all nuisances.
 
     ``gram`` (K, K) and ``right`` (K,) or (K, R); ``square`` y' V^-1 y; ``log_norm`` half the log
-    determinant of V; ``rows`` observations. ``recover`` gives nuisances, pattern [m] and changes of the
-    gains of pixels (None: known) for given regressor values; ``without_errors`` eliminates the nuisances
-    from right-hand sides (M - 1, R) from which offsets and gains of ``pixels`` are eliminated, as `_stacked`
-    orders them: (K, R).
+    determinant of V; ``rows`` observations, whose squares are expected to sum up to ``expected``. ``recover``
+    gives nuisances, pattern [m] and changes of the gains of pixels (None: known) for given regressor values;
+    ``without_errors`` eliminates the nuisances from right-hand sides (M - 1, R) from which offsets and gains
+    of ``pixels`` are eliminated, as `_stacked` orders them: (K, R).
     """
 
     gram: Array
     right: Array
     square: Array
     rows: int
+    expected: float
     log_norm: float
     recover: Callable[[Array], tuple[dict[str, float], Array, Array | None]]
     pixels: PixelElimination
@@ -284,6 +285,7 @@ def reduce_folds(folds: Sequence[Fold], count: int, priors: PixelPriors) -> Redu
         right=directions(reduced[:-1, -1]),
         square=reduced[-1, -1],
         rows=sum(fold.rows for fold in folds),
+        expected=sum(fold.rows if fold.expected is None else fold.expected for fold in folds),
         log_norm=log_norm,
         recover=recover,
         pixels=pixels,

@@ -128,7 +128,7 @@ class Scores:
         return np.asarray(linalg.inv(matrix) * scale[:, None] * scale[None, :])
 
     def chi_square(self, extra: Iterable[int] = (), *, held_out: bool = False) -> tuple[float, int]:
-        """Return chi-square of the residuals and the number of values: fitted, or of held-out poses.
+        """Return chi-square of the residuals and what is expected of it: fitted, or of held-out poses.
 
         Held out, it is that of the predictive distribution, whose expectation is the number of values.
         """
@@ -140,12 +140,12 @@ class Scores:
             return float(reduced.square - (reduced.right[columns] - pulled) @ solution)
 
         if not held_out or not self.trained:
-            return minimum(self.full), self.full.rows
-        total, rows = 0.0, 0
+            return minimum(self.full), round(self.full.expected)
+        total, expected = 0.0, 0.0
         for one in self.trained:
             total += minimum(self.full) - minimum(one)
-            rows += self.full.rows - one.rows
-        return total, rows
+            expected += self.full.expected - one.expected
+        return total, round(expected)
 
     def information(self, extra: Sequence[int]) -> float:
         """Return what the data tell about regressors beside the base: half the logarithm of the determinant
