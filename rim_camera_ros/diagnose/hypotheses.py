@@ -39,6 +39,11 @@ _WORDS = {
     "z_distance": "distances along the optical axis instead of along the ray",
     "other_lens": "another lens, of {1:.3g} times the focal length",
 }
+#: What else of the scene file may be corrected, where its reflectivities may be guesses.
+_GUESSES = dict.fromkeys(
+    ("other_pattern", "other_board"),
+    " (or state a reflectivity_sigma of what it guesses)",
+)
 
 
 #: Recording, scene and camera file of a set-up, and what makes those of another from them.
@@ -78,10 +83,12 @@ class Hypothesis:
     @property
     def reason(self) -> str:
         """Why the set-up cannot be trusted, and what to do."""
+        guesses = _GUESSES.get(self.hypothesis, "")
         than = "any physics of the camera does" if self.against_physics else "the files do"
         return (
             f"{self.hypothesis}: {self.sentence} explains the recording better than {than} "
-            f"({self.share:.0%} of what does not fit); correct the scene file, the poses or the camera file"
+            f"({self.share:.0%} of what does not fit); correct the scene file{guesses}, "
+            "the poses or the camera file"
         )
 
     @property
