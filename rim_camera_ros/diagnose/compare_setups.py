@@ -7,7 +7,7 @@ are compared by the paired differences of their poses (Vehtari, Gelman & Gabry 2
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -87,8 +87,8 @@ class _Judged:
 class _Score:
     """Mean loss and patches of each pose, the losses beyond the expected, and those of the reflectivities.
 
-    ``offset`` [m]: what all distances have in common. Losses are twice the negative log likelihood up to a
-    constant that all set-ups share.
+    ``offset`` [m]: what all distances have in common; ``hits`` (H, W): the pixels described. Losses are twice
+    the negative log likelihood up to a constant that all set-ups share.
     """
 
     poses: dict[_Key, tuple[float, float]]
@@ -96,6 +96,7 @@ class _Score:
     reflectivities: float
     beyond: float
     offset: float
+    hits: dict[_Key, Array]
 
 
 def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypothesis]:
@@ -160,7 +161,7 @@ def _compared(trials: Iterable[Trial], files: Files, given: _Score, poses: int) 
     found = []
     for trial in trials:
         try:
-            score = _score(trial.change(*files))
+            score = _score(trial.change(*files), given.hits)
         except RimError:
             continue
         difference, short = _differences(given, score)
@@ -197,23 +198,28 @@ def _some_poses(dataset: Dataset) -> Dataset:
     return replace(dataset, stations=stations[::step])
 
 
-def _score(files: Files) -> _Score:
+def _score(files: Files, within: Mapping[_Key, Array] | None = None) -> _Score:
     """Return how badly a set-up fits the poses, without the offset that all its distances share.
 
-    That is the camera's, whatever the set-up.
+    That is the camera's, whatever the set-up. ``within`` are the pixels that the files as given describe;
+    None: these are the files.
     """
     scene = files[1]
     forward = coarse_forward(*files)
     predictions = list(forward.predictions(slopes=False))
     offset = _common_offset(predictions)
-    judged = [one for each in predictions if (one := _judged(forward, each, offset)) is not None]
+    hits = {(one.station.recording, one.station.pose): one.view.geometry.hit for one in predictions}
+    regions = hits if within is None else within
+    looks = (_judged(forward, one, offset, regions) for one in predictions)
+    judged = [one for one in looks if one is not None]
     sigma = np.concatenate(
         [np.full(one.tiles, max(one.reflectivity_sigma, _EXACT)) for one in scene.surfaces]
     )
     found, cost = _reflectivities(judged, sigma)
     poses = {one.key: (one.loss(found), one.patches) for one in judged}
     excess = {one.key: one.loss(found) - one.expected for one in judged}
-    return _Score(poses, excess, float(cost.sum()), float(np.sum(found**2 / sigma**2)), offset)
+    beyond = float(np.sum(found**2 / sigma**2))
+    return _Score(poses, excess, float(cost.sum()), beyond, offset, hits)
 
 
 def _common_offset(predictions: Sequence[Prediction]) -> float:
@@ -225,14 +231,20 @@ def _common_offset(predictions: Sequence[Prediction]) -> float:
     return float(np.median(apart)) if apart.size else 0.0
 
 
-def _judged(forward: Forward, one: Prediction, offset: float) -> _Judged | None:
-    """Return what is judged of a station without ``offset`` [m]; None where nothing was measured."""
+def _judged(forward: Forward, one: Prediction, offset: float, within: Mapping[_Key, Array]) -> _Judged | None:
+    """Return what is judged of a station without ``offset`` [m]; None where nothing was measured.
+
+    Of the pixels ``within`` those (H, W) of each pose that the files as given describe: a scene need not
+    describe all that there is, and who describes more of it is not right therefore.
+    """
     key = (one.station.recording, one.station.pose)
     measured = one.station.count > 0
     if not measured.any():
         return None
     hit, clean = one.view.geometry.hit, one.view.clean
-    # what the scene has nothing for is as wrong as can be, except half covered pixels at its borders
+    if within[key].any():
+        measured = measured & within[key]
+    # what a set-up has nothing for is as wrong as can be, except half covered pixels at its borders
     blind = measured & (cv2.dilate(hit.astype(np.uint8), np.ones((3, 3), np.uint8)) == 0)
     pixels = measured & hit & clean
     described = np.array([each.is_described for each in forward.scene.surfaces])

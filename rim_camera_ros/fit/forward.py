@@ -343,7 +343,7 @@ class Forward:
             amplitude_sigma=np.sqrt(amplitude_variance),
             amplitude_noise=np.sqrt(noise_variance),
             amplitude_share=1.0 / alike,
-            amplitude_freedom=(noise_variance + model_variance) / amplitude_variance,
+            amplitude_freedom=noise_variance / amplitude_variance,
             used=used,
             amplitude_used=amplitude_used,
             slope_distance=1.0 + terms.by_distance,

@@ -35,7 +35,7 @@ class Prediction:
     noise model, with ``variance_of_other`` [m^2], that of a recording which it is compared with;
     ``amplitude_noise`` that of the amplitude. ``amplitude_sigma`` holds the errors of predicted amplitudes as
     well, which neighbours share: a pixel counts as ``amplitude_share`` of an observation, and its chi-square
-    is expected to be ``amplitude_freedom``, more where its own noise is the greater part. ``amplitude`` is
+    is expected to be ``amplitude_freedom``, what its own noise makes of it. ``amplitude`` is
     the latent amplitude [counts]: what the terms see; it follows a relative change of the predicted light by
     the share ``amplitude_follows``, as the rest of it is what was measured.
     """
