@@ -13,13 +13,10 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.effects.base import effect_of
-from rim_camera_ros.fit.pixels import Masks
-from rim_camera_ros.fit.problem import Fit, Problem, blocks_of, forward_of
+from rim_camera_ros.fit.problem import Fit, Problem, blocks_of, clean_by
 from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.solver import fit
-from rim_camera_ros.fit.views import Views
 from rim_camera_ros.parameters import NestedList
-from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.evidence import Scores
 
@@ -114,8 +111,8 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Fit | None 
     """
     problem = result.problem
     views = result.fit.forward.views
-    if model.optics != camera.optics and problem.masks is not None:
-        problem = replace(problem, masks=_clean_by(model, problem, result.fit.scene, views))
+    if model.optics != camera.optics:
+        problem = clean_by(model, problem, result.fit.scene, views=views)
     frozen = replace(
         problem,
         scene=result.fit.scene,
@@ -166,14 +163,6 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Fit | None 
         held_out=len(after.equations.folds) > 1,
         table_of_all=of_all,
     )
-
-
-def _clean_by(camera: Camera, problem: Problem, scene: Scene, views: Views) -> Masks:
-    """Return the pixels of a problem that are clean by a camera, too."""
-    assert problem.masks is not None
-    forward = forward_of(replace(problem, masks=None), scene, camera, views=views, offsets={})
-    both = zip(problem.masks, forward.predictions(slopes=False), strict=True)
-    return [(used & one.view.clean, lit & one.view.clean) for (used, lit), one in both]
 
 
 def _held_out(fitted: Fit, problem: Problem, folds: Mapping[tuple[int, int], int]) -> tuple[float, float]:

@@ -161,14 +161,14 @@ def _diagnose(
             further=smooth,
             seed=seed,
             views=forward.views,
-            ends_at=lambda fitted: _other_lens(fitted, camera) is not None,
             workers=workers,
             progress=say,
         )
     except (RimError, np.linalg.LinAlgError):
         return with_setups(_hopeless(problem, camera, variance, seed), setups)
     baseline, final = result.explorations[0], result.explorations[-1]
-    beyond_stated = _other_lens(baseline.fit, camera)
+    # physics that is missing moves the optics too: they are held against the file beside what was found
+    beyond_stated = _other_lens(final.fit, camera)
     if beyond_stated is not None:
         assert camera.covariance is not None
         result.forget()

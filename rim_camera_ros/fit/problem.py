@@ -160,6 +160,22 @@ def forward_of(
     return forward
 
 
+def clean_by(camera: Camera, problem: Problem, scene: Scene, *, views: Views | None) -> Problem:
+    """Return a problem with those of its pixels that stay away from edges by a camera's rays, too.
+
+    Pixels that an edge has reached say where it is, not how far anything is.
+    """
+    forward = forward_of(replace(problem, masks=None), scene, camera, views=views, offsets={})
+    clean = (one.view.clean for one in forward.predictions(slopes=False))
+    if problem.masks is None:
+        masks = [
+            (used & one, lit & one) for (used, lit), one in zip(forward.pixels_used(), clean, strict=True)
+        ]
+    else:
+        masks = [(used & one, lit & one) for (used, lit), one in zip(problem.masks, clean, strict=True)]
+    return replace(problem, masks=masks)
+
+
 def light_groups(problem: Problem, camera: Camera) -> list[tuple[str, ...]]:
     """Return the curves of the light that are fitted beside the camera."""
     # harmonics of a modulation make the light ripple: pulses have none

@@ -13,7 +13,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import response_of
 from rim_camera_ros.effects.candidate import Candidate, Facts
 from rim_camera_ros.fit.data import level_of
-from rim_camera_ros.fit.problem import Fit, Problem
+from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.views import Views
 from rim_camera_ros.select.candidates import candidates
 from rim_camera_ros.select.compare import Result, leading_variants, refused, smooth_says_more
@@ -35,7 +35,6 @@ def search(
     most: int = MOST_EFFECTS,
     further: Sequence[Candidate] = (),
     views: Views | None = None,
-    ends_at: Callable[[Fit], bool] | None = None,
     workers: Workers = map,
     progress: Callable[[str], None] | None = None,
 ) -> Result:
@@ -43,8 +42,7 @@ def search(
 
     ``effects`` restricts the candidates. ``further`` candidates are scored with the others but never join
     (smooth terms); where one of them explains far more than any effects, none joins. ``views`` are those of
-    the same scene by the same rays, if there are any. ``ends_at`` says of the fit of the camera as it is that
-    nothing shall be added to it. ``workers`` fit candidates, as `cluster.on_workers` does.
+    the same scene by the same rays, if there are any. ``workers`` fit candidates, as `cluster.on_workers` does.
     """
     say = progress if progress is not None else silent
     folds = folds_of(problem.dataset)
@@ -73,7 +71,7 @@ def search(
         may_look=problem.masks is None,
         workers=workers,
     )
-    if smooth_says_more(first) or (ends_at is not None and ends_at(first.fit)):
+    if smooth_says_more(first):
         most = 0
     state.add(most)
     if len(state.found) > 1:
