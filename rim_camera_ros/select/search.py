@@ -42,7 +42,8 @@ def search(
 
     ``effects`` restricts the candidates. ``further`` candidates are scored with the others but never join
     (smooth terms); where one of them explains far more than any effects, none joins. ``views`` are those of
-    the same scene by the same rays, if there are any. ``workers`` fit candidates, as `cluster.on_workers` does.
+    the same scene by the same rays, if there are any. ``workers`` fit candidates, as `cluster.on_workers`
+    does.
     """
     say = progress if progress is not None else silent
     folds = folds_of(problem.dataset)
