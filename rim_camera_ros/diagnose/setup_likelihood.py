@@ -1,0 +1,232 @@
+"""How likely a recording is by a set-up: what is predicted of some poses, and by how much two set-ups differ.
+
+Two set-ups are compared at the same pixels, those that the files as given describe. A pixel that an edge may
+reach can see what its neighbours see: the best of these counts, for both set-ups alike. Losses are twice the
+negative log likelihood up to a constant that all set-ups share, and bounded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.diagnose.hypotheses import Files
+from rim_camera_ros.diagnose.setup_trials import CAMERA_AMPLITUDE, coarse_forward
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.phasor import wrap_residual
+
+Array = NDArray[Any]
+#: A pose: recording and pose.
+Key = tuple[int, int]
+
+#: 1-sigma of distances [m] in which a camera and its file may differ.
+_CAMERA_DISTANCE = 0.03
+#: Squares of standardised residuals count up to this: what is wrong is wrong.
+_MOST = 9.0
+#: Rows and columns by which the neighbours of a pixel are away.
+_NEIGHBOURS = [(v, u) for v in (-1, 0, 1) for u in (-1, 0, 1) if (v, u) != (0, 0)]
+#: 1-sigma of reflectivities that the scene file calls known.
+_EXACT = 1e-3
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a set-up predicts of a pose, each (H, W).
+
+    ``distance`` the loss of the distances, ``ratio`` the logarithm of measured over predicted amplitudes with
+    its ``variance``, ``expected`` the loss by noise alone, ``tile`` the number of the tile; ``seen`` where
+    that holds, ``blind`` where something was measured and nothing is predicted. ``weight``: patches of
+    neighbours that a pixel makes up.
+    """
+
+    distance: Array
+    ratio: Array
+    variance: Array
+    expected: Array
+    tile: Array
+    seen: NDArray[np.bool_]
+    blind: NDArray[np.bool_]
+    weight: float
+
+
+@dataclass(frozen=True)
+class SetupPrediction:
+    """The looks of poses by a set-up, without the ``offset`` [m] that all its distances share.
+
+    That is the camera's, whatever the set-up. ``sigma`` (T,): relative 1-sigma of each tile's reflectivity.
+    """
+
+    looks: Mapping[Key, Look]
+    sigma: Array
+    offset: float
+
+
+@dataclass(frozen=True)
+class Difference:
+    """What a set-up gains over another, in nats: at each pose (P,), and by the reflectivities of all.
+
+    ``short`` is by how much the other fits worse than noise and stated errors explain.
+    """
+
+    poses: Array
+    reflectivities: float
+    short: float
+
+
+def predicted(files: Files) -> SetupPrediction:
+    """Return what files predict of the stations of their recording, one of each pose."""
+    scene = files[1]
+    forward = coarse_forward(*files)
+    predictions = list(forward.predictions(slopes=False))
+    offset = _common_offset(predictions)
+    looks = {
+        (one.station.recording, one.station.pose): _look(forward, one, offset)
+        for one in predictions
+        if (one.station.count > 0).any()
+    }
+    sigma = [np.full(one.tiles, max(one.reflectivity_sigma, _EXACT)) for one in scene.surfaces]
+    return SetupPrediction(looks, np.concatenate(sigma), offset)
+
+
+def _common_offset(predictions: Sequence[Prediction]) -> float:
+    """Return the median [m] of what distances differ by, over all pixels of a set-up; 0 without any."""
+    apart = np.concatenate(
+        [np.zeros(0), *(one.residual[one.view.clean & (one.station.count > 0)] for one in predictions)]
+    )
+    apart = apart[np.isfinite(apart)]
+    return float(np.median(apart)) if apart.size else 0.0
+
+
+def _look(forward: Forward, one: Prediction, offset: float) -> Look:
+    measured, view = one.station.count > 0, one.view
+    hit, clean = view.geometry.hit, view.clean
+    described = np.array([each.is_described for each in forward.scene.surfaces])[view.geometry.surface]
+    scatter = one.sigma**2 + _CAMERA_DISTANCE**2
+    wraps, period = forward.camera.sensor.wraps, one.context.ambiguity
+
+    def loss_of(light: Array, away: Array, tells: Array) -> tuple[Array, Array, Array]:
+        """Distance loss, log ratio and its variance by predictions ``away`` [m] from the own ones."""
+        rest = one.residual - offset + away
+        rest = wrap_residual(rest, period) if wraps else rest
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.log(one.station.amplitude / light)
+            variance = (one.amplitude_noise / light) ** 2 + CAMERA_AMPLITUDE**2
+            distance = np.minimum(np.nan_to_num(rest**2 / scatter, nan=_MOST), _MOST)
+        # no amplitude is as wrong as can be; that of a surface which nobody described says nothing
+        ratio = np.where(tells, np.where(np.isfinite(ratio), ratio, np.inf), 0.0)
+        return distance, ratio, variance
+
+    images = [*loss_of(one.model_amplitude, np.zeros(hit.shape), described), view.geometry.tile.copy()]
+    least = _total(*images[:3])
+    expected = one.sigma**2 / scatter + (images[2] - CAMERA_AMPLITUDE**2) / images[2]
+    for by in _NEIGHBOURS:
+        light, there, tells, tile = (
+            _shifted(x, by) for x in (one.model_amplitude, one.distance, described, view.geometry.tile)
+        )
+        other = [*loss_of(light, one.distance - there, tells), tile]
+        total = _total(*other[:3])
+        better = ~clean & _shifted(hit, by) & (total < least)
+        for image, value in zip([*images, least], [*other, total], strict=True):
+            image[better] = value[better]
+    # pixels at the border of what is described are half covered: neither seen nor blind
+    near = cv2.dilate(hit.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    alike = float(np.median(forward.views.alike(view)[clean])) if clean.any() else np.inf
+    distance, ratio, variance, tile = images
+    return Look(
+        distance=distance,
+        ratio=ratio,
+        variance=variance,
+        expected=np.nan_to_num(expected, posinf=0.0),
+        tile=tile,
+        seen=measured & hit,
+        blind=measured & ~near,
+        weight=1.0 / alike,
+    )
+
+
+def _total(distance: Array, ratio: Array, variance: Array) -> Array:
+    return np.asarray(distance + np.minimum(ratio**2 / variance, _MOST))
+
+
+def _shifted(image: Array, by: tuple[int, int]) -> Array:
+    """Return an image (H, W) of what stands ``by`` so many rows and columns further, the border repeated."""
+    height, width = image.shape
+    padded = np.pad(image, 1, mode="edge")
+    return padded[1 + by[0] : 1 + by[0] + height, 1 + by[1] : 1 + by[1] + width]
+
+
+def difference(given: SetupPrediction, other: SetupPrediction) -> Difference:
+    """Return what a set-up gains over the files as ``given``.
+
+    Where these describe not one pixel of a pose, at those that the other describes.
+    """
+    regions, weights = {}, {}
+    for key in sorted(given.looks.keys() & other.looks.keys()):
+        own, its = given.looks[key], other.looks[key]
+        regions[key] = own.seen & (its.seen | its.blind) if own.seen.any() else its.seen
+        weights[key] = own.weight or its.weight
+    before, cost_before, errors = _losses(given, regions, weights)
+    after, cost_after, _ = _losses(other, regions, weights)
+    expected = sum(
+        weights[key] * float(given.looks[key].expected[region & given.looks[key].seen].sum())
+        for key, region in regions.items()
+    )
+    return Difference(
+        poses=0.5 * (before - after),
+        reflectivities=0.5 * (cost_before - cost_after),
+        short=0.5 * (float(before.sum()) - expected + float(np.sum(errors**2 / given.sigma**2))),
+    )
+
+
+def _losses(
+    setup: SetupPrediction, regions: Mapping[Key, Array], weights: Mapping[Key, float]
+) -> tuple[Array, float, Array]:
+    """Return the losses of each pose in its region (P,), of the reflectivities, and their log errors (T,).
+
+    What nothing is predicted of is as wrong as can be.
+    """
+    parts = [
+        (setup.looks[key], region & setup.looks[key].seen, weights[key]) for key, region in regions.items()
+    ]
+    nothing = [np.zeros(0)]
+    ratio, variance, tile = (
+        np.concatenate(nothing + [getattr(look, name)[pixels] for look, pixels, _ in parts])
+        for name in ("ratio", "variance", "tile")
+    )
+    weight = np.concatenate(nothing + [np.full(int(pixels.sum()), each) for _, pixels, each in parts])
+    errors, cost = _reflectivities(tile.astype(int), ratio, variance, weight, setup.sigma)
+    losses = []
+    for (look, pixels, each), region in zip(parts, regions.values(), strict=True):
+        rest = look.ratio[pixels] - errors[look.tile[pixels]]
+        light = np.minimum(rest**2 / look.variance[pixels], _MOST)
+        missed = int(region.sum() - pixels.sum())
+        losses.append(each * (float(look.distance[pixels].sum() + light.sum()) + 2 * _MOST * missed))
+    return np.array(losses), cost, errors
+
+
+def _reflectivities(
+    tile: Array, ratio: Array, variance: Array, weight: Array, sigma: Array
+) -> tuple[Array, float]:
+    """Return the log error of the reflectivity of each tile (T,), and what they cost together as a loss.
+
+    Of pixels (N,). An error is the same in all poses: nuisance parameters with normal priors of 1-``sigma``
+    (T,), integrated out by Laplace's method (Kass & Raftery 1995, eq. 5).
+    """
+    found, cost = np.zeros_like(sigma), 0.0
+    known = np.isfinite(ratio)
+    for number in np.unique(tile[known]):
+        own = known & (tile == number)
+        precision, prior = float(np.sum(weight[own] / variance[own])), float(sigma[number] ** 2)
+        error = float(np.median(ratio[own])) * precision * prior / (1 + precision * prior)
+        change = np.minimum((ratio[own] - error) ** 2 / variance[own], _MOST)
+        change = change - np.minimum(ratio[own] ** 2 / variance[own], _MOST)
+        if float(weight[own] @ change) + error**2 / prior < 0:
+            found[number] = error
+        cost += float(found[number] ** 2 / prior + np.log1p(precision * prior))
+    return found, cost
