@@ -179,7 +179,7 @@ def test_the_programs_are_those_that_are_installed() -> None:
             "/ws/lib/driver_node",
             "driver_node",
         ),
-        (["python3", "/home/me/.venv/bin/rim", "info"], "/home/me/.venv/bin/rim", "rim"),
+        (["python3", "/opt/lab/.venv/bin/rim", "info"], "/opt/lab/.venv/bin/rim", "rim"),
         (["python3", "analysis.py", "rim"], "analysis.py", None),
         (["python3", "-c", "import rim_camera_ros"], "-c", None),
         (["python3"], "", None),

@@ -46,12 +46,12 @@ def test_device_info_with_and_without_keys() -> None:
             source="SwissRanger on USB",
             serial_number="0x0000002a",
             modulation_frequency="20000000",
-            file="/home/me/mine.yaml",
+            file="/opt/lab/mine.yaml",
             file_sha256="ab" * 32,
         )
     )
     assert (full.device, full.serial_number, full.modulation_frequency) == ("SR-3000", "0x0000002a", 20e6)
-    assert (full.file, full.file_sha256) == ("/home/me/mine.yaml", "ab" * 32)
+    assert (full.file, full.file_sha256) == ("/opt/lab/mine.yaml", "ab" * 32)
     assert full.firmware is None
     empty = messages.device_info(array("device_info"))
     assert (empty.file, empty.modulation_frequency, empty.device) == (None, None, "")

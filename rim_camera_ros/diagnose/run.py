@@ -274,7 +274,7 @@ def with_setups(diagnosis: Diagnosis, setups: list[Hypothesis]) -> Diagnosis:
     if diagnosis.verdict == "consistent" and setups:
         # offsets of the pixels took it up
         said = offset_beyond(setups[0].value, diagnosis.nuisances)
-        diagnosis.notes.extend([] if said is None else [said])
+        diagnosis = replace(diagnosis, notes=[*diagnosis.notes, *([] if said is None else [said])])
     best = setups[0] if setups else None
     if (
         reason is not None

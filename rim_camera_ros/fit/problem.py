@@ -165,14 +165,11 @@ def clean_by(camera: Camera, problem: Problem, scene: Scene, *, views: Views | N
 
     Pixels that an edge has reached say where it is, not how far anything is.
     """
-    forward = forward_of(replace(problem, masks=None), scene, camera, views=views, offsets={})
-    clean = (one.view.clean for one in forward.predictions(slopes=False))
-    if problem.masks is None:
-        masks = [
-            (used & one, lit & one) for (used, lit), one in zip(forward.pixels_used(), clean, strict=True)
-        ]
-    else:
-        masks = [(used & one, lit & one) for (used, lit), one in zip(problem.masks, clean, strict=True)]
+    forward = forward_of(problem, scene, camera, views=views, offsets={})
+    masks = [
+        (one.used & one.view.clean, one.amplitude_used & one.view.clean)
+        for one in forward.predictions(slopes=False)
+    ]
     return replace(problem, masks=masks)
 
 

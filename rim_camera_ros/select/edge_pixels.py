@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
-from rim_camera_ros.effects import registry
+from rim_camera_ros.effects import registry, vocabulary
 from rim_camera_ros.effects.candidate import Candidate
 from rim_camera_ros.fit.pixels import more_pixels
-from rim_camera_ros.fit.problem import Fit, Problem
+from rim_camera_ros.fit.problem import Fit, Problem, clean_by
 from rim_camera_ros.fit.views import CROSSED
-from rim_camera_ros.select.exploration import LEAST_THRESHOLD, Exploration
+from rim_camera_ros.select.compare import Trial
+from rim_camera_ros.select.exploration import LEAST_THRESHOLD, Exploration, explore
 
 #: Share of what such an effect must gain that it gains before the other parameters are fitted.
 _AT_FIRST_SIGHT = 0.5
@@ -51,6 +52,33 @@ def edge_candidates(*, at_first_sight: bool = False) -> list[Candidate]:
     """Return the variants of all effects that only pixels show which an edge crosses."""
     kinds = registry().values()
     return [one for kind in kinds for one in kind.edge_candidates(at_first_sight=at_first_sight)]
+
+
+def where_clean(
+    trial: Trial, before: Exploration, problem: Problem, folds: Mapping[tuple[int, int], int]
+) -> tuple[Exploration, Exploration]:
+    """Return the fits with and without a trial's effects, by the pixels that are clean by both cameras.
+
+    They differ where its effects move rays.
+    """
+    after = trial.fitted
+    if not any(vocabulary()[name].moves_rays for name in trial.effects):
+        return after, before
+    fits = ((after, trial.problem), (before, problem))
+    with_rays, without = (
+        explore(
+            clean_by(after.fit.camera, own, after.fit.scene, views=after.fit.forward.views),
+            one.fit.camera,
+            [],
+            folds,
+            views=one.fit.forward.views,
+            warm=one.fit,
+            replicates=0,
+            iterations=0,
+        )
+        for one, own in fits
+    )
+    return with_rays, without
 
 
 def with_edges(problem: Problem, fitted: Fit) -> Problem:

@@ -130,7 +130,8 @@ class Scores:
     def chi_square(self, extra: Iterable[int] = (), *, held_out: bool = False) -> tuple[float, int]:
         """Return chi-square of the residuals and what is expected of it: fitted, or of held-out poses.
 
-        Held out, it is that of the predictive distribution, whose expectation is the number of values.
+        Held out, it is that of the predictive distribution. Noise alone makes squares of amplitudes smaller
+        than their variance, which holds the error of predictions, too.
         """
         columns = self.columns(extra)
 

@@ -11,7 +11,7 @@ from rim_camera_ros.camera_file import lean_camera, with_effects
 from rim_camera_ros.effects import Physics, vocabulary
 from rim_camera_ros.effects.candidate import Candidate
 from rim_camera_ros.fit.gauss_newton import keeps_amplitude_error
-from rim_camera_ros.fit.problem import Fit, Problem, clean_by
+from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.select.candidates import form_blocks
 from rim_camera_ros.select.compare import (
     LEAST_SIZE,
@@ -32,7 +32,7 @@ from rim_camera_ros.select.compare import (
     what_it_became,
 )
 from rim_camera_ros.select.confounding import follows_time_in_quiet_pixels, shows_in_quiet_pixels
-from rim_camera_ros.select.edge_pixels import Look, promising, sharper, with_edges
+from rim_camera_ros.select.edge_pixels import Look, promising, sharper, where_clean, with_edges
 from rim_camera_ros.select.effect_sizes import effect_size
 from rim_camera_ros.select.exploration import Exploration, explore, explored, further_equations
 from rim_camera_ros.select.subsample import dominated, subsample_of
@@ -222,28 +222,6 @@ class Search:
         by_fold = (one.scores.log_likelihoods() for one in (after, before))
         return max(threshold, PAIRED_ERRORS * paired_error(*by_fold))
 
-    def _where_clean(self, trial: Trial) -> tuple[Exploration, Exploration]:
-        """Return the fits with and without a trial's effects, by the pixels that are clean for both."""
-        after, before = trial.fitted, self.step
-        if not any(vocabulary()[name].moves_rays for name in trial.effects):
-            return after, before
-
-        def scored(one: Exploration, problem: Problem) -> Exploration:
-            own = clean_by(after.fit.camera, problem, after.fit.scene, views=after.fit.forward.views)
-            return explore(
-                own,
-                one.fit.camera,
-                [],
-                self.folds,
-                views=one.fit.forward.views,
-                warm=one.fit,
-                seed=self.seed,
-                replicates=0,
-                iterations=0,
-            )
-
-        return scored(after, trial.problem), scored(before, self.problem)
-
     def _enter(self, curve: Candidate) -> None:
         """Score all that follows beside a curve of what an effect found depends on."""
         self.say(f"another form of what is found, over {curve.variant}")
@@ -255,7 +233,7 @@ class Search:
         trial, close = self._best_trial(numbers, leader)
         fitted = trial.fitted
         threshold = self._threshold(self.step.best_of(trial.effects))
-        compared = self._where_clean(trial)
+        compared = where_clean(trial, self.step, self.problem, self.folds)
         need = self._entry(threshold, *compared)
         gain = self._gain(*compared)
         again = self._without(trial.effects, fitted, gain)

@@ -22,9 +22,24 @@ from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.parameters import NestedList
-from rim_camera_ros.scene import Scene
+from rim_camera_ros.scene import Scene, load_scene
 
-from ..calibrate.helpers import camera, record, scene
+from ..calibrate.helpers import camera, record, scene, with_footprints
+
+PLATE = """
+format: rim_scene/1
+surfaces:
+- name: board
+  type: rectangle
+  pose: truth
+  size: [1.1, 0.8]
+  pose_sigma: [0.001, 0.0005]
+  texture: {cell: [0.31, 0.27], values: [[0.1, 0.85, 0.3], [0.6, 0.2, 0.9], [0.45, 0.75, 0.15]]}
+- name: wall
+  type: plane
+  pose: {position: [0.1, 0.0, 4.9], orientation: [0.05, 0.02, 0.0, 0.99855]}
+  reflectivity: 0.55
+"""
 
 
 def with_texture(board: Scene, values: np.ndarray | None = None, factor: float = 1.0) -> Scene:
@@ -34,7 +49,7 @@ def with_texture(board: Scene, values: np.ndarray | None = None, factor: float =
     assert texture is not None
     cell = (texture.cell[0] * factor, texture.cell[1] * factor)
     changed = replace(texture, cell=cell, values=texture.values if values is None else NestedList(values))
-    return replace(board, surfaces=(replace(surface, texture=changed),))
+    return replace(board, surfaces=(replace(surface, texture=changed), *board.surfaces[1:]))
 
 
 def tiles(board: Scene) -> np.ndarray:
@@ -139,6 +154,23 @@ def test_a_depth_is_left_to_the_fit_of_poses(tmp_path: Path) -> None:
     lid = Hypothesis("scale", "lid", 34.0, 15.0, 1.05, 0.04, against_physics=True)
     assert best_setup([depth, lid]) is None
     assert best_setup([replace(lid, gain=700.0), depth]) is not None
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_a_plate_before_a_wall_is_no_larger_than_it_is(tmp_path: Path, seed: int) -> None:
+    """Pixels have an area: those that an edge crosses fit no set-up, and are no reason for another size."""
+    given = camera(tmp_path)
+    path = tmp_path / "plate.yaml"
+    path.write_text(PLATE)
+    both = load_scene(path)
+    data = with_footprints(given, both, record(given, both, poses=10, seed=seed), 1.0, seed)
+    assert [one.hypothesis for one in compare_setups(data, both, given) if one.is_better] == []
+    # the same plate said to be an eighth larger
+    large = with_texture(both, factor=1.125)
+    plate = replace(large.surfaces[0], size=(1.1 * 1.125, 0.8 * 1.125))
+    leader = compare_setups(data, replace(large, surfaces=(plate, both.surfaces[1])), given)[0]
+    assert (leader.hypothesis, leader.surface) == ("scale", "board")
+    assert leader.value == pytest.approx(0.9)
 
 
 def test_distances_along_the_axis(tmp_path: Path) -> None:
