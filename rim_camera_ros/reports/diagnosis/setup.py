@@ -12,11 +12,15 @@ from rim_camera_ros.reports.page import Figure, Mood, Part, Table
 
 #: What an imperfection may be of its stated size, and still no missing physics.
 _ORDINARY = 3.0
+#: Set-ups as rows of the table.
 _HYPOTHESES = {
     "as_given": "as the scene file says",
     "turned_180": "turned by 180°",
+    "turned_90": "turned by 90°",
     "mirrored": "mirrored",
     "inverted": "dark and bright exchanged",
+    "other_pattern": "with another pattern",
+    "other_board": "another board",
     "scale": "of another size",
     "depth": "nearer or farther",
     "pose": "at another pose",
@@ -45,8 +49,9 @@ def worst_pose(found: Evidence) -> list[Part]:
 
 
 def hypotheses(report: Mapping[str, Any]) -> list[Part]:
-    """Return what else the scene could be, by `setup` of report.json."""
-    ranked = sorted(report.get("setup") or [], key=lambda one: -float(one["gain"] or 0.0))
+    """Return what else the scene could be, by `setup` of report.json, in its order."""
+    # the files lead where they are trusted, whatever gained a little more
+    ranked = list(report.get("setup") or [])
     rows = [
         [
             _HYPOTHESES.get(one["hypothesis"], str(one["hypothesis"]).replace("_", " ")),
