@@ -103,7 +103,7 @@ LINES = {
     "plan": ["plan", "--camera", "sr3000"],
     "info": ["info", "room", "--camera", "sr3000"],
     "compare": ["compare", "sr3000", "sr3000_every_effect"],
-    "board": ["board", "--out", "board.pdf"],
+    "board": ["board", "checkerboard", "--out", "board"],
     **{
         name: [name, "--help"]
         for name in ("calibrate", "diagnose", "correct", "import", "camera", "poses", "optics")

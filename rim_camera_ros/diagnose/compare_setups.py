@@ -107,12 +107,17 @@ def _compared(trials: Iterable[Trial], files: Files, given: SetupPrediction, pos
                 gain * share + own.reflectivities,
                 error * share,
                 trial.value,
-                (gain + own.reflectivities) / max(own.short, 1e-9),
+                _explained(gain + own.reflectivities, own.short),
                 trial.change,
                 fitted=trial.fitted,
             )
         )
     return found
+
+
+def _explained(gain: float, short: float) -> float:
+    """Return the share that a ``gain`` is of what does not fit, which is at least what is gained."""
+    return gain / max(short, gain, 1e-9)
 
 
 def _some_poses(dataset: Dataset) -> Dataset:

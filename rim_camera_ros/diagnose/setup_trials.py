@@ -141,8 +141,9 @@ def _of_camera() -> Iterator[Trial]:
         # poses in other units, as light tells the distances of a camera
         yield Trial("units", "", factor, _to_poses(None, partial(_nearer, factor=factor)))
     yield Trial("z_distance", "", 0.0, _to_distances(lambda one, rays: one / rays[..., 2]))
-    for factor in (one for one in _FACTORS if abs(one - 1) > LEAST_LENS):
-        yield Trial("other_lens", "", factor, partial(_through_lens, factor=factor))
+    for factor in _FACTORS:
+        near = abs(factor - 1) < LEAST_LENS
+        yield Trial("other_lens", "", factor, partial(_through_lens, factor=factor), fitted=near)
 
 
 def _times(distance: Array, rays: Array, *, factor: float) -> Array:
