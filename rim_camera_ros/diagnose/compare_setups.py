@@ -47,17 +47,17 @@ def against_physics(
 ) -> list[Hypothesis]:
     """Return set-ups by what they gain over the files as given with the camera ``found``, the best first.
 
-    Those that gained nothing over the files alone, and those that are fitted, stay as they are. Of the others
-    each is taken with the camera of the file and with that which was found, as both may be wrong. A camera
-    constant that is found to be another lens' is no physics but that set-up.
+    Those that gained nothing over the files alone stay as they are. Of the others each is taken with the
+    camera of the file and with that which was found, as both may be wrong. A camera constant that is found to
+    be another lens' is no physics but that set-up.
     """
     setups = list(setups)
     if abs(found.optics.fx / camera.optics.fx - 1) > LEAST_LENS:
         found = replace(found, optics=camera.optics)
     given = predicted(_coarse(dataset, scene, found))
-    again = [one for one in setups if one.fitted or not one.is_better]
+    again = [one for one in setups if not one.is_better]
     for one in setups:
-        if one.fitted or not one.is_better or one.change is None:
+        if not one.is_better or one.change is None:
             continue
         trial = Trial(one.hypothesis, one.surface, one.value, one.change)
         for own in (camera, found):

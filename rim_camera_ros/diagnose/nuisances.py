@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import chdtrc, ndtr
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.hypotheses import LEAST_GAIN
 from rim_camera_ros.effects.light_curves import PREFIX, TILES
 from rim_camera_ros.fit.design import BEYOND, COMMON_POSE, OPTICS
 from rim_camera_ros.fit.problem import Fit
@@ -22,12 +23,16 @@ _LEAST_MOVE = 0.1
 
 @dataclass(frozen=True)
 class Nuisance:
-    """An imperfection: root mean square of what was ``found``, and the 1-sigma that is ``stated``."""
+    """An imperfection: root mean square of what was ``found``, and the 1-sigma that is ``stated``.
+
+    ``gain`` [nats] is what its errors cost as errors of the stated size.
+    """
 
     name: str
     found: float
     stated: float
     unit: str = "-"
+    gain: float = 0.0
 
 
 #: Names by the beginning of the labels of their parameters, with the unit.
@@ -121,9 +126,12 @@ _COMMON = {"common_pose_offset": "depth"}
 
 
 def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
-    """Return in words that all poses of surfaces err alike by far more than is stated; None: they do not."""
+    """Return in words that all poses of surfaces err alike by far more than is stated; None: they do not.
+
+    Where surfaces that stand elsewhere gain what another set-up must.
+    """
     for one in nuisances_of(fitted, camera):
-        if one.name in _COMMON and one.found > BEYOND * one.stated:
+        if one.name in _COMMON and one.gain > LEAST_GAIN:
             size = f"{one.found * 1e3:.2g} {'mm' if one.unit == 'm' else 'mrad'}"
             offset = one.unit == "m"
             own = {
@@ -174,4 +182,5 @@ def reflectivities_beyond(fitted: Fit, scene: Scene) -> str | None:
 def _of(name: str, pairs: list[tuple[float, float]], unit: str) -> Nuisance:
     values = np.array(pairs)
     found, stated = np.sqrt(np.mean(values**2, axis=0))
-    return Nuisance(name, float(found), float(stated), unit)
+    gain = 0.5 * float(np.sum((values[:, 0] / values[:, 1]) ** 2))
+    return Nuisance(name, float(found), float(stated), unit, gain)

@@ -24,7 +24,7 @@ from rim_camera_ros.diagnose.nuisances import (
     reflectivities_beyond,
 )
 from rim_camera_ros.diagnose.result import Diagnosis
-from rim_camera_ros.diagnose.setup import Setup, check_setup
+from rim_camera_ros.diagnose.setup import VERY_FEW, Setup, check_setup
 from rim_camera_ros.diagnose.smooth import axes_of, gradient_terms, single_terms
 from rim_camera_ros.diagnose.variance import Variance, examine_variance, moving
 from rim_camera_ros.diagnose.verdict import Findings, verdict_of
@@ -49,8 +49,6 @@ from rim_camera_ros.select.trials import Workers
 _BEYOND_NAMED = 1.2
 #: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
 _COMMON_LIGHT = 0.1
-#: Times that a diagnosis is made anew without poses that do not agree.
-_MOST_AGAIN = 2
 _ONE_POSE = (
     "only one pose: what depends on distance, amplitude or angle cannot be told from an offset of each "
     "pixel, so none of it is named, and nothing is held out; record 20 poses or more at different distances"
@@ -116,7 +114,7 @@ def _diagnose(
     threads: int,
     workers: Workers,
     say: Callable[[str], None],
-    again: int = _MOST_AGAIN,
+    spare: int | None = None,
     setups: list[Hypothesis] | None = None,
 ) -> Diagnosis:
     moves = scene.camera_motion.moves
@@ -175,7 +173,7 @@ def _diagnose(
         say("once more without the stated covariance of the optics")
         free = replace(camera, covariance=camera.covariance.without(["optics."]))
         noted = replace(dataset, notes=[*dataset.notes, beyond_stated])
-        return _diagnose(noted, scene, free, against, seed, threads, workers, say, again, setups)
+        return _diagnose(noted, scene, free, against, seed, threads, workers, say, spare, setups)
     if alone:
         dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
     say("looking for what no named effect explains")
@@ -229,11 +227,12 @@ def _diagnose(
             [*setups, moved_poses({one.key: one.error for one in setup.poses if one.key in setup.bad})]
         )
     reason = None if variance.pixels_vary_together or codes is not None else reason
-    if reason is not None and setup.may_do_without and against is None and again > 0:
+    spare = max(1, int(VERY_FEW * dataset.poses)) if spare is None else spare
+    if reason is not None and 0 < len(setup.bad) <= spare and against is None:
         say("once more without what does not agree")
         result.forget()
         kept = _without(problem.dataset, setup)
-        return _diagnose(kept, scene, camera, None, seed, threads, workers, say, again - 1)
+        return _diagnose(kept, scene, camera, None, seed, threads, workers, say, spare - len(setup.bad))
     by_background = only_background(result, unknown, variance, camera)
     if by_background or only_rectified_noise(result, variance):
         described = None

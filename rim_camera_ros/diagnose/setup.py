@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.diagnose.hypotheses import LEAST_GAIN
 from rim_camera_ros.effects import registry
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit
@@ -17,8 +18,8 @@ from rim_camera_ros.select.effect_sizes import change_by
 
 Array = NDArray[Any]
 
-#: A pose error beyond this many sigma of its instrument is no error of the instrument.
-FAR = 15.0
+#: A pose error beyond this many sigma of its instrument is none: elsewhere it gains what a set-up must.
+FAR = float(np.sqrt(2 * LEAST_GAIN))
 #: Chi-square per value of a pose that stands out.
 LARGE = 10.0
 #: A pose is wrong by itself only where it stands out by this factor from four fifths of the others, ...
@@ -27,7 +28,7 @@ AGAINST_OTHERS = 4.0
 FEW = 0.15
 #: Poses below which none stands out from the others.
 _LEAST_POSES = 4
-#: Share of the poses, beside one, that may be left out without asking.
+#: Share of the poses that may be left out altogether, or one: the others are diagnosed by themselves.
 VERY_FEW = 0.05
 #: Factor on these limits where physics was found whose form may be wrong.
 _STRAINED = 3.0
@@ -98,11 +99,6 @@ class Setup:
     def chi_square(self) -> float:
         """Mean chi-square per distance over the poses, after the fit."""
         return float(np.mean([one.chi_square for one in self.poses])) if self.poses else 1.0
-
-    @property
-    def may_do_without(self) -> bool:
-        """Whether so few poses are bad that the others can be diagnosed by themselves."""
-        return 0 < len(self.bad) <= max(1.0, VERY_FEW * len(self.poses))
 
 
 def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:

@@ -37,8 +37,8 @@ Array = NDArray[Any]
 _SAME_LIGHT = 0.01
 
 
-#: Relative 1-sigma to which amplitudes can be predicted at best: areas of pixels, flatness, dust.
-AMPLITUDE_MODEL = 0.01
+#: Relative 1-sigma to which amplitudes are predicted at best; what areas, flatness and dust do is estimated.
+AMPLITUDE_MODEL = 0.003
 
 
 @dataclass
