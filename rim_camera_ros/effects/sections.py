@@ -52,6 +52,14 @@ class OpticsSection(Section):
         return Block(regressors, optics_columns(camera, [path for path, _, _ in cls.numbers]))
 
     @classmethod
+    def of_another(cls, camera: Camera, other: Camera) -> Camera:
+        """Return the camera with the numbers that another one has."""
+        numbers = flatten(other.optics)
+        return replace(
+            camera, optics=with_values(camera.optics, {path: numbers[path] for path, _, _ in cls.numbers})
+        )
+
+    @classmethod
     def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
         block = cls.block(camera)
 

@@ -43,6 +43,7 @@ from rim_camera_ros.select.trials import (
     fitted_trials,
     onwards,
     trial_fit,
+    without_effect,
 )
 
 #: Leaders that may prove wrong when they are fitted, until the search ends.
@@ -121,14 +122,18 @@ class Search:
         is replaced by one without them.
         """
         for one in list(self.found[:-1]):
-            if one.effect not in self.step.fit.camera.effects or len(self.found) < 2:
+            left = without_effect(one.effect, self.problem, self.step.fit.camera, self.camera)
+            if left is None or len(self.found) < 2:
                 continue
-            left = {name: e for name, e in self.step.fit.camera.effects.items() if name != one.effect}
-            without = self._fitted(self.problem, with_effects(self.step.fit.camera, left), self.step)
+            problem, camera = left
+            without = self._fitted(problem, camera, self.step)
             before = self.explorations[one.step]
             threshold = float(before.thresholds[before.best()[one.effect]])
-            if self._gain(self.step, without) > self._entry(threshold, self.step, without):
+            own = Trial([one.effect], self.problem, self.step, 0.0)
+            compared = where_clean(own, without, problem, self.folds)
+            if self._gain(*compared) > self._entry(threshold, *compared):
                 continue
+            self.problem = problem
             self.found.remove(one)
             self._replace_step(without.fit, before)
             self._judge_first_anew()

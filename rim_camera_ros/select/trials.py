@@ -8,6 +8,7 @@ from time import monotonic
 from typing import Any
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects import OF_SURFACES, OPTICS, vocabulary
 from rim_camera_ros.fit.data import level_of
 from rim_camera_ros.fit.problem import Point, Problem
@@ -121,6 +122,21 @@ def trial_fit(
         # them may put a texture's edges on other pixels
         start = step.camera_with([k for k in choice if step.candidates[k].effect not in OPTICS])
     return TrialFit(names, problem, start, step.fit.point, folds, seed, near=near, views=views)
+
+
+def without_effect(
+    name: str, problem: Problem, camera: Camera, origin: Camera
+) -> tuple[Problem, Camera] | None:
+    """Return problem and camera without an effect that was found; None where it is none of the camera's.
+
+    Optics are as those of the camera ``origin`` then.
+    """
+    if name in problem.geometry:
+        left = tuple(one for one in problem.geometry if one != name)
+        return replace(problem, geometry=left), OPTICS[name].of_another(camera, origin)
+    if name not in camera.effects:
+        return None
+    return problem, with_effects(camera, {key: one for key, one in camera.effects.items() if key != name})
 
 
 def onwards(trial: Trial, folds: Mapping[tuple[int, int], int], seed: int) -> TrialFit:
