@@ -143,7 +143,8 @@ def parameters_matter(camera: Camera, result: Result, adjusted: Sequence[Adjuste
         return True
     if not adjusted or total_change(camera, result.explorations[-1].fit) < LEAST_TOTAL:
         return False
-    frozen = replace(result.problem, effects=(), gain=False, geometry=())
+    error = result.explorations[-1].fit.forward.amplitude_model.tau
+    frozen = replace(result.problem, effects=(), gain=False, geometry=(), amplitude_error=error)
     folds = folds_of(result.problem.dataset)
     step = explore(frozen, camera, [], folds, replicates=0, views=result.fit.forward.views, iterations=2)
     after, before = (one.scores.log_likelihoods() for one in (result.explorations[-1], step))

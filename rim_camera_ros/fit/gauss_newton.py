@@ -178,6 +178,8 @@ class GaussNewton:
         elif count <= self._settled and self._iterations:
             forward.amplitude_model = AmplitudeModel(dict(self._gains), self._tau, self._pixels)
             self._tau = amplitude_error(forward, self._nuisances)
+        if problem.amplitude_error is not None:
+            self._tau = problem.amplitude_error
         forward.amplitude_model = AmplitudeModel(dict(self._gains), self._tau, self._pixels)
         return forward
 

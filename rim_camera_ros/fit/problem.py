@@ -47,7 +47,8 @@ class Problem:
     Lambert's law, ``response`` [counts] what the effect on the response leaves, relative to that level.
     ``pattern_prior`` [m] is the 1-sigma of an offset per pixel. ``variance_factors`` as in `Forward`. The
     table over covariates is fitted only where ``effects`` names it. ``imperfections`` estimates what no scene
-    and no camera file states exactly (`imperfections`), within its stated sizes.
+    and no camera file states exactly (`imperfections`), within its stated sizes. ``amplitude_error`` is the
+    relative 1-sigma of predicted amplitudes, the same in likelihoods that are compared (None: estimated).
     Priors of the parameters of effects and optics are those of the camera ``origin``, where it has them,
     and about its values, whatever a fit begins at: what earlier fits took up must not hold later ones. None:
     those of the start.
@@ -71,6 +72,7 @@ class Problem:
     pattern_prior: float = PATTERN_PRIOR
     variance_factors: Mapping[tuple[int, int], float] = field(default_factory=dict)
     imperfections: bool = True
+    amplitude_error: float | None = None
     tick: Callable[[], None] | None = None
     threads: int = 1
 

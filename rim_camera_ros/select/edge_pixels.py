@@ -64,10 +64,15 @@ def where_clean(
     after = trial.fitted
     if not any(vocabulary()[name].moves_rays for name in trial.effects):
         return after, before
+    # likelihoods of the same noise
+    error = before.fit.forward.amplitude_model.tau
     fits = ((after, trial.problem), (before, problem))
     with_rays, without = (
         explore(
-            clean_by(after.fit.camera, own, after.fit.scene, views=after.fit.forward.views),
+            replace(
+                clean_by(after.fit.camera, own, after.fit.scene, views=after.fit.forward.views),
+                amplitude_error=error,
+            ),
             one.fit.camera,
             [],
             folds,
