@@ -131,22 +131,27 @@ def _varying(
 
 
 def parameters_matter(camera: Camera, result: Result, adjusted: Sequence[Adjusted]) -> bool:
-    """Return whether freeing the known terms, of which some moved, gains on held-out poses.
+    """Return whether freeing the known terms that moved gains on held-out poses, conditional on the others.
 
-    As much as an effect must gain to enter, beside two standard errors paired over the folds of poses, where
-    they move distances by `LEAST_TOTAL`.
+    As much as an effect must gain to enter, and two standard errors paired over the folds of poses, where
+    all terms together move distances by `LEAST_TOTAL`.
 
     A wrong radiometric gain matters by itself: fits of poses take up a power that is wrong in all of them, so
     that no likelihood tells it.
     """
     if any(one.effect == Radiometry.section for one in adjusted):
         return True
-    if not adjusted or total_change(camera, result.explorations[-1].fit) < LEAST_TOTAL:
+    final = result.explorations[-1].fit
+    if not adjusted or total_change(camera, final) < LEAST_TOTAL:
         return False
-    error = result.explorations[-1].fit.forward.amplitude_model.tau
-    frozen = replace(result.problem, effects=(), gain=False, geometry=(), amplitude_error=error)
+    moved = {one.effect: camera.effects[one.effect] for one in adjusted}
+    stated = replace(final.camera, effects={**final.camera.effects, **moved})
+    others = tuple(
+        name for name, one in stated.effects.items() if one.estimated == "joint" and name not in moved
+    )
+    frozen = replace(result.problem, effects=others, amplitude_error=final.forward.amplitude_model.tau)
     folds = folds_of(result.problem.dataset)
-    step = explore(frozen, camera, [], folds, replicates=0, views=result.fit.forward.views, iterations=2)
+    step = explore(frozen, stated, [], folds, replicates=0, views=result.fit.forward.views, iterations=2)
     after, before = (one.scores.log_likelihoods() for one in (result.explorations[-1], step))
     threshold = result.explorations[0].threshold
     return sum(after) - sum(before) > max(threshold, PAIRED_ERRORS * paired_error(after, before))
