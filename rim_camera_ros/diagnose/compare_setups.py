@@ -55,8 +55,8 @@ def against_physics(
 
     Those that gained nothing over the files alone stay as they are, and those that are parameters of the fit
     where what it found is ``named``: it has decided. Of the others each is taken with the camera of the file
-    and with that which was found, as both may be wrong. A camera constant that is found to be another lens' is
-    no physics but that set-up.
+    and with that which was found, as both may be wrong. A camera constant that is found to be another lens'
+    is no physics but that set-up.
     """
     setups = list(setups)
     if abs(found.optics.fx / camera.optics.fx - 1) > LEAST_LENS:
