@@ -1,0 +1,60 @@
+"""Known terms of which the camera file states other parameters: said where held-out poses gain by others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rim_camera_ros.diagnose.run import diagnose
+from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
+from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.solver import fit
+
+from ..calibrate.helpers import camera, record, scene
+from .test_setup import told_wrongly
+
+
+def cyclic(amplitude: float) -> CyclicError:
+    """A cyclic error of that amplitude [m], four periods in the ambiguity range."""
+    return CyclicError((Harmonic(4, amplitude, 0.7),))
+
+
+@pytest.mark.parametrize(
+    ("stated", "verdict", "adjusted"),
+    [(0.012, "consistent", []), (0.016, "wrong_parameters", ["cyclic_error"])],
+)
+def test_only_the_term_that_is_wrong_is_adjusted(
+    tmp_path: Path, stated: float, verdict: str, adjusted: list[str]
+) -> None:
+    """Of 12 mm and 16 mm stated; the scale beside it is as the file says."""
+    board, scale = scene(tmp_path), DistanceScale(0.004)
+    data = record(camera(tmp_path, scale, cyclic(0.012)), board, poses=20, seed=5)
+    result = diagnose(data, board, camera(tmp_path, scale, cyclic(stated)))
+    assert result.verdict == verdict
+    assert [one.effect for one in result.adjusted] == adjusted
+    for one in result.adjusted:
+        assert one.after["harmonics.0.amplitude"] == pytest.approx(0.012, abs=0.0005)
+
+
+def test_an_error_of_amplitudes_that_is_stated_is_not_estimated(tmp_path: Path) -> None:
+    """Likelihoods that are compared are of the same noise."""
+    board = scene(tmp_path)
+    data = record(camera(tmp_path), board, poses=6, frames=2, seed=2)
+    stated = replace(Problem(data, board), amplitude_error=0.03)
+    assert fit(stated, camera(tmp_path)).forward.amplitude_model.tau == 0.03
+    assert fit(Problem(data, board), camera(tmp_path)).forward.amplitude_model.tau < 0.02
+
+
+def test_poses_that_moved_are_a_set_up_however_many_rounds_find_them(tmp_path: Path) -> None:
+    """Two of twenty by 60 and 25 mm: one alone is left out with a note, two are too many for that."""
+    board, truth = scene(tmp_path), camera(tmp_path)
+    data = record(truth, board, poses=20, seed=3)
+    single = diagnose(told_wrongly(data, 5, 0.06), board, truth)
+    assert single.verdict == "consistent"
+    assert any("poses do not agree" in note for note in single.notes)
+    both = diagnose(told_wrongly(told_wrongly(data, 5, 0.06), 12, -0.025), board, truth)
+    assert both.verdict == "inconsistent_setup"
+    assert both.setups[0].hypothesis == "pose"
