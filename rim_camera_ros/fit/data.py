@@ -5,7 +5,7 @@ A station holds all that a fit needs of its frames, so that memory does not grow
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import Any
@@ -146,3 +146,16 @@ def level_of(dataset: Dataset) -> float:
     """Return the amplitude [counts] in the middle of a recording's."""
     values = np.concatenate([one.amplitude[one.count > 0][::17] for one in dataset.stations])
     return max(float(np.median(values)), 1.0) if values.size else 1000.0
+
+
+def pixels_seen(
+    dataset: Dataset, masks: Sequence[tuple[Array, Array]] | None, shape: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """Return which pixels (H W,) hold a value that may be fitted, in any station, within its ``masks``."""
+    seen = np.zeros(shape, bool)
+    for number, station in enumerate(dataset.stations):
+        mine = station.count > 0
+        if masks is not None:
+            mine &= masks[number][0] | masks[number][1]
+        seen |= mine
+    return seen.ravel()

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.chain import Chain, deliver, ideal_amplitude
@@ -23,6 +22,7 @@ from rim_camera_ros.effects.light_curves import LightCurves
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.prediction import Prediction, Shift
+from rim_camera_ros.fit.robust import excess
 from rim_camera_ros.fit.views import NEAR, Margins, View, Views
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.noise import sigma_amplitude
@@ -392,15 +392,3 @@ class Forward:
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.log(np.where(measured > 0, measured / predicted, 1.0))
         return predicted * np.exp(share * np.clip(ratio, -3.0, 3.0)), 1.0 - share
-
-
-def excess(deviations: Array, variances: Array) -> float:
-    """Return the robust standard deviation that deviations have beyond their known variances."""
-
-    def spread(tau: float) -> float:
-        return float(1.4826 * np.median(np.abs(deviations) / np.sqrt(variances + tau**2)))
-
-    if spread(0.0) <= 1.03:
-        return 0.0
-    high = 1.4826 * float(np.median(np.abs(deviations))) + 1e-9
-    return float(brentq(lambda tau: spread(tau) - 1.0, 0.0, 2 * high)) if spread(2 * high) < 1.0 else high

@@ -18,7 +18,15 @@ from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.fit.design import GAIN, is_linear
 from rim_camera_ros.fit.forward import AmplitudeModel, Forward
 from rim_camera_ros.fit.normal_equations import NormalEquations, Reduced, accumulate
-from rim_camera_ros.fit.problem import Fit, Point, Problem, blocks_of, forward_of, light_groups
+from rim_camera_ros.fit.problem import (
+    Fit,
+    Point,
+    Problem,
+    blocks_of,
+    forward_of,
+    keeps_amplitude_error,
+    light_groups,
+)
 from rim_camera_ros.fit.residuals import amplitude_error, huber
 from rim_camera_ros.fit.steps import (
     Solved,
@@ -141,7 +149,7 @@ class GaussNewton:
     def _begin_at(self, warm: Point) -> None:
         model = warm.amplitude_model
         self._tau, self._pattern, self._pixels = model.tau, warm.pattern, model.pixels
-        self._settled = settled_after(warm.camera, self._start)
+        self._settled = -1 if keeps_amplitude_error(warm.camera, self._start) else _SETTLED_WARM
         self._gains = {
             key: g * power_factor(warm.nuisances.get(f"{key[0]}.{key[1]}.gain", 0.0))
             for key, g in model.gains.items()
@@ -397,16 +405,3 @@ class GaussNewton:
         if not self._exhausted or ratios[worst] > 1:
             best.moving = ratios
             best.notes.append(f"not converged after {best.iterations} iterations: {worst} still moves")
-
-
-def settled_after(warm: Camera, camera: Camera) -> int:
-    """Return until which iteration it is estimated anew how well amplitudes are predicted."""
-    return -1 if keeps_amplitude_error(warm, camera) else _SETTLED_WARM
-
-
-def keeps_amplitude_error(warm: Camera, camera: Camera) -> bool:
-    """Return whether a fit keeps how well another predicts amplitudes: where it has other effects.
-
-    Then likelihoods are those of the same noise.
-    """
-    return bool(warm.effects.keys() ^ camera.effects.keys())

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from rim_camera_ros.effects.candidate import Block, Column, Regressor
+from rim_camera_ros.fit.data import pixels_seen
 from rim_camera_ros.fit.fold_sums import Fold, FoldSums, Grouped, Share, share_of
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.prediction import Prediction
@@ -370,7 +371,7 @@ def accumulate(
         key = (prediction.station.recording, prediction.station.pose)
         return 0 if fold_of is None else fold_of[key], found
 
-    seen = _pixels_seen(forward)
+    seen = pixels_seen(forward.dataset, forward.masks, forward.camera.shape)
     row_of = np.full(seen.size, -1)
     pixels = np.flatnonzero(seen)
     row_of[pixels] = np.arange(pixels.size)
@@ -392,14 +393,3 @@ def accumulate(
         size=seen.size,
     )
     return NormalEquations(regressors, folds, camera.shape, priors, forward.threads)
-
-
-def _pixels_seen(forward: Forward) -> NDArray[np.bool_]:
-    """Return which pixels (H W,) hold a value that may be fitted, in any station: the others need no sums."""
-    seen = np.zeros(forward.camera.shape, bool)
-    for number, station in enumerate(forward.dataset.stations):
-        mine = station.count > 0
-        if forward.masks is not None:
-            mine &= forward.masks[number][0] | forward.masks[number][1]
-        seen |= mine
-    return seen.ravel()

@@ -209,3 +209,11 @@ def blocks_of(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
     if free:
         blocks.append(pose_block(free))
     return blocks
+
+
+def keeps_amplitude_error(warm: Camera, camera: Camera) -> bool:
+    """Return whether a fit keeps how well another predicts amplitudes: where it has other effects.
+
+    Then likelihoods are those of the same noise.
+    """
+    return bool(warm.effects.keys() ^ camera.effects.keys())

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.fit.forward import AMPLITUDE_MODEL, Forward, excess
+from rim_camera_ros.fit.forward import AMPLITUDE_MODEL, Forward
 from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.robust import excess
 from rim_camera_ros.threads import in_order
 
 Array = NDArray[Any]

@@ -10,8 +10,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import lean_camera, with_effects
 from rim_camera_ros.effects import Physics, vocabulary
 from rim_camera_ros.effects.candidate import Candidate
-from rim_camera_ros.fit.gauss_newton import keeps_amplitude_error
-from rim_camera_ros.fit.problem import Fit, Problem
+from rim_camera_ros.fit.problem import Fit, Problem, keeps_amplitude_error
 from rim_camera_ros.select.candidates import form_blocks
 from rim_camera_ros.select.compare import (
     LEAST_SIZE,

@@ -135,7 +135,8 @@ def test_pixels_that_no_station_saw_take_no_part(
     block = reflectivity_block(board)
     assert block is not None
     few = normal_equations.accumulate(forward, [block])
-    monkeypatch.setattr(normal_equations, "_pixels_seen", lambda one: np.ones(one.camera.shape, bool).ravel())
+    everywhere = np.ones(told.shape, bool).ravel()
+    monkeypatch.setattr(normal_equations, "pixels_seen", lambda *_: everywhere)
     whole = normal_equations.accumulate(forward, [block])
     assert len(few.folds[0].weight) <= 25 * 34 < len(whole.folds[0].weight) == unseen.size
     one, other = few.reduced(), whole.reduced()
