@@ -38,7 +38,7 @@ _SAME_LIGHT = 0.01
 
 
 #: Relative 1-sigma to which amplitudes are predicted at best; what areas, flatness and dust do is estimated.
-AMPLITUDE_MODEL = 0.005
+AMPLITUDE_MODEL = 0.01
 
 
 @dataclass

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from rim_camera_ros.camera import Camera
@@ -125,7 +125,9 @@ class Search:
             if left is None or len(self.found) < 2:
                 continue
             problem, camera = left
-            without = self._fitted(problem, camera, self.step)
+            # likelihoods of the same noise
+            alike = replace(problem, amplitude_error=self.step.fit.forward.amplitude_model.tau)
+            without = self._fitted(alike, camera, self.step)
             before = self.explorations[one.step]
             threshold = float(before.thresholds[before.best()[one.effect]])
             own = Trial([one.effect], self.problem, self.step, 0.0)

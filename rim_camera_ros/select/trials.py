@@ -134,8 +134,6 @@ def without_effect(
     if name in problem.geometry:
         left = tuple(one for one in problem.geometry if one != name)
         return replace(problem, geometry=left), OPTICS[name].of_another(camera, origin)
-    if name in OF_SURFACES:
-        return replace(problem, reflectance=False), camera
     if name not in camera.effects:
         return None
     return problem, with_effects(camera, {key: one for key, one in camera.effects.items() if key != name})
