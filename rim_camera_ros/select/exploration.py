@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import in_order
 from rim_camera_ros.effects.candidate import MANY_PIXELS, Block, Candidate
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.gauss_newton import TOLERANCE
 from rim_camera_ros.fit.problem import Fit, Point, Problem
 from rim_camera_ros.fit.solver import fit
@@ -31,6 +32,10 @@ LEAST_THRESHOLD = 8.0
 
 #: Candidates that differ as much as independent tries would.
 _INDEPENDENT = 8
+
+
+#: Least share of a linear fit's strengths at which an effect is begun.
+_LEAST_SHARE = 1e-3
 
 
 #: Sigma beyond which light that is added is taken for negative, which none is.
@@ -120,12 +125,24 @@ class Exploration:
         return max(pairs, default=None)
 
     def camera_with(self, numbers: Sequence[int]) -> Camera:
-        """Return the fitted camera with candidates at the strength that the linear fit gives them."""
+        """Return the fitted camera with candidates at the strength that the linear fit gives them.
+
+        Or at so much of it as makes a possible camera: a linear fit knows nothing of what an effect may be
+        where no light was seen. Raises `InputError` where not even a thousandth does.
+        """
         values = self.scores.values([i for k in numbers for i in self.spans[k]])
-        camera = self.fit.camera
-        for k in numbers:
-            camera = in_order(self.candidates[k].build(camera, values))
-        return camera
+        share = 1.0
+        while True:
+            camera = self.fit.camera
+            try:
+                for k in numbers:
+                    weaker = {label: share * value for label, value in values.items()}
+                    camera = in_order(self.candidates[k].build(camera, weaker))
+                return camera
+            except (InputError, ValueError):
+                share /= 2
+                if share < _LEAST_SHARE:
+                    raise
 
 
 def explore(

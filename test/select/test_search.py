@@ -14,6 +14,7 @@ from rim_camera_ros.camera_file import lean_camera
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.effects.emission_pattern import EmissionPattern, squared_angle
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.motion import Motion
 from rim_camera_ros.effects.scattering import Ghost, Kernel, Scattering
@@ -42,7 +43,7 @@ from rim_camera_ros.select.compare import (
 )
 from rim_camera_ros.select.effect_sizes import contribution, effect_size
 from rim_camera_ros.select.evidence import folds_of
-from rim_camera_ros.select.exploration import explore
+from rim_camera_ros.select.exploration import Exploration, explore
 from rim_camera_ros.select.forward_search import Search
 from rim_camera_ros.select.search import search
 
@@ -366,3 +367,24 @@ def test_a_drift_beside_other_effects_must_follow_time(
     assert why_not("integration_time_offset") is None
     state.found.clear()
     assert why_not("warm_up_drift") is None
+
+
+@pytest.mark.parametrize(("strength", "begins"), [(-0.9, -0.9), (-1.7, -0.85), (-2.3, -0.575)])
+def test_a_linear_guess_that_no_camera_can_have_is_begun_at_less_of_it(
+    tmp_path: Path, strength: float, begins: float
+) -> None:
+    device = camera(tmp_path)
+    edge = float(squared_angle(device).max())
+    (lobe,) = EmissionPattern.candidates(device, None)  # type: ignore[arg-type]
+    labels = [one.label for one in lobe.block.regressors]
+    guess = dict(zip(labels, (strength / edge, 0.0), strict=True))
+    step: Any = SimpleNamespace(
+        fit=SimpleNamespace(camera=device),
+        candidates=[lobe],
+        spans=[[0, 1]],
+        scores=SimpleNamespace(values=lambda numbers: guess),
+    )
+    begun = Exploration.camera_with(step, [0]).effects["emission_pattern"]
+    # power at the corner: 1 + strength, which must stay positive
+    assert isinstance(begun, EmissionPattern)
+    assert begun.falloff[0] * edge == pytest.approx(begins)
