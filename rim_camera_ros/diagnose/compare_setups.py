@@ -49,23 +49,20 @@ def against_physics(
     camera: Camera,
     *,
     found: Camera,
-    named: bool,
 ) -> list[Hypothesis]:
     """Return set-ups by what they gain over the files as given with the camera ``found``, the best first.
 
-    Those that gained nothing over the files alone stay as they are, and those that are parameters of the fit
-    where what it found is ``named``: it has decided. Of the others each is taken with the camera of the file
-    and with that which was found, as both may be wrong. A camera constant that is found to be another lens'
-    is no physics but that set-up.
+    Those that gained nothing over the files alone, and those that are fitted, stay as they are. Of the others
+    each is taken with the camera of the file and with that which was found, as both may be wrong. A camera
+    constant that is found to be another lens' is no physics but that set-up.
     """
-    setups = list(setups)
     if abs(found.optics.fx / camera.optics.fx - 1) > LEAST_LENS:
         found = replace(found, optics=camera.optics)
     given = predicted(_coarse(dataset, scene, found))
-    open_to_doubt = [one for one in setups if one.is_better and not (one.fitted and named)]
-    again = [one for one in setups if one not in open_to_doubt]
-    for one in open_to_doubt:
-        if one.change is None:
+    again = []
+    for one in setups:
+        if not one.is_better or one.fitted or one.change is None:
+            again.append(one)
             continue
         trial = Trial(one.hypothesis, one.surface, one.value, one.change)
         for own in (camera, found):

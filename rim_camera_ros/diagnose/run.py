@@ -211,7 +211,7 @@ def _diagnose(
     reason = setup.reason
     if any(one.is_better for one in setups):
         found = (final if described is None else described).fit.camera
-        setups = against_physics(setups, problem.dataset, scene, camera, found=found, named=described is None)
+        setups = against_physics(setups, problem.dataset, scene, camera, found=found)
         winner = best_setup(setups)
         reason = reason if winner is None else winner.reason
     if reason is None and described is None:

@@ -32,12 +32,8 @@ LEAST_THRESHOLD = 8.0
 
 #: Candidates that differ as much as independent tries would.
 _INDEPENDENT = 8
-
-
 #: Least share of a linear fit's strengths at which an effect is begun.
 _LEAST_SHARE = 1e-3
-
-
 #: Sigma beyond which light that is added is taken for negative, which none is.
 _NEGATIVE = 3.0
 

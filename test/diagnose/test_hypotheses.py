@@ -82,7 +82,7 @@ def recorded(tmp_path: Path, *, seed: int = 5) -> tuple[Dataset, Scene, Camera]:
 def winner(data: Dataset, board: Scene, given: Camera, found: Camera | None = None) -> Hypothesis | None:
     """The set-up that wins against the files with the camera that was found; None: with that of the file."""
     setups = compare_setups(data, board, given)
-    return best_setup(against_physics(setups, data, board, given, found=found or given, named=True))
+    return best_setup(against_physics(setups, data, board, given, found=found or given))
 
 
 @pytest.mark.parametrize("seed", [2, 3, 4])
@@ -140,7 +140,7 @@ def test_physics_that_imitates_a_board_of_another_size_is_none_where_it_is_found
     assert found is not None
     assert "better than any physics of the camera does" in found.reason
     # held against a scene that explains everything it gains nothing
-    assert best_setup(against_physics(setups, data, board, given, found=given, named=True)) is None
+    assert best_setup(against_physics(setups, data, board, given, found=given)) is None
 
 
 def test_a_depth_is_left_to_the_fit_of_poses(tmp_path: Path) -> None:

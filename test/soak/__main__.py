@@ -22,6 +22,7 @@ def rows(duration: float) -> dict[str, Callable[[Path], Any]]:
         "kills": lambda folder: faults.kills(folder, count=max(3, min(50, int(20 * share / 4)))),
         "hostile": lambda folder: faults.hostile(folder, seconds=max(5.0, 10 * share)),
         "endurance": lambda folder: load.endurance(folder, seconds=max(10.0, 20 * share)),
+        "latency": lambda folder: load.latency(folder, seconds=max(5.0, 10 * share)),
         "overload": lambda folder: load.overload(folder, seconds=max(10.0, 10 * share)),
         "readers": lambda folder: faults.readers(folder, seconds=max(3.0, 3 * share)),
         "clock_jumps": lambda folder: faults.clock_jumps(folder),

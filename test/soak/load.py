@@ -108,6 +108,23 @@ def endurance(folder: Path, *, seconds: float, rate: float = 50.0) -> Figures:
         }
 
 
+def latency(folder: Path, *, seconds: float, rate: float = 25.0) -> Figures:
+    """From the stamp of a frame of the room to its cloud at a listener [ms], in one process and in two."""
+    figures: Figures = {}
+    for name, nodes in (("one process", ("camera_node",)), ("two", ("driver_node", "correction_node"))):
+        with World(folder) as world:
+            for node in nodes:
+                options = {} if node == "correction_node" else {"scene": "room", "frame_rate": rate}
+                world.start(node, **options)
+            listener = Listener(world, raw=False, keep=1.0)
+            assert world.until(lambda own=listener: own.points_count > 4 * rate), world.output()
+            listener.latency.clear()
+            world.until(lambda: False, seconds)
+            late = np.array([one for _, one in listener.latency]) * 1e3
+            figures[name] = summary(late.tolist())
+    return figures
+
+
 def overload(folder: Path, *, seconds: float, maximum_age: float = 0.1, processes: int = 6) -> Figures:
     """Driver and correction at 25 Hz beside processes that are always busy: ages of the clouds [ms].
 
