@@ -25,7 +25,7 @@ from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.decimation import decimated_dataset
 from rim_camera_ros.fit.fold_sums import Fold
 from rim_camera_ros.fit.forward import Forward
-from rim_camera_ros.fit.normal_equations import accumulate, reduce_folds
+from rim_camera_ros.fit.normal_equations import accumulate, priors_of, reduce_folds
 from rim_camera_ros.frame import NANOSECONDS
 from rim_camera_ros.scene import Scene
 
@@ -133,11 +133,11 @@ class Evaluator:
         real = Dataset(stations, decimation=self.step)
         self._choose_blocks(stations, offered)
         equations = accumulate(Forward(real, self.scene, self.camera), self._blocks)
-        count = len(equations.regressors)
+        priors = priors_of(equations.regressors)
 
         def factors(*folds: Fold) -> dict[str, float]:
             kept = [*equations.folds, *folds]
-            return narrowing(equations.regressors, reduce_folds(kept, count, equations.pixels).gram)
+            return narrowing(equations.regressors, reduce_folds(kept, priors, equations.pixels).gram)
 
         now = factors()
         self._draw(stations)

@@ -33,8 +33,8 @@ PATTERN_PRIOR = 5.0
 #: Pixels of which the sums are put together at once.
 _BLOCK = 2048
 _ROUNDING = 1e-10
-#: Share of what regressors tell by themselves below which what elimination leaves of it is rounding: some
-#: hundred times the relative error of a double, as errors of thousands of products add up.
+#: Share of what data and prior tell of regressors by themselves below which what elimination leaves of it is
+#: rounding: some hundred times the relative error of a double, as errors of thousands of products add up.
 _RANK = 1e-13
 
 
@@ -71,7 +71,7 @@ class NormalEquations:
         """Return the equations of the regressors alone, of all folds but one; nuisances are eliminated."""
         if leave_out not in self._reduced:
             kept = [fold for i, fold in enumerate(self.folds) if i != leave_out]
-            self._reduced[leave_out] = reduce_folds(kept, len(self.regressors), self.pixels)
+            self._reduced[leave_out] = reduce_folds(kept, priors_of(self.regressors), self.pixels)
         return self._reduced[leave_out]
 
 
@@ -243,11 +243,21 @@ def stacked_sides(count: int, sides: Sequence[Array]) -> Array:
     return np.concatenate([shared, *(one[count:] for one in sides)])
 
 
-def reduce_folds(folds: Sequence[Fold], count: int, priors: PixelPriors) -> Reduced:
-    """Eliminate offsets and gains of pixels and nuisances from the sum of some folds."""
+def priors_of(regressors: Sequence[Regressor]) -> Array:
+    """Return the 1-sigma of the prior of each regressor (K,)."""
+    return np.array([one.prior for one in regressors], float)
+
+
+def reduce_folds(folds: Sequence[Fold], priors: Array, pixel_priors: PixelPriors) -> Reduced:
+    """Eliminate offsets and gains of pixels and nuisances from the sum of some folds.
+
+    ``priors`` are the 1-sigma of the regressors (K,).
+    """
+    count = len(priors)
     full, nuisances = _stacked(folds, count)
-    unit = np.sqrt(np.diag(full)[:count])
-    pixels = PixelElimination(folds, count, priors)
+    # what the folds know of a regressor can be anything down to 1e-23 of its prior: rounding is far more
+    unit = np.hypot(np.sqrt(np.diag(full)[:count]), 1.0 / priors)
+    pixels = PixelElimination(folds, count, pixel_priors)
     for block in pixels.blocks():
         for rows in pixels.rows(block):
             full -= rows.T @ rows
@@ -297,12 +307,11 @@ def reduce_folds(folds: Sequence[Fold], count: int, priors: PixelPriors) -> Redu
 def _determined(gram: Array, unit: Array) -> tuple[Array, Callable[[Array], Array]]:
     """Return a reduced normal matrix (K, K) without what is but rounding, and the same for right sides.
 
-    ``unit`` (K,) are the roots of its diagonal before anything was eliminated. Elimination subtracts numbers
-    that are nearly equal where nuisances can take on what a combination of regressors does; what is left of
-    it below `_RANK` is not known to be more than nothing, and nothing is what the data then say of it:
-    negative, it would be a normal matrix of no least-squares problem.
+    ``unit`` (K,) are the roots of its diagonal before anything was eliminated, the priors' included.
+    Elimination subtracts numbers that are nearly equal where nuisances can take on what a combination of
+    regressors does; what is left of it below `_RANK` is not known to be more than nothing, and nothing is
+    what the data then say of it: negative, it would be a normal matrix of no least-squares problem.
     """
-    unit = np.where(unit > 0, unit, 1.0)
     if not len(unit):  # scipy 1.11 decomposes no empty matrix
         return gram, lambda right: right
     values, vectors = linalg.eigh(gram / np.outer(unit, unit), check_finite=False)

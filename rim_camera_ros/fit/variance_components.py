@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR, reduce_folds
+from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR, priors_of, reduce_folds
 from rim_camera_ros.fit.problem import Fit, Problem, freed
 from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.solver import fit
@@ -50,7 +50,7 @@ def log_evidence(fitted: Fit, size: float) -> float:
     """
     count = len(fitted.parameters)
     pixels = replace(fitted.equations.pixels, offset=size)
-    reduced = reduce_folds(fitted.equations.folds, len(fitted.equations.regressors), pixels)
+    reduced = reduce_folds(fitted.equations.folds, priors_of(fitted.equations.regressors), pixels)
     matrix = reduced.gram[:count, :count] + np.diag(fitted.priors**-2)
     factor = linalg.cholesky(matrix, lower=True)
     solved = linalg.solve_triangular(factor, reduced.right[:count], lower=True)

@@ -127,13 +127,13 @@ def test_what_elimination_leaves_is_no_less_than_nothing() -> None:
     fold = Fold(
         [], weight * flat.T @ flat, weight * columns.sum(axis=1), np.full(pixels, weight * looks), looks
     )
-    reduced = reduce_folds([fold], 3, PixelPriors())
+    reduced = reduce_folds([fold], np.ones(3), PixelPriors())
     values = np.linalg.eigvalsh(reduced.gram / np.outer(*[np.sqrt(np.diag(fold.gram)[:3])] * 2))
     assert values.min() > -1e-16
-    # with priors of 1 it has a solution, which is that of a fit in the differences of each pixel
-    matrix = reduced.gram + np.eye(3)
-    factor = np.linalg.cholesky(matrix)
-    found = np.linalg.solve(factor.T, np.linalg.solve(factor, reduced.right))
+    # what is left has a solution, which is that of a fit in the differences of each pixel
+    unit = np.sqrt(np.diag(reduced.gram))
+    scaled = reduced.gram / np.outer(unit, unit)
+    found = np.linalg.lstsq(scaled, reduced.right / unit, rcond=1e-12)[0] / unit
     changes, differences = (one - one.mean(axis=1, keepdims=True) for one in (second, readings))
     assert found[2] == pytest.approx(float((changes * differences).sum() / (changes**2).sum()), rel=1e-4)
 
@@ -155,3 +155,21 @@ def test_offsets_of_pixels_reach_the_rim_of_what_was_seen() -> None:
     assert np.isfinite(error).all()
     # ten pixels and more from any that was seen the mean of all, 50 mm, is the guess, drawn out by nothing
     assert np.abs(error[:15, :40]).max() < 0.08
+
+
+def test_what_hardly_any_pose_sees_does_not_spoil_what_replicates_say_of_the_others():
+    # nothing tells the first two from each other; the third is a curve at an angle that no pose reaches,
+    # where its tail is 1e-23: rounding of the right side is far more than that
+    rng = np.random.default_rng(11)
+    pixels, looks, weight = 40, 25, 1e4
+    first = rng.standard_normal((pixels, looks))
+    columns = np.stack([first, first, 1e-23 * rng.standard_normal((pixels, looks)), 0 * first], axis=-1)
+    flat = columns.reshape(-1, 4)
+    fold = Fold(
+        [], weight * flat.T @ flat, weight * columns.sum(axis=1), np.full(pixels, weight * looks), looks
+    )
+    reduced = reduce_folds([fold], np.array([0.1, 0.1, 0.2]), PixelPriors())
+    right = reduced.gram @ [300.0, 5.0, 0.0]
+    found = reduced.without_errors(right + np.array([0.0, 0.0, 1e-8]))
+    np.testing.assert_allclose(found[:2], right[:2], rtol=1e-9)
+    assert abs(found[0] - found[1]) < 1e-12 * found[0]

@@ -99,7 +99,7 @@ def test_offset_and_gain_of_a_pixel_are_eliminated_as_a_dense_solution_does() ->
         gain_weight=one_hot.T @ (weight * slope**2),
         cross=one_hot.T @ (weight * slope),
     )
-    reduced = reduce_folds([fold], count, PixelPriors(offset, gain, at))
+    reduced = reduce_folds([fold], np.full(count, np.inf), PixelPriors(offset, gain, at))
     nuisance = np.column_stack([one_hot, one_hot * slope[:, None]])
     prior = np.concatenate([np.full(pixels, offset**-2), np.full(pixels, gain**-2)])
     inner = (nuisance * weight[:, None]).T @ nuisance + np.diag(prior)
