@@ -229,8 +229,12 @@ def test_interrupted_nothing_is_written(folder: Path) -> None:
     with nothing_left(folder):
         child = process(*arguments(folder, out="late.yaml"))
         watched = psutil.Process(child.pid)
-        while child.poll() is None and watched.cpu_times().user < 2.5:  # beyond the imports, amid the fit
-            threading.Event().wait(0.05)
+        # its name is claimed after all imports, and the fit follows
+        while child.poll() is None and not list(folder.glob(".late.yaml.*claim")):
+            threading.Event().wait(0.02)
+        begun = watched.cpu_times().user
+        while child.poll() is None and watched.cpu_times().user < begun + 0.5:
+            threading.Event().wait(0.02)
         os.kill(child.pid, signal.SIGINT)
         out, error = child.communicate(timeout=60)
     assert child.returncode == 130
