@@ -14,7 +14,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.devices.timeline import Timeline
 from rim_camera_ros.effects import vocabulary
-from rim_camera_ros.effects.candidate import Block, Candidate, Facts, Regressor
+from rim_camera_ros.effects.candidate import Block, Candidate, Facts, Regressor, priors_of
 from rim_camera_ros.files import find_scene, shipped
 from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.decimation import decimated_camera
@@ -107,7 +107,7 @@ def narrowing(regressors: Sequence[Regressor], gram: Array) -> dict[str, float]:
     ``gram`` (K, K): the normal matrix of the ``regressors``, from which nuisances are eliminated. All effects
     are unknown at once, within their priors.
     """
-    prior = np.array([one.prior for one in regressors])
+    prior = priors_of(regressors)
     covariance = np.linalg.inv(gram * prior[:, None] * prior[None, :] + np.eye(len(prior)))
     owners = [one.owner for one in regressors]
     known = vocabulary()

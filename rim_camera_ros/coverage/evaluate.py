@@ -20,12 +20,12 @@ from rim_camera_ros.calibrate.plan import (
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.coverage.proposals import Proposal, proposals
 from rim_camera_ros.effects import registry
-from rim_camera_ros.effects.candidate import Block
+from rim_camera_ros.effects.candidate import Block, priors_of
 from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.decimation import decimated_dataset
 from rim_camera_ros.fit.fold_sums import Fold
 from rim_camera_ros.fit.forward import Forward
-from rim_camera_ros.fit.normal_equations import accumulate, priors_of, reduce_folds
+from rim_camera_ros.fit.normal_equations import accumulate, reduce_folds
 from rim_camera_ros.frame import NANOSECONDS
 from rim_camera_ros.scene import Scene
 

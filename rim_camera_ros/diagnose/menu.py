@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.calibrate.plan import SUFFIX, planned_dataset
 from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.effects.candidate import priors_of
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.fit.design import gain_block, present_blocks
 from rim_camera_ros.fit.forward import Forward
@@ -71,7 +72,7 @@ def told_apart(
             gram = equations.reduced().gram
         except (RimError, np.linalg.LinAlgError):
             continue
-        prior = np.array([one.prior for one in equations.regressors])
+        prior = priors_of(equations.regressors)
         matrix = gram * prior[:, None] * prior[None, :] + np.eye(len(prior))
         start = len(prior) - sum(len(one.block.regressors) for one in chosen)
         spans, at = [], start

@@ -61,6 +61,11 @@ class Regressor:
     prior: float
 
 
+def priors_of(regressors: Sequence[Regressor]) -> Array:
+    """Return the 1-sigma of the prior of each regressor (K,)."""
+    return np.array([one.prior for one in regressors], float)
+
+
 @dataclass(frozen=True)
 class Block:
     """Regressors whose columns are computed together; ``in_order`` where they need the stations in order.

@@ -12,7 +12,7 @@ from scipy import linalg
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
-from rim_camera_ros.effects.candidate import Block, Regressor
+from rim_camera_ros.effects.candidate import Block, Regressor, priors_of
 from rim_camera_ros.effects.light_curves import FALLOFF, LOBE, tile_labels
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.fit.design import GAIN, is_linear
@@ -230,7 +230,7 @@ class GaussNewton:
             )
         reduced = equations.reduced()
         regressors = equations.regressors[:owned]
-        prior = np.array([one.prior for one in regressors])
+        prior = priors_of(regressors)
         away = np.array([self._from_origin.get(one.label, 0.0) for one in regressors])
         away += [self._offsets.get(one.label, 0.0) for one in regressors]
         equations.away = away

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.effects.candidate import Block, Column, Regressor
+from rim_camera_ros.effects.candidate import Block, Column, Regressor, priors_of
 from rim_camera_ros.fit.data import pixels_seen
 from rim_camera_ros.fit.fold_sums import Fold, FoldSums, Grouped, Share, share_of
 from rim_camera_ros.fit.forward import Forward
@@ -243,11 +243,6 @@ def stacked_sides(count: int, sides: Sequence[Array]) -> Array:
     return np.concatenate([shared, *(one[count:] for one in sides)])
 
 
-def priors_of(regressors: Sequence[Regressor]) -> Array:
-    """Return the 1-sigma of the prior of each regressor (K,)."""
-    return np.array([one.prior for one in regressors], float)
-
-
 def reduce_folds(folds: Sequence[Fold], priors: Array, pixel_priors: PixelPriors) -> Reduced:
     """Eliminate offsets and gains of pixels and nuisances from the sum of some folds.
 
@@ -255,7 +250,7 @@ def reduce_folds(folds: Sequence[Fold], priors: Array, pixel_priors: PixelPriors
     """
     count = len(priors)
     full, nuisances = _stacked(folds, count)
-    # what the folds know of a regressor can be anything down to 1e-23 of its prior: rounding is far more
+    # what some folds know of a regressor may be far less than rounding is beside its prior
     unit = np.hypot(np.sqrt(np.diag(full)[:count]), 1.0 / priors)
     pixels = PixelElimination(folds, count, pixel_priors)
     for block in pixels.blocks():

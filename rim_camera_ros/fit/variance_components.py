@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR, priors_of, reduce_folds
+from rim_camera_ros.effects.candidate import priors_of
+from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR, reduce_folds
 from rim_camera_ros.fit.problem import Fit, Problem, freed
 from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.solver import fit

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.effects.candidate import Block, Candidate, Column, Regressor
+from rim_camera_ros.effects.candidate import Block, Candidate, Column, Regressor, priors_of
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.solver import fit
@@ -91,7 +91,7 @@ def _by_pose(
         for one, values in zip(variants, columns, strict=True):
             values[at] += [float(np.mean(column)) for column, _ in one.block.columns(prediction)]
     counts = np.maximum(stations, 1)
-    priors = [np.array([r.prior for r in one.block.regressors]) for one in variants]
+    priors = [priors_of(one.block.regressors) for one in variants]
     shapes = [(values / counts[:, None], prior) for values, prior in zip(columns, priors, strict=True)]
     return shifts / counts, shapes
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from rim_camera_ros.effects.candidate import priors_of
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.normal_equations import NormalEquations, Reduced
 from rim_camera_ros.threads import in_order
@@ -47,7 +48,7 @@ class Scores:
     def __init__(self, equations: NormalEquations, base: Iterable[int], *, temper: float = 1.0) -> None:
         self.regressors = equations.regressors
         self.base = np.array(sorted(base), int)
-        self.prior = np.array([one.prior for one in equations.regressors])
+        self.prior = priors_of(equations.regressors)
         folds = range(len(equations.folds)) if len(equations.folds) > 1 else ()
         self.full, *self.trained = in_order(equations.reduced, (None, *folds), threads=equations.threads)
         self.temper = temper

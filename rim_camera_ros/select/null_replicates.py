@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from rim_camera_ros.effects.candidate import priors_of
 from rim_camera_ros.fit.fold_sums import Fold
 from rim_camera_ros.fit.normal_equations import (
     NormalEquations,
@@ -82,7 +83,7 @@ def null_scores(
     scores = Scores.__new__(Scores)
     scores.regressors = equations.regressors
     scores.base = np.array(sorted(base), int)
-    scores.prior = np.array([one.prior for one in equations.regressors])
+    scores.prior = priors_of(equations.regressors)
     scores.temper = 1.0
     scores.away = np.zeros(len(scores.prior))
     scores.full, *scores.trained = (
@@ -134,7 +135,7 @@ def _errors(
 ) -> list[tuple[Array, Array]]:
     """Return which columns of each fold err, and by how much (n, R): what all folds share, and their own."""
     numbers = [int(i) for i in base if equations.regressors[int(i)].label.startswith(IMPERFECTIONS)]
-    prior = np.array([equations.regressors[i].prior for i in numbers])
+    prior = priors_of([equations.regressors[i] for i in numbers])
     shared = prior[:, None] * rng.standard_normal((len(numbers), replicates))
     result = []
     for fold in equations.folds:

@@ -157,7 +157,7 @@ def test_offsets_of_pixels_reach_the_rim_of_what_was_seen() -> None:
     assert np.abs(error[:15, :40]).max() < 0.08
 
 
-def test_what_hardly_any_pose_sees_does_not_spoil_what_replicates_say_of_the_others():
+def test_what_hardly_any_pose_sees_does_not_spoil_what_replicates_say_of_the_others() -> None:
     # nothing tells the first two from each other; the third is a curve at an angle that no pose reaches,
     # where its tail is 1e-23: rounding of the right side is far more than that
     rng = np.random.default_rng(11)
