@@ -130,8 +130,7 @@ def test_real_time_has_no_drift_and_stamps_are_now(camera: Camera) -> None:
         late.append(time.time_ns() - frames[-1].stamp)
     steps = np.diff([one.stamp for one in frames])
     assert set((steps % 10_000_000).tolist()) == {0}
-    assert min(late) >= 0
-    assert np.median(late) < 5_000_000
+    assert 0 <= min(late) < 10_000_000  # the least late of them is not of an earlier period
     uptimes = [one.settings.uptime or 0.0 for one in frames]
     # nobody waits a minute for the second station: the camera runs on, also when the schedule repeats
     since = [(one.stamp - frames[0].stamp) / NANOSECONDS for one in frames]

@@ -199,6 +199,18 @@ def test_the_newest_value_wins_and_what_is_dropped_is_counted() -> None:
     assert taken == [4, 5, 4, 5]
 
 
+def test_what_is_dropped_is_counted_where_nothing_is_ever_taken() -> None:
+    handover, taken = Handover[int](), list[int]()
+    handover.begin(taken.append, keep_all=False, surplus=len)  # all are too old as they come
+    handover.put(1)
+    assert handover.dropped == 0
+    handover.take_waiting()  # the receiver is there
+    for value in (2, 3, 4):
+        handover.put(value)
+        handover.take_waiting()
+    assert (taken, handover.dropped) == ([], 3)
+
+
 def test_with_all_kept_the_giver_waits_for_room_or_until_it_is_stopped() -> None:
     handover, taken, stop = Handover[int](), list[int](), threading.Event()
     handover.begin(taken.append, keep_all=True)

@@ -93,14 +93,15 @@ def test_a_stamp_is_held_against_the_clock(maximum_age: float, now: int, expecte
     assert fresh.expired(1000 * MILLISECOND) is expected
 
 
-def test_nothing_older_than_the_limit_leaves_the_node(world: World) -> None:
-    # to correct a frame takes longer than this
-    process = world.start("camera_node", scene="wall", frame_rate=25.0, maximum_age=0.0005)
+@pytest.mark.parametrize("maximum_age", [0.0005, 1e-6])  # to correct, or to hand over, takes longer
+def test_nothing_older_than_the_limit_leaves_the_node(world: World, maximum_age: float) -> None:
+    process = world.start("camera_node", scene="wall", frame_rate=25.0, maximum_age=maximum_age)
     points, said = world.collect(PointCloud2, "points", BEST_EFFORT), world.diagnostics()
     name = "/camera/correction: frames"
     assert world.until(lambda: int(said.values(name).get("dropped_frames", 0)) > 20), process.text
     assert not points.messages
     assert "maximum_age was over" in process.text
+    assert "is a driver running" not in process.text  # there is one: its frames are too old
     assert world.set("correction", maximum_age=0.0) == ""
     assert world.until(lambda: len(points) > 5), process.text
 

@@ -124,9 +124,9 @@ class Handover[Value]:
         with self._changed:
             take = self._take
             self._drop()
+            self._begun = self._begun or take is not None
             if take is None or not self._waiting or self._busy:
                 return  # busy: a callback that takes values itself while it waits is processing a value
-            self._begun = True
             value = self._waiting.popleft()
             more = bool(self._waiting)
             self._busy = True
@@ -144,7 +144,7 @@ class Handover[Value]:
         """Forget what is not wanted any more."""
         for _ in range(0 if self._keep_all else self._surplus(self._waiting)):
             self._waiting.popleft()
-            self.dropped += self._begun  # while the nodes are made nothing can be taken yet
+            self.dropped += self._begun  # while the nodes are made nobody looks yet
 
     def wait_until_taken(self, seconds: float) -> None:
         """Wait until nothing waits, at most so long; not in the receiver's thread."""

@@ -158,15 +158,16 @@ class MessageInput:
 
     def _deliver(self) -> None:
         """Correct one frame; the executor comes again where more wait, and does what else there is before."""
-        if self._draining or not self._frames.waits:
+        if self._draining:
             return
-        self._draining = True
-        try:
-            rounds = 0  # a flood must not keep it
-            while rounds < _QUEUE and take_messages(self._from.values()):
-                rounds += 1
-        finally:
-            self._draining = False
+        if self._frames.waits:
+            self._draining = True
+            try:
+                rounds = 0  # a flood must not keep it
+                while rounds < _QUEUE and take_messages(self._from.values()):
+                    rounds += 1
+            finally:
+                self._draining = False
         self._frames.take_waiting()
 
     def _hand_on(self, exposure: Exposure) -> None:

@@ -135,7 +135,8 @@ class CorrectionStatus:
             finding.note(f"no frames: the node is {self.phase}")
             return finding
         if silent := self.flow.silent(now, begun=self._begun):
-            never = "" if self.flow.total else " (is a driver running in this namespace, with fitting QoS?)"
+            missing = not self.flow.total and not sum(dropped.values())
+            never = " (is a driver running in this namespace, with fitting QoS?)" if missing else ""
             finding.worse(Level.ERROR, f"no frame for {silent:.1f} s{never}")
         for reason, count in sorted(lately.items()):
             if count:
