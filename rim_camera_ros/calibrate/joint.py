@@ -59,9 +59,10 @@ _LAMBERT = (
 
 @dataclass
 class Outcome:
-    """The solution, and which effects joined; ``effect_statuses`` returns what they say of each."""
+    """The solution of a problem, and which effects joined; ``effect_statuses`` returns what is said of each."""
 
     solution: Solution
+    problem: Problem
     effect_statuses: Callable[[], list[EffectStatus]]
     found: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -97,7 +98,8 @@ def by_search(
 
     joined = [one.effect for one in result.found]
     notes = [_LAMBERT] if set(joined) & OF_SURFACES else []
-    return Outcome(solution, effect_statuses, [name for name in joined if name not in OF_SURFACES], notes)
+    found_names = [name for name in joined if name not in OF_SURFACES]
+    return Outcome(solution, result.problem, effect_statuses, found_names, notes)
 
 
 def exactly(
@@ -181,7 +183,8 @@ def exactly(
             for one in found
         ]
 
-    return Outcome(solution, effect_statuses, [n for n in names if n not in camera_start.effects], notes)
+    added_names = [n for n in names if n not in camera_start.effects]
+    return Outcome(solution, problem, effect_statuses, added_names, notes)
 
 
 def checked_names(words: Sequence[str]) -> tuple[list[str], tuple[str, ...] | None]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR
 from rim_camera_ros.fit.pixels import Beside, beside_in_view, without_edges
 from rim_camera_ros.fit.problem import Fit, Problem
+from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.fit.variance_components import (
     first_pattern_prior,
     likely_pattern_prior,
@@ -50,6 +51,30 @@ class Refinement:
     def first(self, problem: Problem) -> Problem:
         """Return the problem with which to begin."""
         return replace(problem, masks=self._masks, pattern_prior=self._first_size)
+
+    def settled(
+        self, problem: Problem, solved: Problem, fitted: Fit, *, say: Callable[[str], None]
+    ) -> tuple[Problem, Fit] | None:
+        """Return the problem and a fit that shows none of its assumptions wrong; None: this one does not.
+
+        ``fitted`` solves the problem ``solved``, the given one with the effects that were found; they are
+        fitted again with each assumption that is given up.
+        """
+        found: tuple[Problem, Fit] | None = None
+        while (refined := self.next(problem, fitted)) is not None:
+            views = fitted.forward.views if refined[0].scene is problem.scene else None
+            problem = refined[0]
+            say(f"again, with {refined[1]}")
+            solved = replace(
+                solved,
+                masks=problem.masks,
+                scene=problem.scene,
+                variance_factors=problem.variance_factors,
+                pattern_prior=problem.pattern_prior,
+            )
+            fitted = fit(solved, fitted.camera, views=views, warm=fitted)
+            found = problem, fitted
+        return found
 
     def next(self, problem: Problem, fitted: Fit) -> tuple[Problem, str] | None:
         """Return the problem to fit next and in words what is new in it; None: nothing is left to doubt."""

@@ -202,15 +202,13 @@ def calibrate(
             outcome = by_search(problem, camera, facts, views=forward.views, say=watch.say, seed=request.seed)
         else:
             outcome = exactly(problem, camera, facts, words, views=forward.views, say=watch.say, begin=begin)
-        fitted = outcome.solution.fit
-        begin = fitted.camera
-        refined = refinement.next(problem, fitted)
-        if refined is None:
+        # a search is long: what it found shows all assumptions that it was wrong about before the next one
+        settled = refinement.settled(problem, outcome.problem, outcome.solution.fit, say=watch.say)
+        if settled is None:
             break
-        if refined[0].scene is not problem.scene:
-            forward = Forward(dataset, refined[0].scene, camera)
-        problem = refined[0]
-        watch.say(f"again, with {refined[1]}")
+        if settled[0].scene is not problem.scene:
+            forward = Forward(dataset, settled[0].scene, camera)
+        problem, begin = settled[0], settled[1].camera
     notes += refinement.notes(problem)
     notes += [*outcome.notes, *outcome.solution.notes]
     watch.say("hyperbola or curve")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,14 @@ from rim_camera_ros.diagnose.codes import missing_codes, note_on_grid
 from rim_camera_ros.diagnose.compare_setups import against_physics, compare_setups
 from rim_camera_ros.diagnose.described import best_rest, describe, explained_share, is_unknown
 from rim_camera_ros.diagnose.full_grid import on_full_grid
-from rim_camera_ros.diagnose.hypotheses import AS_GIVEN, Hypothesis, best_setup, by_gain, moved_poses
+from rim_camera_ros.diagnose.hypotheses import (
+    AS_GIVEN,
+    LEAST_GAIN,
+    Hypothesis,
+    best_setup,
+    by_gain,
+    moved_poses,
+)
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, only_rectified_noise
 from rim_camera_ros.diagnose.nuisances import (
     common_pose_beyond,
@@ -163,7 +170,7 @@ def _diagnose(
             progress=say,
         )
     except (RimError, np.linalg.LinAlgError):
-        return with_setups(_hopeless(problem, camera, variance, seed), setups)
+        return with_setups(_without_search(setups, problem, camera, variance, seed), setups)
     baseline, final = result.explorations[0], result.explorations[-1]
     # physics that is missing moves the optics too: they are held against the file beside what was found
     beyond_stated = _other_lens(final.fit, camera)
@@ -289,6 +296,25 @@ def _without(dataset: Dataset, setup: Setup) -> Dataset:
     """Return the recording without its bad poses, which a note tells."""
     kept = dataset.without({*setup.bad})
     return replace(kept, notes=[*kept.notes, f"{setup.fault}; left out"])
+
+
+def _without_search(
+    setups: Sequence[Hypothesis], problem: Problem, camera: Camera, variance: Variance, seed: int
+) -> Diagnosis:
+    """Return the diagnosis of a recording to which nothing can be fitted.
+
+    Where the files as given describe not one pixel that can be used, there is no fit to hold set-ups against:
+    the one that gains most is it, however its gain scatters over the poses.
+
+    Raises `InputError` where none gains enough either.
+    """
+    try:
+        return _hopeless(problem, camera, variance, seed)
+    except InputError:
+        leader = next(iter(setups), None)
+        if leader is None or leader.gain <= LEAST_GAIN:
+            raise
+        return _of_another_setup(leader, problem, camera, variance, seed)
 
 
 def _of_another_setup(

@@ -9,8 +9,9 @@ import numpy as np
 
 from rim_camera_ros.fit.problem import Problem
 
-#: Values of a recording above which fits begin with a few poses, and about how many those hold.
-_MANY_VALUES, _FEW_VALUES = 500_000, 200_000
+#: Pixels of all images, which all are predicted whether they can be used or not, above which fits begin with
+#: a few poses, and about how many those hold.
+_MANY_PIXELS, _FEW_PIXELS = 500_000, 200_000
 #: Fewer poses than these tell too little, whatever they hold.
 _LEAST_POSES = 8
 #: Nats by which a fit to a few poses must be worse than the best of them, in all folds, to be left alone.
@@ -23,18 +24,15 @@ def subsample_of(problem: Problem, *, seed: int) -> list[int] | None:
     The poses are drawn: every so many of them could all have the same distance.
     """
     stations = problem.dataset.stations
-    if problem.masks is None:
-        values = sum(int(np.count_nonzero(one.count)) for one in stations)
-    else:
-        values = sum(int(np.count_nonzero(used)) for used, _ in problem.masks)
+    pixels = sum(one.distance.size for one in stations)
     poses: dict[float, list[tuple[int, int]]] = {}
     for one in stations:
         placed = poses.setdefault(one.settings.integration_time or 0.0, [])
         if (one.recording, one.placed) not in placed:
             placed.append((one.recording, one.placed))
     count = sum(len(placed) for placed in poses.values())
-    wanted = max(_LEAST_POSES, round(count * _FEW_VALUES / max(values, 1)))
-    if values < _MANY_VALUES or 2 * wanted > count:
+    wanted = max(_LEAST_POSES, round(count * _FEW_PIXELS / max(pixels, 1)))
+    if pixels < _MANY_PIXELS or 2 * wanted > count:
         return None
     rng = np.random.default_rng(seed)
     kept = {

@@ -18,6 +18,7 @@ from rim_camera_ros.diagnose.nuisances import common_pose_beyond
 from rim_camera_ros.diagnose.run import diagnose, with_setups
 from rim_camera_ros.effects.candidate import Regressor
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.frame import Pose
@@ -203,6 +204,26 @@ def test_poses_in_millimetres_before_a_board_that_no_ray_meets_then(tmp_path: Pa
     better = Hypothesis("scale", "board", 42.0, 30.0, 0.9, 0.2)
     trusted = with_setups(replace(result, reason=None), [better, Hypothesis("as_given", "", 0.0, 0.0)])
     assert [one.hypothesis for one in trusted.setups] == ["as_given", "scale"]
+
+
+def test_what_gains_at_one_pose_most_of_all_is_the_setup_where_nothing_else_can_be_compared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a room in millimetres a kilometre away, walls fill a few images, and one pose gained nearly all."""
+    data, board, given = recorded(tmp_path)
+    limited = replace(board, surfaces=(replace(board.surfaces[0], type="rectangle", size=(6.0, 5.0)),))
+    far = in_millimetres(data)
+    found = [replace(one, standard_error=0.8 * one.gain) for one in compare_setups(far, limited, given)]
+    assert best_setup(found) is None
+    monkeypatch.setattr("rim_camera_ros.diagnose.run.compare_setups", lambda *_: found)
+    result = diagnose(far, limited, given)
+    assert (result.verdict, result.setups[0].hypothesis) == ("inconsistent_setup", "units")
+    assert str(result.reason).startswith("units: distances or poses in other units")
+    monkeypatch.setattr(
+        "rim_camera_ros.diagnose.run.compare_setups", lambda *_: [Hypothesis("as_given", "", 0.0, 0.0)]
+    )
+    with pytest.raises(InputError, match=r"no pixel can be used.*rim info BAG lists its poses"):
+        diagnose(far, limited, given)
 
 
 def test_poses_of_a_surface_that_err_alike_are_a_fault(tmp_path: Path) -> None:

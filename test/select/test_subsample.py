@@ -29,7 +29,7 @@ SPREAD = Scattering((Kernel(0.03, (4.0, 5.0)), Kernel(0.02, (14.0, 11.0))))
 
 
 def stations(times: list[float], size: int = 100) -> Any:
-    """Poses of these integration times, two stations each, of size x size values."""
+    """Poses of these integration times, two stations each, of size x size pixels."""
     nothing: Any = None
     return Dataset(
         [
@@ -38,7 +38,7 @@ def stations(times: list[float], size: int = 100) -> Any:
                 pose=k,
                 placed=k,
                 settings=SimpleNamespace(integration_time=time),
-                count=np.ones((size, size)),
+                distance=np.ones((size, size)),
             )
             for k, time in enumerate(times)
             for _ in range(2)
@@ -48,7 +48,7 @@ def stations(times: list[float], size: int = 100) -> Any:
 
 
 def test_a_few_poses_are_some_of_each_setting_with_all_their_stations() -> None:
-    """80 poses of 20,000 values: ten hold 200,000, of settings 3 : 1 eight and two (or one more)."""
+    """80 poses of 20,000 pixels: ten hold 200,000, of settings 3 : 1 eight and two (or one more)."""
     data = stations([16.0] * 60 + [100.0] * 20)
     problem = Problem(data, None)  # type: ignore[arg-type]
     numbers = subsample_of(problem, seed=3)
@@ -64,7 +64,7 @@ def test_a_few_poses_are_some_of_each_setting_with_all_their_stations() -> None:
 @pytest.mark.parametrize(
     ("poses", "size", "few"),
     [(24, 100, None), (26, 100, 10), (15, 200, None), (16, 200, 8), (500, 100, 10)],
-    ids=["values below half a million", "above", "half of the poses", "sixteen poses", "many poses"],
+    ids=["pixels below half a million", "above", "half of the poses", "sixteen poses", "many poses"],
 )
 def test_all_poses_are_fitted_where_they_are_few(poses: int, size: int, few: int | None) -> None:
     problem = Problem(stations([60.0] * poses, size), None)  # type: ignore[arg-type]
@@ -72,11 +72,13 @@ def test_all_poses_are_fitted_where_they_are_few(poses: int, size: int, few: int
     assert (numbers if numbers is None else len(numbers)) == (few if few is None else 2 * few)
 
 
-def test_values_are_those_that_are_fitted() -> None:
-    data = stations([60.0] * 40)
-    used, unused = np.ones((100, 100), bool), np.zeros((100, 100), bool)
-    masks = [(used, used) if k % 4 == 0 else (unused, used) for k in range(80)]
-    assert subsample_of(Problem(data, None, masks=masks), seed=0) is None  # type: ignore[arg-type]
+def test_pixels_count_that_are_predicted_and_not_used() -> None:
+    """A small board far away takes as long to predict as a wall."""
+    unused = np.zeros((100, 100), bool)
+    problem = Problem(stations([60.0] * 40), None, masks=[(unused, unused)] * 80)  # type: ignore[arg-type]
+    numbers = subsample_of(problem, seed=0)
+    assert numbers is not None
+    assert len(numbers) == 20
 
 
 def test_the_problem_of_some_stations_keeps_their_masks_and_shifts() -> None:
@@ -123,8 +125,8 @@ def test_a_few_poses_change_no_answer(spread: tuple[Problem, Any], monkeypatch: 
     assert not any("few" in one for one in said)
     rivals = [one.removeprefix("fitting ").removesuffix(" to all poses") for one in said]
     assert rivals
-    monkeypatch.setattr(subsample, "_MANY_VALUES", 1000)
-    monkeypatch.setattr(subsample, "_FEW_VALUES", 1000)
+    monkeypatch.setattr(subsample, "_MANY_PIXELS", 1000)
+    monkeypatch.setattr(subsample, "_FEW_PIXELS", 1000)
     few, said = found(spread, effects)
     assert [one.effect for one in few.found] == [one.effect for one in alone.found] == ["scattering"]
     assert said == [*(f"fitting {one} to a few poses" for one in rivals), "fitting scattering to all poses"]
@@ -139,8 +141,8 @@ def test_a_few_poses_change_no_answer(spread: tuple[Problem, Any], monkeypatch: 
 def test_what_follows_time_or_moves_rays_is_fitted_to_all_poses(
     spread: tuple[Problem, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(subsample, "_MANY_VALUES", 1000)
-    monkeypatch.setattr(subsample, "_FEW_VALUES", 1000)
+    monkeypatch.setattr(subsample, "_MANY_PIXELS", 1000)
+    monkeypatch.setattr(subsample, "_FEW_PIXELS", 1000)
     _, said = found(spread, ["warm_up_drift", "camera_constant"])
     assert said
     assert not any("few" in one for one in said)

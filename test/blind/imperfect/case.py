@@ -15,7 +15,7 @@ from .drafts import ANY_STYLE, OF_AMPLITUDE, SETUP_STYLES, SINGLES, SIZES, Draft
 from .files import camera_document, scene_document, untold, write_recording, write_yaml
 from .imperfections import OFF, draw_world
 from .scenes import draw_scene
-from .setups import SETUPS
+from .setups import SETUPS, decidable
 
 ATTEMPTS = 24
 
@@ -52,6 +52,8 @@ def _draft(case: Case, attempt: int) -> Draft | None:
         scene = replace(scene, falloff=(0.0, 0.0))
     world, stated = draw_world(scene, OFF[case.imperfections], rng)
     size = float(np.exp(rng.uniform(*np.log(SIZES)))) * 1.15**attempt
+    if case.tier == "setup" and not decidable(scene, case.effects[0]):
+        return None
     if case.tier in ("null", "setup"):
         return Draft(world, world, stated, setup=case.effects[0] if case.effects else None)
     make = {

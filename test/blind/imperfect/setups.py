@@ -43,19 +43,55 @@ def _on_surface(
     return Told(surfaces, stated.places, stated.lens, hypothesis, target, detail=detail)
 
 
+def _repainted(hypothesis: str) -> Callable[[Surface], Surface]:
+    return lambda one: replace(one, values=PATTERNS[hypothesis](one.values))
+
+
 def turned(scene: Scene, stated: Stated, rng: np.random.Generator) -> Told:
     """The board of the scene file is turned by 180 degrees about its normal."""
-    return _on_surface(scene, stated, "turned_180", lambda s: replace(s, values=s.values[::-1, ::-1]))
+    return _on_surface(scene, stated, "turned_180", _repainted("turned_180"))
 
 
 def mirrored(scene: Scene, stated: Stated, rng: np.random.Generator) -> Told:
     """Columns of tiles in reversed order."""
-    return _on_surface(scene, stated, "mirrored", lambda s: replace(s, values=s.values[:, ::-1]))
+    return _on_surface(scene, stated, "mirrored", _repainted("mirrored"))
 
 
 def inverted(scene: Scene, stated: Stated, rng: np.random.Generator) -> Told:
     """Bright and dark exchanged."""
-    return _on_surface(scene, stated, "inverted", lambda s: replace(s, values=swapped(s.values)))
+    return _on_surface(scene, stated, "inverted", _repainted("inverted"))
+
+
+#: What makes another pattern of the tiles, by hypothesis, and by which factor two patterns must differ somewhere.
+PATTERNS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "turned_180": lambda values: values[::-1, ::-1],
+    "mirrored": lambda values: values[:, ::-1],
+    "inverted": swapped,
+}
+_APART = 1.25
+
+
+def decidable(scene: Scene, hypothesis: str) -> bool:
+    """Whether the tiles that the target shows tell another pattern from the given one and all others."""
+    if hypothesis not in PATTERNS:
+        return True
+    target = next(one for one in scene.surfaces if one.name == TARGETS[scene.style])
+    shown = _shown(target)
+    own = np.log(PATTERNS[hypothesis](target.values)[shown])
+    others = [target.values, *(make(target.values) for name, make in PATTERNS.items() if name != hypothesis)]
+    return all(float(np.max(np.abs(np.log(one[shown]) - own))) >= np.log(_APART) for one in others)
+
+
+def _shown(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the texture that lie on a surface, whose frame has its origin in the middle."""
+    axes = []
+    for count, cell, size in zip(
+        surface.values.shape[::-1], surface.cell, surface.size or (np.inf, np.inf), strict=True
+    ):
+        reach = min(size / 2, count * cell)
+        first, last = int(np.floor(-reach / cell + 1e-9)), int(np.ceil(reach / cell - 1e-9))
+        axes.append(np.unique(np.arange(first, last) % count))
+    return np.ix_(axes[1], axes[0])
 
 
 def scaled(scene: Scene, stated: Stated, rng: np.random.Generator) -> Told:

@@ -19,7 +19,7 @@ from test.blind.imperfect.imperfections import OFF, PARTS, displaced, draw_world
 from test.blind.imperfect.plan import COUNTS, plan
 from test.blind.imperfect.scenes import STYLES, draw_scene, swapped
 from test.blind.imperfect.score import judged, overlap, rate, region, summary
-from test.blind.imperfect.setups import SETUPS
+from test.blind.imperfect.setups import SETUPS, decidable
 
 SENSOR = Sensor(third=0.009 * np.exp(0.7j), fifth=0.003 * np.exp(-1.1j))
 
@@ -431,3 +431,22 @@ def test_hidden_effects_have_their_sizes():
         np.sqrt(np.mean((0.004 * far / expert.sigma)[valid] ** 2)), rel=1e-9
     )
     assert world.with_hidden(camera_constant=0.01).true_lens.fx == pytest.approx(1.01 * world.lens.fx)
+
+
+def test_a_pattern_counts_only_where_what_is_shown_of_it_decides() -> None:
+    scene = draw_scene("room", np.random.default_rng(3))
+    values = np.array(
+        [[0.6, 0.12, 0.12, 0.35], [0.35, 0.9, 0.12, 0.12], [0.9, 0.9, 0.9, 0.6], [0.6, 0.9, 0.6, 0.35]]
+    )
+
+    def shown(size: tuple[float, float]) -> list[str]:
+        surfaces = [
+            replace(one, values=values, cell=(0.45, 0.45), size=size) if one.name == "front" else one
+            for one in scene.surfaces
+        ]
+        own = replace(scene, surfaces=surfaces)
+        return [one for one in ("turned_180", "mirrored", "inverted", "depth") if decidable(own, one)]
+
+    # two columns of one grey each: turned, mirrored and inverted they look alike
+    assert shown((0.8, 0.9)) == ["depth"]
+    assert shown((1.8, 1.8)) == ["turned_180", "mirrored", "inverted", "depth"]
