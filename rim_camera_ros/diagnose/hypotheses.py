@@ -19,6 +19,8 @@ from rim_camera_ros.scene import Scene
 AS_GIVEN = "as_given"
 #: Poses of a surface with another sign of an angle, or poses that stand elsewhere.
 POSE = "pose"
+#: A surface that stands nearer or farther in all poses.
+DEPTH = "depth"
 #: Nats by which another set-up must be better, and standard errors of its paired differences over poses.
 LEAST_GAIN = 20.0
 STANDARD_ERRORS = 2.0
@@ -33,7 +35,7 @@ _WORDS = {
     "other_pattern": "another pattern on {0}: its tiles reflect otherwise than the scene file says",
     "other_board": "another board for {0}: {1:.3g} times as large, and its tiles reflect otherwise",
     "scale": "{0} {1:.3g} times as large as the scene file says",
-    "depth": "{0} {1:+.0f} mm farther away than its poses say",
+    DEPTH: "{0} {1:+.0f} mm farther away than its poses say",
     "pose": "poses of {0} with another sign of an angle",
     "units": "distances or poses in other units, by a factor of {1:g}",
     "z_distance": "distances along the optical axis instead of along the ray",

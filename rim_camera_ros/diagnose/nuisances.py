@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtrc, ndtr
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.hypotheses import LEAST_GAIN
+from rim_camera_ros.diagnose.hypotheses import DEPTH, LEAST_GAIN
 from rim_camera_ros.effects.light_curves import PREFIX, TILES
 from rim_camera_ros.fit.design import BEYOND, COMMON_POSE, OPTICS
 from rim_camera_ros.fit.problem import Fit
@@ -122,7 +122,7 @@ def poses_beyond(fitted: Fit, camera: Camera, errors: Mapping[tuple[int, int], f
 
 #: What errors that all poses of a surface share are as a set-up, by the name of the nuisance. Shared tilts
 #: are none: what unknown physics does over the array looks like them.
-_COMMON = {"common_pose_offset": "depth"}
+_COMMON = {"common_pose_offset": DEPTH}
 
 
 def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:

@@ -11,10 +11,12 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import accuracy
 from rim_camera_ros.diagnose.codes import missing_codes, note_on_grid
 from rim_camera_ros.diagnose.compare_setups import against_physics, compare_setups
+from rim_camera_ros.diagnose.depth import standing_elsewhere
 from rim_camera_ros.diagnose.described import best_rest, describe, explained_share, is_unknown
 from rim_camera_ros.diagnose.full_grid import on_full_grid
 from rim_camera_ros.diagnose.hypotheses import (
     AS_GIVEN,
+    DEPTH,
     LEAST_GAIN,
     Hypothesis,
     best_setup,
@@ -221,6 +223,14 @@ def _diagnose(
         setups = against_physics(setups, problem.dataset, scene, camera, found=found)
         winner = best_setup(setups)
         reason = reason if winner is None else winner.reason
+    if reason is None and against is None and (result.found or unknown is not None):
+        fitted = (final if described is None else described).fit
+        elsewhere = standing_elsewhere(result, fitted, problem, camera, say=say)
+        if elsewhere:
+            reason = elsewhere[0].reason
+            depths = {one.surface for one in elsewhere}
+            rest = [one for one in setups if one.hypothesis != DEPTH or one.surface not in depths]
+            setups = [*elsewhere, *rest]
     if reason is None and described is None:
         # what was so before any physics was fitted, and stays
         of_board = reflectivities_beyond(baseline.fit, scene) and reflectivities_beyond(final.fit, scene)

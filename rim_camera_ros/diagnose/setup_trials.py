@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.hypotheses import Change, Files, Trial
+from rim_camera_ros.diagnose.hypotheses import DEPTH, Change, Files, Trial
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.forward import AmplitudeModel, Forward
 from rim_camera_ros.frame import Pose
@@ -53,7 +53,7 @@ def trials_of(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[Trial]
                 yield Trial("scale", surface.name, factor, _to_scene(changed))
         if surface.pose == "truth":
             for axis in (0, 1):
-                turned = _to_poses(surface.name, partial(_flipped, axis=axis))
+                turned = to_poses(surface.name, partial(_flipped, axis=axis))
                 yield Trial("pose", surface.name, float(axis), turned)
     yield from _as_measured(dataset, scene, camera)
     yield from _of_camera()
@@ -75,8 +75,8 @@ def _as_measured(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[Tri
         if surface.pose == "truth" and number in depths and others:
             depth = float(np.median(depths[number])) - float(np.median(others))
             if abs(depth) > _FAR * surface.pose_sigma[0]:
-                moved = _to_poses(surface.name, partial(_farther, by=depth))
-                yield Trial("depth", surface.name, 1e3 * depth, moved, fitted=True)
+                moved = to_poses(surface.name, partial(_farther, by=depth))
+                yield Trial(DEPTH, surface.name, 1e3 * depth, moved, fitted=True)
         changed = _repainted(scene, number, ratios)
         if changed is not None:
             yield Trial("other_pattern", surface.name, 0.0, _to_scene(changed))
@@ -139,7 +139,7 @@ def _of_camera() -> Iterator[Trial]:
     for factor in (1e-3, 1e3):
         yield Trial("units", "", 1 / factor, _to_distances(partial(_times, factor=factor)))
         # poses in other units, as light tells the distances of a camera
-        yield Trial("units", "", factor, _to_poses(None, partial(_nearer, factor=factor)))
+        yield Trial("units", "", factor, to_poses(None, partial(_nearer, factor=factor)))
     yield Trial("z_distance", "", 0.0, _to_distances(lambda one, rays: one / rays[..., 2]))
     for factor in _FACTORS:
         near = abs(factor - 1) < LEAST_LENS
@@ -169,7 +169,7 @@ def _to_distances(change: Callable[[Array, Array], Array]) -> Change:
     return changed
 
 
-def _to_poses(name: str | None, change: Callable[[Pose], Pose]) -> Change:
+def to_poses(name: str | None, change: Callable[[Pose], Pose]) -> Change:
     """Return what changes the poses of a surface; None: of all."""
 
     def changed(dataset: Dataset, scene: Scene, camera: Camera) -> Files:
@@ -211,12 +211,21 @@ def _nearer(pose: Pose, *, factor: float) -> Pose:
     return Pose((factor * x, factor * y, factor * z), pose.orientation)
 
 
+def normal_of(pose: Pose) -> Array:
+    """Return the normal (3,) of a surface at a pose, away from the camera."""
+    normal = rotation_matrix(pose.orientation)[:, 2]
+    return np.asarray(normal * np.sign(normal @ np.array(pose.position)))
+
+
+def moved(pose: Pose, shift: Array) -> Pose:
+    """Return a pose moved by a vector (3,) [m]."""
+    x, y, z = np.array(pose.position) + shift
+    return Pose((float(x), float(y), float(z)), pose.orientation)
+
+
 def _farther(pose: Pose, *, by: float) -> Pose:
     """Return the pose moved along its normal, away from the camera, by a length [m]."""
-    normal = rotation_matrix(pose.orientation)[:, 2]
-    normal = normal * np.sign(normal @ np.array(pose.position))
-    x, y, z = np.array(pose.position) + by * normal
-    return Pose((float(x), float(y), float(z)), pose.orientation)
+    return moved(pose, by * normal_of(pose))
 
 
 def _flipped(pose: Pose, *, axis: int) -> Pose:

@@ -213,7 +213,7 @@ def _truth_columns(surface: Surface, view: View, mine: Array, rays: Array) -> li
     """
     pose = view.poses[surface.name]
     rotation = rotation_matrix(pose.orientation)
-    names, changes = ["offset"], [_by_shift(rotation[:, 2], view, mine, rays)]
+    names, changes = ["offset"], [by_shift(rotation[:, 2], view, mine, rays)]
     if surface.type != "sphere":
         names += ["tilt_x", "tilt_y"]
         changes += [_by_rotation(axis, pose, view, mine, rays) for axis in (rotation[:, 0], rotation[:, 1])]
@@ -238,7 +238,7 @@ def _free_columns(
     for name in pose.free:
         path = f"scene.{surface.name}.{name}"
         if name in _AXES:
-            column = _by_shift(np.array(_AXES[name]), view, mine, rays)
+            column = by_shift(np.array(_AXES[name]), view, mine, rays)
             result.append(PoseColumn(path, 1.0, *column))
         else:
             column = _by_rotation(np.array(OPTICAL_AXES[name]), view.poses[surface.name], view, mine, rays)
@@ -250,7 +250,7 @@ def _along_rays(view: View, mine: Array, rays: Array) -> Array:
     return np.asarray(np.einsum("nk,nk->n", view.geometry.normals[mine], rays[mine]))
 
 
-def _by_shift(direction: Array, view: View, mine: Array, rays: Array) -> tuple[Array, Array]:
+def by_shift(direction: Array, view: View, mine: Array, rays: Array) -> tuple[Array, Array]:
     """Return the changes of distance and (relative) light by a shift; the incidence of a plane stays."""
     column, light = np.zeros(mine.shape), np.zeros(mine.shape)
     column[mine] = view.geometry.normals[mine] @ direction / _along_rays(view, mine, rays)

@@ -62,7 +62,7 @@ def inverted(scene: Scene, stated: Stated, rng: np.random.Generator) -> Told:
     return _on_surface(scene, stated, "inverted", _repainted("inverted"))
 
 
-#: What makes another pattern of the tiles, by hypothesis, and by which factor two patterns must differ somewhere.
+#: What makes another pattern of the tiles, by hypothesis; two must differ somewhere by the factor below.
 PATTERNS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "turned_180": lambda values: values[::-1, ::-1],
     "mirrored": lambda values: values[:, ::-1],

@@ -1,0 +1,71 @@
+"""A board that stands elsewhere than its poses say: found beside the offsets of all pixels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.diagnose.depth import depths, standing_elsewhere
+from rim_camera_ros.diagnose.run import diagnose
+from rim_camera_ros.diagnose.setup_trials import moved, normal_of
+from rim_camera_ros.effects.candidate import Facts
+from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.frame import Pose
+from rim_camera_ros.scene import rotation_matrix
+from rim_camera_ros.select.search import search
+
+from ..calibrate.helpers import camera, record, scene
+
+
+def displaced(data: Dataset, shift: tuple[float, float, float]) -> Dataset:
+    """The dataset whose poses of all surfaces are moved by a vector [m]."""
+    stations = [
+        replace(one, truth={name: moved(pose, np.array(shift)) for name, pose in one.truth.items()})
+        for one in data.stations
+    ]
+    return replace(data, stations=stations)
+
+
+def cyclic(given: Camera) -> Camera:
+    """The camera with a cyclic error of 12 mm that its file lacks."""
+    effect = CyclicError(harmonics=(Harmonic(4, 0.012, 0.7),))
+    return with_effects(given, {effect.name: effect})
+
+
+def test_the_normal_of_a_pose_points_away_from_the_camera() -> None:
+    turned = Pose((0.2, -0.1, 2.0), (0.0, 0.99875, 0.05, 0.0))  # nearly upside down
+    normal = normal_of(turned)
+    assert normal[2] > 0.98
+    assert np.abs(normal) == pytest.approx(np.abs(rotation_matrix(turned.orientation)[:, 2]))
+    assert moved(turned, 0.3 * normal).position[2] == pytest.approx(2.0 + 0.3 * normal[2])
+
+
+def test_a_depth_is_measured_beside_offsets_of_pixels(tmp_path: Path) -> None:
+    given, board = camera(tmp_path), scene(tmp_path)
+    data = displaced(record(given, board, poses=16, seed=5), (0.0, 0.0, -0.045))
+    result = diagnose(data, board, given)
+    assert result.verdict == "inconsistent_setup"
+    assert (result.setups[0].hypothesis, result.setups[0].surface) == ("depth", "board")
+    assert result.setups[0].value == pytest.approx(45.0, abs=2.5)  # away from the camera [mm]
+    assert str(result.reason).startswith("depth: board +4")
+    assert result.missing == []
+
+
+def test_physics_that_is_missing_is_no_depth(tmp_path: Path) -> None:
+    given, board = camera(tmp_path), scene(tmp_path)
+    data = record(cyclic(given), board, poses=16, seed=5)
+    problem = Problem(data, board)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=given)
+    result = search(problem, given, facts)
+    assert [one.effect for one in result.found] == ["cyclic_error"]
+    leading = depths(result.explorations[0], result.problem, result.folds)
+    assert [one.surface for one in leading] == ["board"]
+    assert leading[0].gain < result.found[0].gain
+    assert standing_elsewhere(result, result.fit, problem, given, say=lambda text: None) == []
