@@ -117,9 +117,9 @@ def standing_elsewhere(
     """Return the surfaces that stand elsewhere, by what that gains over the files with the physics found.
 
     Those by which these are worse in all folds of poses. ``final`` is the fit with that physics, ``problem``
-    and ``camera`` are those as given. Surfaces whose linear gain is enough are moved in the recording, and the
-    files as given are fitted to it. Pixels are those that see one tile by all poses that are compared: at the
-    others it is edges that decide, not depths.
+    and ``camera`` are those as given. Surfaces whose linear gain is enough are moved in the recording, which
+    is fitted with the files as given. Pixels are those that see one tile by all poses that are compared: at
+    the others it is edges that decide, not depths.
     """
     baseline = result.explorations[0]
     masks = baseline.fit.forward.pixels_used()
