@@ -13,12 +13,20 @@ from dataclasses import replace
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.hypotheses import AS_GIVEN, Files, Hypothesis, Trial, by_gain
-from rim_camera_ros.diagnose.setup_likelihood import SetupPrediction, difference, predicted
+from rim_camera_ros.diagnose.hypotheses import (
+    AS_GIVEN,
+    LEAST_GAIN,
+    Files,
+    Hypothesis,
+    Trial,
+    by_gain,
+)
+from rim_camera_ros.diagnose.setup_likelihood import Difference, SetupPrediction, difference, predicted
 from rim_camera_ros.diagnose.setup_trials import LEAST_LENS, other_boards, trials_of
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.decimation import decimated_camera, decimated_dataset
+from rim_camera_ros.fit.views import Views
 from rim_camera_ros.scene import Scene
 
 #: Hypotheses about the tiles of a surface.
@@ -91,11 +99,20 @@ def _best_of_each(found: Iterable[Hypothesis]) -> list[Hypothesis]:
 
 
 def _compared(trials: Iterable[Trial], files: Files, given: SetupPrediction, poses: int) -> list[Hypothesis]:
-    """Return what trials gain over the files as ``given``, for a recording of so many ``poses``."""
+    """Return what trials gain over the files as ``given``, for a recording of so many ``poses``.
+
+    One that gains at none of a few poses, and loses there as much as it would have to gain in all, is not
+    taken any further.
+    """
     found = []
+    few, others = _split(files)
+    views = Views(files[2], files[1], decimation=files[0].decimation)
     for trial in trials:
         try:
-            own = difference(given, predicted(trial.change(*files)))
+            seen = predicted(trial.change(*few), views=views)
+            own = difference(given, seen)
+            if others is not None and not _hopeless(own):
+                own = difference(given, predicted(trial.change(*others), seen, views=views))
         except RimError:
             continue
         count = own.poses.size
@@ -118,6 +135,20 @@ def _compared(trials: Iterable[Trial], files: Files, given: SetupPrediction, pos
             )
         )
     return found
+
+
+def _hopeless(own: Difference) -> bool:
+    return bool(own.poses.size and own.poses.max() <= 0 and own.poses.sum() < -LEAST_GAIN)
+
+
+def _split(files: Files) -> tuple[Files, Files | None]:
+    """Return the files with the first, a middle and the last station, and those with the others, if any."""
+    dataset, scene, camera = files
+    count = len(dataset.stations)
+    few = {0, count // 2, count - 1}
+    parts = [[one for k, one in enumerate(dataset.stations) if (k in few) is kept] for kept in (True, False)]
+    first, rest = (replace(dataset, stations=part) for part in parts)
+    return (first, scene, camera), (rest, scene, camera) if rest.stations else None
 
 
 def _explained(gain: float, short: float) -> float:

@@ -19,6 +19,7 @@ from rim_camera_ros.diagnose.hypotheses import Files
 from rim_camera_ros.diagnose.setup_trials import CAMERA_AMPLITUDE, coarse_forward
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.views import Views
 from rim_camera_ros.phasor import wrap_residual
 
 Array = NDArray[Any]
@@ -79,13 +80,20 @@ class Difference:
     short: float
 
 
-def predicted(files: Files) -> SetupPrediction:
-    """Return what files predict of the stations of their recording, one of each pose."""
+def predicted(
+    files: Files, before: SetupPrediction | None = None, *, views: Views | None = None
+) -> SetupPrediction:
+    """Return what files predict of the stations of their recording, one of each pose.
+
+    With what was predicted ``before`` of other stations by the same files, whose offset is taken. ``views``
+    as in `coarse_forward`.
+    """
     scene = files[1]
-    forward = coarse_forward(*files)
+    forward = coarse_forward(*files, views=views)
     predictions = list(forward.predictions(slopes=False))
-    offset = _common_offset(predictions)
-    looks = {
+    offset = _common_offset(predictions) if before is None else before.offset
+    looks = {} if before is None else dict(before.looks)
+    looks |= {
         (one.station.recording, one.station.pose): _look(forward, one, offset)
         for one in predictions
         if (one.station.count > 0).any()

@@ -14,6 +14,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.hypotheses import DEPTH, Change, Files, Trial
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.forward import AmplitudeModel, Forward
+from rim_camera_ros.fit.views import Views
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.parameters import NestedList
 from rim_camera_ros.scene import Scene, Surface, quaternion, rotation_matrix
@@ -127,9 +128,15 @@ def other_boards(dataset: Dataset, scene: Scene, camera: Camera, name: str) -> I
             yield Trial("other_board", name, factor, _to_scene(changed))
 
 
-def coarse_forward(dataset: Dataset, scene: Scene, camera: Camera) -> Forward:
-    """Return predictions with a power for each pose and no error of the amplitudes."""
-    forward = Forward(dataset, scene, camera)
+def coarse_forward(
+    dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None
+) -> Forward:
+    """Return predictions with a power for each pose and no error of the amplitudes.
+
+    ``views`` of the same rays, if there are any.
+    """
+    own = None if views is None else views.of_scene(camera, scene)
+    forward = Forward(dataset, scene, camera, views=own)
     forward.estimate_amplitudes()
     forward.amplitude_model = AmplitudeModel(dict(forward.amplitude_model.gains), 0.0)
     return forward

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.fit.data import Station
 from rim_camera_ros.footprint import Cells, FootprintLight, footprint_light
 from rim_camera_ros.frame import Pose
+from rim_camera_ros.parameters import NestedList
 from rim_camera_ros.scene import Geometry, Scene, ScenePose, Surface, rotation_matrix, see, surface_seen
 
 Array = NDArray[Any]
@@ -82,8 +83,12 @@ class Views:
     The camera has every ``decimation``-th pixel of the sensor's: a pixel reaches no farther for that.
     """
 
-    def __init__(self, camera: Camera, scene: Scene, *, decimation: int = 1) -> None:
+    def __init__(
+        self, camera: Camera, scene: Scene, *, decimation: int = 1, alike: Views | None = None
+    ) -> None:
+        """``alike`` are views of the same surfaces whose tiles reflect otherwise."""
         self.camera, self.scene, self._decimation = camera, scene, decimation
+        self._alike = alike
         height, width = camera.shape
         self._most = max(4, _KEPT_BYTES // (height * width * _PIXEL_BYTES))
         self._kept: dict[Any, View] = {}
@@ -94,11 +99,23 @@ class Views:
         same_rays = camera.optics == self.camera.optics and camera.shape == self.camera.shape
         return same_rays and scene.surfaces == self.scene.surfaces
 
+    def of_scene(self, camera: Camera, scene: Scene) -> Views | None:
+        """Return these views, or what they are where tiles reflect otherwise; None where rays differ."""
+        if self.fits(camera, scene):
+            return self
+        same_rays = self.fits(camera, self.scene)
+        if not same_rays or _unpainted(self.scene) != _unpainted(scene):
+            return None
+        return Views(self.camera, scene, decimation=self._decimation, alike=self)
+
     def view(self, station: Station) -> View:
         """Return what a station's pixels see. Raises `InputError` for a missing pose."""
         poses = self.scene.poses_for(station.truth)
         key = tuple(poses.get(one.name) for one in self.scene.surfaces)
         found = self._kept.get(key)
+        if found is None and self._alike is not None:
+            found = _repainted(self._alike.view(station), self.scene)
+            self._kept[key] = found
         if found is None:
             geometry = see(self.scene, poses, self.camera.rays)
             clean = self._clean(geometry, poses, CLEAN)
@@ -197,6 +214,31 @@ class Views:
             elif isinstance(surface.pose, ScenePose) and surface.pose.free:
                 result += _free_columns(surface, surface.pose, view, mine, self.camera.rays)
         return result
+
+
+def _unpainted(scene: Scene) -> tuple[Surface, ...]:
+    """Return surfaces as if their tiles, which stay where they are, all reflected alike."""
+    return tuple(
+        replace(one, reflectivity_sigma=0.0)
+        if one.texture is None
+        else replace(
+            one,
+            reflectivity_sigma=0.0,
+            texture=replace(one.texture, values=NestedList(np.ones(one.texture.values.values.shape))),
+        )
+        for one in scene.surfaces
+    )
+
+
+def _repainted(view: View, scene: Scene) -> View:
+    """Return a view whose tiles reflect as those of a scene."""
+    tiles = [
+        [one.nominal_reflectivity] if one.texture is None else one.texture.values.values.ravel()
+        for one in scene.surfaces
+    ]
+    values = np.concatenate([*tiles, [np.nan]])  # the last is that of a ray that meets nothing
+    geometry = replace(view.geometry, reflectivity=values[view.geometry.tile])
+    return replace(view, geometry=geometry, memory={})
 
 
 def _alone(tile: Array) -> NDArray[np.bool_]:
