@@ -128,9 +128,7 @@ def other_boards(dataset: Dataset, scene: Scene, camera: Camera, name: str) -> I
             yield Trial("other_board", name, factor, _to_scene(changed))
 
 
-def coarse_forward(
-    dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None
-) -> Forward:
+def coarse_forward(dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None) -> Forward:
     """Return predictions with a power for each pose and no error of the amplitudes.
 
     ``views`` of the same rays, if there are any.
