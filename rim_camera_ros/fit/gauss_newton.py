@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,8 @@ from rim_camera_ros.effects.light_curves import FALLOFF, LOBE, tile_labels
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.fit.design import GAIN, is_linear
 from rim_camera_ros.fit.forward import AmplitudeModel, Forward
-from rim_camera_ros.fit.normal_equations import NormalEquations, Reduced, accumulate
+from rim_camera_ros.fit.linearised import Linearised
+from rim_camera_ros.fit.normal_equations import accumulate
 from rim_camera_ros.fit.problem import (
     Fit,
     Point,
@@ -63,37 +64,6 @@ _OVER_THE_BEND = 0.1
 #: tolerance), below which the adjustment has converged.
 TOLERANCE = 0.05
 _LEVEL = 0.5
-
-
-@dataclass(frozen=True)
-class Linearised:
-    """The equations where an adjustment stands, and their solution.
-
-    ``matrix``, ``right``, ``step`` and ``covariance`` of the ``regressors`` with their ``prior`` (1-sigma).
-    ``square`` is chi-square with the priors' terms, ``objective`` twice the negative log likelihood.
-    """
-
-    forward: Forward
-    equations: NormalEquations
-    reduced: Reduced
-    regressors: Sequence[Regressor]
-    prior: Array
-    matrix: Array
-    right: Array
-    step: Array
-    covariance: Array
-    square: float
-    objective: float
-
-    @property
-    def labels(self) -> list[str]:
-        """Labels of the regressors."""
-        return [one.label for one in self.regressors]
-
-    @property
-    def sigma(self) -> Array:
-        """1-sigma of each parameter."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
 class GaussNewton:

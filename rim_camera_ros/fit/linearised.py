@@ -1,0 +1,47 @@
+"""The equations of an adjustment at one point, and their solution."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.effects.candidate import Regressor
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.normal_equations import NormalEquations, Reduced
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """The equations where an adjustment stands, and their solution.
+
+    ``matrix``, ``right``, ``step`` and ``covariance`` of the ``regressors`` with their ``prior`` (1-sigma).
+    ``square`` is chi-square with the priors' terms, ``objective`` twice the negative log likelihood.
+    """
+
+    forward: Forward
+    equations: NormalEquations
+    reduced: Reduced
+    regressors: Sequence[Regressor]
+    prior: Array
+    matrix: Array
+    right: Array
+    step: Array
+    covariance: Array
+    square: float
+    objective: float
+
+    @property
+    def labels(self) -> list[str]:
+        """Labels of the regressors."""
+        return [one.label for one in self.regressors]
+
+    @property
+    def sigma(self) -> Array:
+        """1-sigma of each parameter."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
