@@ -126,6 +126,16 @@ def missing_codes_of(codes: MissingCodes, camera: Camera) -> Missing:
     )
 
 
+def first_frames() -> Missing:
+    """Return what is said of poses whose first frame differs from those after it: unknown physics."""
+    sentence = (
+        "unknown physics: the first frame of each pose differs from those after it, which are alike, in what "
+        "all pixels share: the camera keeps something of the exposure before, or poses were not yet at rest; "
+        "record without the first frame of each pose"
+    )
+    return Missing(UNKNOWN, 1.0, {}, {}, sentence, ("time",))
+
+
 def ranking_of(baseline: Exploration, result: Result) -> list[Ranked]:
     """Return every effect alone, the best first.
 

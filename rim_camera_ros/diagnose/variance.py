@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar, nnls
+from scipy.special import fdtri
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import ForeignLight
@@ -33,6 +34,8 @@ LEAST_COMMON_SHARE = 0.003
 #: Persistence of what pixels share from which on it drifts, in its standard deviations where frames are
 #: independent.
 _DRIFTS = 4.0
+#: Probability with which frames that scatter as in a drift are taken for ones of which the first differs.
+_BEGINS_BY_CHANCE = 0.001
 _BINS = 10
 #: Factors on the light that a response of another form than the true one may leave.
 _SCALES = (0.8, 1.25)
@@ -83,7 +86,16 @@ class Variance:
     @property
     def pixels_vary_together(self) -> bool:
         """Whether all pixels share light that varies from frame to frame (a second camera)."""
-        return self._common_variation and not self.moves
+        return self._common_variation and not self.moves and not self.begins
+
+    @property
+    def begins(self) -> bool:
+        """Whether the first frames of poses differ from those after them, which are alike.
+
+        What moves goes on moving: this is what a camera keeps of the exposure before, or poses that came to
+        rest meanwhile.
+        """
+        return self._common_variation and self.movement is not None and _begins(self.movement)
 
     @property
     def moves(self) -> bool:
@@ -92,7 +104,8 @@ class Variance:
         A second camera adds the same light to all pixels, with a phase that is another in each frame; a
         surface that moves tilts the phase over the array, and goes on moving.
         """
-        return self._common_variation and self.movement is not None and drifts_or_tilts(self.movement)
+        moves = self.movement is not None and drifts_or_tilts(self.movement)
+        return self._common_variation and moves and not self.begins
 
     @property
     def _common_variation(self) -> bool:
@@ -102,6 +115,12 @@ class Variance:
 def drifts_or_tilts(one: Movement) -> bool:
     """Return whether what pixels have in common is a movement rather than the light of a second camera."""
     return one.by_tilt > one.by_light or one.persistence > _DRIFTS * one.persistence_sigma
+
+
+def _begins(one: Movement) -> bool:
+    later = one.freedom - one.number
+    # two numbers a frame
+    return later > 0 and one.begins > float(fdtri(2 * one.number, 2 * later, 1 - _BEGINS_BY_CHANCE))
 
 
 def is_common(common: float, share: float, sigma: float) -> bool:

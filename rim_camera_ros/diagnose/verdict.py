@@ -16,6 +16,7 @@ from rim_camera_ros.diagnose.described import Described, Rest, unexplained
 from rim_camera_ros.diagnose.intervals import intervals_of
 from rim_camera_ros.diagnose.menu import recommended, told_apart
 from rim_camera_ros.diagnose.naming import (
+    first_frames,
     missing_codes_of,
     missing_effect,
     next_recording,
@@ -28,6 +29,7 @@ from rim_camera_ros.diagnose.naming import (
 from rim_camera_ros.diagnose.noise_verdict import OF_NOISE, beside_unknown, with_variance
 from rim_camera_ros.diagnose.result import Diagnosis, Missing, Ranked
 from rim_camera_ros.diagnose.second_camera import second_camera, with_second_camera
+from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.diagnose.where import (
     Where,
@@ -56,6 +58,7 @@ _LITTLE = (
     "{0} would explain {1.explained:.0%} of what does not fit (chi-square per value of held-out poses "
     "{1.chi2_before:.3g} -> {1.chi2_after:.3g}): most of what is missing is something else"
 )
+_BESIDE_FIRST_FRAMES = "not named beside first frames that differ, as their means may look like it"
 _BESIDE_CODES = "not told beside counts that are left out, which may look like it; mend those first"
 
 
@@ -114,7 +117,7 @@ class _Draft:
 def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
     """Return what is said of the findings; ``say`` takes progress in words."""
     draft = _begun(found)
-    for step in (_wrong_parameters, _of_variance, _unknown_alone, _codes_first):
+    for step in (_wrong_parameters, _of_variance, _first_frames, _unknown_alone, _codes_first):
         step(draft, found)
     advice = {}
     for one in found.result.found:
@@ -276,6 +279,18 @@ def _unknown_alone(draft: _Draft, found: Findings) -> None:
     if draft.verdict == "unknown_physics":
         draft.missing, further, told = beside_unknown(draft.missing, found.camera)
         draft.adjusted, draft.notes = [*draft.adjusted, *further], [*draft.notes, *told]
+
+
+def _first_frames(draft: _Draft, found: Findings) -> None:
+    """What only the first frames of poses show is in their means, and looks like other physics there."""
+    if not found.variance.begins or draft.verdict == "inconsistent_setup":
+        return
+    names = [one.effect for one in draft.missing if one.effect != UNKNOWN]
+    draft.verdict, draft.adjusted, draft.ties = "unknown_physics", [], []
+    draft.missing, draft.model = [first_frames()], found.camera
+    draft.where = of_residuals(found.baseline.fit)
+    if names:
+        draft.notes.append(f"{_BESIDE_FIRST_FRAMES}: {', '.join(names)}")
 
 
 def _codes_first(draft: _Draft, found: Findings) -> None:

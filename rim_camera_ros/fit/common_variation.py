@@ -23,8 +23,9 @@ class Movement:
     ``rim`` [m] is the RMS over the frames of how far tilts move distances at the rim of the array.
     ``steps`` and ``spread`` are the sums of squares of the changes from one frame to the next and of the
     deviations from the mean, of the numbers of the better of the two: their ratio is 2 where frames are
-    independent (von Neumann 1941), and near 0 where they follow a drift. ``freedom`` is the number of frames
-    less 1, over ``number`` stations.
+    independent (von Neumann 1941), and near 0 where they follow a drift. ``later`` are the squares of the
+    deviations of all frames but the first from their own mean. ``freedom`` is the number of frames less 1,
+    over ``number`` stations.
     """
 
     by_tilt: float
@@ -32,6 +33,7 @@ class Movement:
     rim: float
     steps: float
     spread: float
+    later: float
     freedom: int
     number: int = 1
 
@@ -39,6 +41,19 @@ class Movement:
     def persistence(self) -> float:
         """How far frames follow those before them: 0 where they are independent, 1 at most."""
         return 1.0 - self.steps / (2.0 * self.spread) if self.spread > 0 else 0.0
+
+    @property
+    def begins(self) -> float:
+        """By how much more than in a steady drift the first frame stands out from those after it.
+
+        The mean square of its distance to them over theirs, in independent frames 1, is 3 in a drift however
+        many frames it has; the result is over that.
+        """
+        others = self.freedom - self.number
+        if others <= 0 or not self.spread > 0:
+            return 0.0
+        first = (self.spread - self.later) / self.number
+        return first / (3.0 * max(self.later / others, 1e-12))
 
     @property
     def persistence_sigma(self) -> float:
@@ -56,6 +71,7 @@ def together(movements: Sequence[Movement]) -> Movement:
         rim=max(one.rim for one in movements),
         steps=sum(one.steps / one.spread for one in movements if one.spread > 0),
         spread=float(sum(one.spread > 0 for one in movements)),
+        later=sum(one.later / one.spread for one in movements if one.spread > 0),
         freedom=sum(one.freedom for one in movements),
         number=len(movements),
     )
@@ -128,5 +144,6 @@ def _movement(deviation: Array, light: Array, weight: Array, valid: Array, ambig
         rim=float(np.sqrt(np.mean(np.abs(tilts).sum(axis=1) ** 2)) * ambiguity / (2 * np.pi)),
         steps=float((np.diff(series, axis=0) ** 2).sum()),
         spread=float(((series - series.mean(axis=0)) ** 2).sum()),
+        later=float(((series[1:] - series[1:].mean(axis=0)) ** 2).sum()),
         freedom=len(deviation) - 1,
     )

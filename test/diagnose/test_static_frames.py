@@ -80,6 +80,55 @@ def test_how_persistent_independent_frames_are() -> None:
     assert found[0].persistence_sigma == pytest.approx(values.std(), rel=0.35)
 
 
+def test_by_how_much_the_first_frame_stands_out() -> None:
+    """A ramp of any number of frames is 1, independent frames are a third; one that differs is far more."""
+    rng = np.random.default_rng(4)
+    ambiguity = 5.0
+
+    def begins(count: int, **one: float) -> float:
+        stations = (frames_of(rng, **one)[:count] for _ in range(8))
+        found = [common_variation(frames, ambiguity) for frames in stations]
+        return together([one.movement for one in found if one is not None]).begins
+
+    assert begins(8, tilt=0.03) == pytest.approx(1.0, rel=0.15)
+    assert begins(3, tilt=0.12) == pytest.approx(1.0, rel=0.15)
+    assert begins(8, light=9.0) == pytest.approx(1 / 3, rel=0.5)
+    assert begins(2, tilt=0.12) == 0.0  # nothing follows the second
+    kept = frames_of(rng)
+    kept[0] += 9.0 * np.exp(0.4j)
+    found = common_variation(kept[:3], ambiguity)
+    assert found is not None
+    assert found.movement.begins > 5  # noise of one station limits it
+
+
+def test_first_frames_that_differ_are_no_motion(tmp_path: Path) -> None:
+    """A camera that keeps a little of the exposure before: light in common, in the first frame of a pose."""
+    camera = floor_camera(tmp_path, scale=2)
+    write_floor(tmp_path / "floor", camera, tmp_path, poses=10, frames=4)
+    turn = 2 * np.pi / camera.sensor.ambiguity * camera.sensor.lsb
+    with Recording(tmp_path / "floor") as bag, RecordingWriter(tmp_path / "bag") as writer:
+        seen: set[Any] = set()
+        for number, frame in enumerate(bag.frames()):
+            if number % 4 == 0:
+                light = frame.amplitude * np.exp(1j * turn * frame.distance) + 30.0 * np.exp(0.7j)
+                counts = np.rint((np.angle(light) % (2 * np.pi)) / turn)
+                frame = replace(
+                    frame,
+                    distance=np.where(frame.distance > 0, counts, 0).astype(np.uint16),
+                    amplitude=np.where(frame.amplitude > 0, np.rint(np.abs(light)), 0).astype(np.uint16),
+                )
+            seen.add(frame.stamp)
+            writer.write_raw(frame)
+    assert len(seen) == 40
+    report = diagnosed(
+        tmp_path, tmp_path / "bag", camera=tmp_path / "camera.yaml", scene=floor_scene(tmp_path, ONE_COLOUR)
+    )
+    assert report["verdict"] == "unknown_physics"
+    (missing,) = report["missing"]
+    assert missing["effect"] == "unknown"
+    assert "the first frame of each pose differs" in missing["sentence"]
+
+
 def test_a_second_camera_before_a_floor_is_still_one(tmp_path: Path) -> None:
     camera = floor_camera(tmp_path, Interference(30.0e6, 25.0), scale=2)
     write_floor(tmp_path / "bag", camera, tmp_path, poses=8, frames=8)
