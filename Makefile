@@ -34,8 +34,12 @@ else
 	@$(RUN) -m pytest -m "not slow" $(PYTEST_ARGS)
 endif
 
-test-tcp: $(VENV)/.installed ## run the ROS tests with Fast DDS' LARGE_DATA in the place of the shipped profile
-	@FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA $(RUN) -m pytest -m "not slow" $(PYTEST_ARGS) test/ros
+# Parameters, processes, launch files and documents are the same by any transport.
+NOT_OF_TRANSPORT = documentation home_folder launch launch_several parameters process security unchanged_parameters
+OF_TRANSPORT = $(filter-out $(NOT_OF_TRANSPORT:%=test/ros/test_%.py),$(wildcard test/ros/test_*.py))
+
+test-tcp: $(VENV)/.installed ## run the ROS tests of messages with Fast DDS' LARGE_DATA in the place of the shipped profile
+	@FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA $(RUN) -m pytest -m "not slow" $(PYTEST_ARGS) $(OF_TRANSPORT)
 
 test-all: $(VENV)/.installed ## run all tests
 	@$(RUN) -m pytest $(PYTEST_ARGS)

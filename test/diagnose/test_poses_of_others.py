@@ -63,6 +63,7 @@ def test_a_simulation_like_it_has_the_stations_of_the_recording(folder: Path) ->
         assert len({tuple(frame.pose_stamps.items()) for frame in again.frames()}) == 18
 
 
+@pytest.mark.slow
 def test_what_is_at_rest_in_the_scene_needs_no_pose_in_the_recording(folder: Path) -> None:
     """Its simulation has one all the same, and is still a simulation of that recording."""
     names = {"camera": folder / "camera.yaml"}
