@@ -223,9 +223,12 @@ def _diagnose(
         setups = against_physics(setups, problem.dataset, scene, camera, found=found)
         winner = best_setup(setups)
         reason = reason if winner is None else winner.reason
-    if reason is None and against is None and (result.found or unknown is not None):
+    if reason is None and against is None and not alone and (result.found or unknown is not None):
         fitted = (final if described is None else described).fit
-        elsewhere = standing_elsewhere(result, fitted, problem, camera, say=say)
+        try:
+            elsewhere = standing_elsewhere(result, fitted, problem, camera, say=say)
+        except (RimError, np.linalg.LinAlgError):
+            elsewhere = []  # nothing can be fitted to what the poses that are compared see alike
         if elsewhere:
             reason = elsewhere[0].reason
             depths = {one.surface for one in elsewhere}
