@@ -165,6 +165,19 @@ def test_the_first_frame_may_take_longer_than_the_next_ones() -> None:
     assert (flow.silent(124.0, begun=120.0), flow.silent(126.0, begun=120.0)) == (0.0, 6.0)
 
 
+def test_a_slow_flow_that_stops_is_silent_after_three_periods_and_stays_so() -> None:
+    """The rate is 0 once the window is empty: the period is that of the frames that came."""
+    flow = Flow()
+    for k in range(10):
+        flow.add(100.0 + k, stamp=10**9 * (k + 1), latency=0.01, processing=0.01)
+    assert flow.silent(111.9, begun=90.0) == 0.0
+    for now in (112.1, 114.5, 118.0, 140.0):
+        assert flow.silent(now, begun=90.0) == pytest.approx(now - 109.0)
+    once = Flow()  # one frame alone has no period
+    once.add(100.0, stamp=1, latency=0.01, processing=0.01)
+    assert once.silent(101.5, begun=90.0) == pytest.approx(1.5)
+
+
 def test_a_rate_about_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     class Camera:
         frame_rate = 25.0

@@ -16,6 +16,8 @@ _KEPT = 4096
 #: Seconds [s] and periods without a frame after which it is an error, and seconds that the first may take:
 #: until a driver has started and both have found each other (up to 2.4 s were measured, docs/reliability.md).
 _SILENT, _SILENT_PERIODS, _STARTING = 1.0, 3.0, 5.0
+#: Steps from frame to frame of which the median is the period, and the longest [s] that is waited for.
+_STEPS, _LONGEST_PERIOD = 15, 10.0
 #: Latencies [s] beyond this are of stamps that are not of now (a recording's own).
 _OF_NOW = 60.0
 
@@ -60,6 +62,7 @@ class Flow:
         self.total = 0
         self.jumps = 0
         self._times: deque[tuple[float, float, float]] = deque(maxlen=_KEPT)
+        self._steps: deque[float] = deque(maxlen=_STEPS)
         self._last_stamp: int | None = None
         self.last: float | None = None
 
@@ -69,6 +72,8 @@ class Flow:
         if self._last_stamp is not None and not 0 < stamp - self._last_stamp < 10 * 10**9:
             self.jumps += 1
         self._last_stamp = stamp
+        if self.last is not None:
+            self._steps.append(now - self.last)
         self.last = now
         self._times.append((now, latency, processing))
 
@@ -86,7 +91,9 @@ class Flow:
         since = now - max(self.last or 0.0, begun)
         if self.last is None or self.last < begun:
             return since if since > _STARTING else 0.0
-        return since if since > max(_SILENT, _SILENT_PERIODS / max(self.rate(now), 0.1)) else 0.0
+        # of the frames that came: a flow that stops has no rate
+        period = min(float(np.median(self._steps)), _LONGEST_PERIOD) if self._steps else 0.0
+        return since if since > max(_SILENT, _SILENT_PERIODS * period) else 0.0
 
     def values(self, now: float) -> dict[str, str]:
         """Return rate, jitter, latencies as text."""
