@@ -44,7 +44,7 @@ test-tcp: $(VENV)/.installed ## run the ROS tests of messages with Fast DDS' LAR
 test-all: $(VENV)/.installed ## run all tests
 	@$(RUN) -m pytest $(PYTEST_ARGS)
 
-test-blind: $(VENV)/.installed ## diagnose forty blind cases and hold the rates against what is demanded (ten minutes)
+test-blind: $(VENV)/.installed ## diagnose forty blind cases and hold the rates against what is demanded (up to 35 minutes)
 	@$(RUN) -m pytest -m slow -k forty_cases $(PYTEST_ARGS) test/blind/test_proof.py
 
 test-oldest: $(OLDEST)/.installed ## run all tests with the oldest supported libraries, in .venv-oldest

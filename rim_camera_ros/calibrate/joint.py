@@ -59,7 +59,7 @@ _LAMBERT = (
 
 @dataclass
 class Outcome:
-    """The solution of a problem, and which effects joined; ``effect_statuses`` says something of each."""
+    """The solution of a problem, and which effects joined; ``effect_statuses`` returns the status of each."""
 
     solution: Solution
     problem: Problem

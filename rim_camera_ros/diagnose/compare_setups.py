@@ -20,6 +20,7 @@ from rim_camera_ros.diagnose.hypotheses import (
     Hypothesis,
     Trial,
     by_gain,
+    share_explained,
 )
 from rim_camera_ros.diagnose.setup_likelihood import Difference, SetupPrediction, difference, predicted
 from rim_camera_ros.diagnose.setup_trials import LEAST_LENS, other_boards, trials_of
@@ -39,14 +40,15 @@ _ENOUGH_PIXELS = 1600
 def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypothesis]:
     """Return the set-ups by what they gain over the files as given, the best first; these gain 0."""
     files = _coarse(dataset, scene, camera)
-    given = predicted(files)
+    views = Views(files[2], files[1], decimation=files[0].decimation)
+    given = predicted(files, views=views)
     poses = dataset.poses
     found = [Hypothesis(AS_GIVEN, "", 0.0, 0.0, value=given.offset)]
-    found += _compared(trials_of(*files), files, given, poses)
+    found += _compared(trials_of(*files), files, given, poses, views)
     # a surface of which neither size nor pattern is right fits with neither of them alone
     patterned = {one.surface for one in found if one.is_better and one.hypothesis in _OF_PATTERN}
     for name in sorted(patterned):
-        found += _compared(other_boards(*files, name), files, given, poses)
+        found += _compared(other_boards(*files, name), files, given, poses, views)
     return _best_of_each(found)
 
 
@@ -75,7 +77,8 @@ def against_physics(
         trial = Trial(one.hypothesis, one.surface, one.value, one.change)
         for own in (camera, found):
             files = _coarse(dataset, scene, own)
-            compared = _compared([trial], files, given, dataset.poses)
+            views = Views(files[2], files[1], decimation=files[0].decimation)
+            compared = _compared([trial], files, given, dataset.poses, views)
             again += [replace(each, share=one.share, against_physics=True) for each in compared]
     return _best_of_each(again)
 
@@ -98,20 +101,23 @@ def _best_of_each(found: Iterable[Hypothesis]) -> list[Hypothesis]:
     return by_gain(best.values())
 
 
-def _compared(trials: Iterable[Trial], files: Files, given: SetupPrediction, poses: int) -> list[Hypothesis]:
+def _compared(
+    trials: Iterable[Trial], files: Files, given: SetupPrediction, poses: int, views: Views
+) -> list[Hypothesis]:
     """Return what trials gain over the files as ``given``, for a recording of so many ``poses``.
+
+    ``views`` are those of the files.
 
     One that gains at none of a few poses, and loses there as much as it would have to gain in all, is not
     taken any further.
     """
     found = []
     few, others = _split(files)
-    views = Views(files[2], files[1], decimation=files[0].decimation)
     for trial in trials:
         try:
             seen = predicted(trial.change(*few), views=views)
             own = difference(given, seen)
-            if others is not None and not _hopeless(own):
+            if others is not None and not _is_worse(own):
                 own = difference(given, predicted(trial.change(*others), seen, views=views))
         except RimError:
             continue
@@ -129,7 +135,7 @@ def _compared(trials: Iterable[Trial], files: Files, given: SetupPrediction, pos
                 gain * share + own.reflectivities,
                 error * share,
                 trial.value,
-                _explained(gain + own.reflectivities, own.short),
+                share_explained(gain + own.reflectivities, own.short),
                 trial.change,
                 fitted=trial.fitted,
             )
@@ -137,7 +143,7 @@ def _compared(trials: Iterable[Trial], files: Files, given: SetupPrediction, pos
     return found
 
 
-def _hopeless(own: Difference) -> bool:
+def _is_worse(own: Difference) -> bool:
     return bool(own.poses.size and own.poses.max() <= 0 and own.poses.sum() < -LEAST_GAIN)
 
 
@@ -149,11 +155,6 @@ def _split(files: Files) -> tuple[Files, Files | None]:
     parts = [[one for k, one in enumerate(dataset.stations) if (k in few) is kept] for kept in (True, False)]
     first, rest = (replace(dataset, stations=part) for part in parts)
     return (first, scene, camera), (rest, scene, camera) if rest.stations else None
-
-
-def _explained(gain: float, short: float) -> float:
-    """Return the share that a ``gain`` is of what does not fit, which is at least what is gained."""
-    return gain / max(short, gain, 1e-9)
 
 
 def _some_poses(dataset: Dataset) -> Dataset:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.hypotheses import DEPTH, Hypothesis, by_gain
+from rim_camera_ros.diagnose.hypotheses import DEPTH, Hypothesis, by_gain, share_explained
 from rim_camera_ros.diagnose.setup_trials import moved, normal_of, to_poses
 from rim_camera_ros.effects.candidate import Block, Column, Regressor
 from rim_camera_ros.fit.data import Dataset
@@ -102,7 +102,7 @@ def depths(baseline: Exploration, problem: Problem, folds: Mapping[tuple[int, in
             gain,
             error,
             1e3 * metres,
-            gain / max(baseline.unexplained, gain, 1e-9),
+            share_explained(gain, baseline.unexplained),
             to_poses(one.surface, partial(_shifted, one, metres)),
             against_physics=True,
         )
@@ -119,7 +119,8 @@ def standing_elsewhere(
     Those by which these are worse in all folds of poses. ``final`` is the fit with that physics, ``problem``
     and ``camera`` are those as given. Surfaces whose linear gain is enough are moved in the recording, which
     is fitted with the files as given. Pixels are those that see one tile by all poses that are compared: at
-    the others it is edges that decide, not depths.
+    the others it is edges that decide, not depths. The depth is one number of all poses; what is left of it
+    beside the stated errors is fitted without the held-out ones.
     """
     baseline = result.explorations[0]
     masks = baseline.fit.forward.pixels_used()
@@ -158,7 +159,7 @@ def standing_elsewhere(
                 one,
                 gain=gain,
                 standard_error=paired_error(after, before),
-                share=gain / max(unexplained, gain),
+                share=share_explained(gain, unexplained),
             )
         )
     return by_gain(found)

@@ -35,7 +35,7 @@ _WORDS = {
     "other_pattern": "another pattern on {0}: its tiles reflect otherwise than the scene file says",
     "other_board": "another board for {0}: {1:.3g} times as large, and its tiles reflect otherwise",
     "scale": "{0} {1:.3g} times as large as the scene file says",
-    DEPTH: "{0} {1:+.0f} mm farther away than its poses say",
+    DEPTH: "{0} {1:.0f} mm {2} than its poses say",
     "pose": "poses of {0} with another sign of an angle",
     "units": "distances or poses in other units, by a factor of {1:g}",
     "z_distance": "distances along the optical axis instead of along the ray",
@@ -80,7 +80,9 @@ class Hypothesis:
             return "scene, poses and camera as the files say"
         if self.hypothesis == POSE and not self.surface:
             return f"{self.value:.0f} poses that stand elsewhere"
-        return _WORDS[self.hypothesis].format(self.surface or "the scene", self.value)
+        value, side = self.value, "farther away" if self.value > 0 else "nearer"
+        value = abs(value) if self.hypothesis == DEPTH else value
+        return _WORDS[self.hypothesis].format(self.surface or "the scene", value, side)
 
     @property
     def reason(self) -> str:
@@ -117,6 +119,11 @@ class Trial:
     value: float
     change: Change
     fitted: bool = False
+
+
+def share_explained(gain: float, short: float) -> float:
+    """Return the share that a ``gain`` is of what does not fit, which is at least what is gained."""
+    return gain / max(short, gain, 1e-9)
 
 
 def by_gain(found: Iterable[Hypothesis]) -> list[Hypothesis]:

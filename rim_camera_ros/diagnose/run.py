@@ -211,22 +211,21 @@ def _diagnose(
                 described = describe(unknown, baseline, result, seed)
             except (RimError, np.linalg.LinAlgError):
                 return with_setups(_hopeless(problem, camera, variance, seed), setups)
+    best_fit = final.fit if described is None else described.fit
     setup = check_setup(
-        final.fit if described is None else described.fit,
+        best_fit,
         explained=explained,
         physics=[one.effect for one in result.found] if described is None else [CovariateTable.name],
         before=baseline.fit,
     )
     reason = setup.reason
     if any(one.is_better for one in setups):
-        found = (final if described is None else described).fit.camera
-        setups = against_physics(setups, problem.dataset, scene, camera, found=found)
+        setups = against_physics(setups, problem.dataset, scene, camera, found=best_fit.camera)
         winner = best_setup(setups)
         reason = reason if winner is None else winner.reason
     if reason is None and against is None and not alone and (result.found or unknown is not None):
-        fitted = (final if described is None else described).fit
         try:
-            elsewhere = standing_elsewhere(result, fitted, problem, camera, say=say)
+            elsewhere = standing_elsewhere(result, best_fit, problem, camera, say=say)
         except (RimError, np.linalg.LinAlgError):
             elsewhere = []  # nothing can be fitted to what the poses that are compared see alike
         if elsewhere:

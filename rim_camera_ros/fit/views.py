@@ -81,12 +81,12 @@ class Views:
     """The views of a scene's stations through one camera geometry; the latest are kept.
 
     The camera has every ``decimation``-th pixel of the sensor's: a pixel reaches no farther for that.
+    ``alike`` are views of the same surfaces whose tiles reflect otherwise.
     """
 
     def __init__(
         self, camera: Camera, scene: Scene, *, decimation: int = 1, alike: Views | None = None
     ) -> None:
-        """``alike`` are views of the same surfaces whose tiles reflect otherwise."""
         self.camera, self.scene, self._decimation = camera, scene, decimation
         self._alike = alike
         height, width = camera.shape
@@ -113,20 +113,25 @@ class Views:
         poses = self.scene.poses_for(station.truth)
         key = tuple(poses.get(one.name) for one in self.scene.surfaces)
         found = self._kept.get(key)
-        if found is None and self._alike is not None:
-            found = _repainted(self._alike.view(station), self.scene)
-            self._kept[key] = found
         if found is None:
-            geometry = see(self.scene, poses, self.camera.rays)
-            clean = self._clean(geometry, poses, CLEAN)
-            if not clean.any():
-                # of what is so small that edges reach all of it, the pixels that they reach least
-                clean = self._clean(geometry, poses, SMALL)
-            found = View(geometry, clean, poses)
-            found.pose_columns.extend(self._pose_columns(found))
+            found = (
+                self._seen(poses)
+                if self._alike is None
+                else _repainted(self._alike.view(station), self.scene)
+            )
             if len(self._kept) >= self._most:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[key] = found
+        return found
+
+    def _seen(self, poses: Mapping[str, Pose]) -> View:
+        geometry = see(self.scene, poses, self.camera.rays)
+        clean = self._clean(geometry, poses, CLEAN)
+        if not clean.any():
+            # of what is so small that edges reach all of it, the pixels that they reach least
+            clean = self._clean(geometry, poses, SMALL)
+        found = View(geometry, clean, poses)
+        found.pose_columns.extend(self._pose_columns(found))
         return found
 
     def clean(self, view: View, margins: Margins) -> NDArray[np.bool_]:

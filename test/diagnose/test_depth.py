@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,7 +55,9 @@ def test_a_depth_is_measured_beside_offsets_of_pixels(tmp_path: Path) -> None:
     assert result.verdict == "inconsistent_setup"
     assert (result.setups[0].hypothesis, result.setups[0].surface) == ("depth", "board")
     assert result.setups[0].value == pytest.approx(45.0, abs=2.5)  # away from the camera [mm]
-    assert str(result.reason).startswith("depth: board +4")
+    assert re.match(r"depth: board 4\d mm farther away than its poses say explains", str(result.reason))
+    nearer = replace(result.setups[0], value=-50.4)
+    assert nearer.sentence == "board 50 mm nearer than its poses say"
     assert result.missing == []
 
 
