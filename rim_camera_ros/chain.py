@@ -13,15 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.effects.base import (
-    ComplexEffect,
-    Context,
-    DistanceTerm,
-    Effect,
-    ResponseEffect,
-    Signal,
-    from_phasor,
-)
+from rim_camera_ros.effects.base import ComplexEffect, DistanceTerm, Effect, ResponseEffect
+from rim_camera_ros.effects.signal import Context, Signal, from_phasor
 from rim_camera_ros.phasor import to_phasor
 from rim_camera_ros.scene import Geometry
 

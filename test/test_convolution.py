@@ -19,8 +19,8 @@ from rim_camera_ros.convolution import (
     planar,
     shift,
 )
-from rim_camera_ros.effects.base import Context
 from rim_camera_ros.effects.scattering import Ghost, Kernel, Scattering
+from rim_camera_ros.effects.signal import Context
 
 Kernels = list[tuple[float, float, float]]
 GhostOf = tuple[float, float, float]

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from rim_camera_ros.camera import Camera, Optics, Radiometry, Sensor
 from rim_camera_ros.camera_file import load_camera, save_camera, with_effects
-from rim_camera_ros.effects.base import Context
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
+from rim_camera_ros.effects.signal import Context
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.footprint import COARSE, FINE, Cells, FootprintLight
 from rim_camera_ros.frame import RawFrame, Settings

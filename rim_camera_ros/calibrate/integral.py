@@ -21,7 +21,8 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects import PositionTable
 from rim_camera_ros.effects.tables import interpolate
-from rim_camera_ros.fit.forward import AmplitudeModel, Forward
+from rim_camera_ros.fit.amplitudes import AmplitudeModel
+from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.parameters import ArrayFile
 

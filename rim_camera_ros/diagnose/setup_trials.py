@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.hypotheses import DEPTH, Change, Files, Trial
+from rim_camera_ros.fit.amplitudes import AmplitudeModel
 from rim_camera_ros.fit.data import Dataset
-from rim_camera_ros.fit.forward import AmplitudeModel, Forward
+from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.views import Views
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.parameters import NestedList

@@ -14,7 +14,7 @@ from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset
 from rim_camera_ros.effects.background_light import BackgroundLight
-from rim_camera_ros.effects.base import ComplexEffect, Context, DistanceTerm, Effect, Signal
+from rim_camera_ros.effects.base import ComplexEffect, DistanceTerm, Effect
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.emission_pattern import EmissionPattern
@@ -39,6 +39,7 @@ from rim_camera_ros.effects.reference_path import (
 from rim_camera_ros.effects.saturation_bleed import SaturationBleed
 from rim_camera_ros.effects.scattering import Scattering
 from rim_camera_ros.effects.sections import OF_SURFACES, OPTICS, SECTIONS
+from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.effects.warm_up_drift import WarmUpDrift
 
 #: Emission, scene, optics (on the complex image); demodulation, electronics, drift (terms that add up);

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Column, Context, Image, ResponseEffect, Signal
+from rim_camera_ros.effects.base import ResponseEffect
 from rim_camera_ros.effects.candidate import Candidate, Facts, linear
+from rim_camera_ros.effects.signal import Column, Context, Image, Signal
 from rim_camera_ros.parameters import quantity
 
 

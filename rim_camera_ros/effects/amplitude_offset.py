@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Column, Context, Dependency, DistanceTerm, Image, Signal
+from rim_camera_ros.effects.base import Dependency, DistanceTerm
 from rim_camera_ros.effects.candidate import (
     TERM_SIZE,
     Candidate,
@@ -20,6 +20,7 @@ from rim_camera_ros.effects.candidate import (
 )
 from rim_camera_ros.effects.graph import Graph, Line, amplitudes_of, millimetres
 from rim_camera_ros.effects.rows import combine_rows, need_rows, row_name, row_weights
+from rim_camera_ros.effects.signal import Column, Context, Image, Signal
 from rim_camera_ros.parameters import quantity
 
 

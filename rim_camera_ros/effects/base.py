@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -18,101 +17,19 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.physics import Physics
-from rim_camera_ros.errors import InputError
-from rim_camera_ros.footprint import Cells, FootprintLight
-from rim_camera_ros.frame import Settings
+from rim_camera_ros.effects.signal import Column, Context, Image, Signal, from_phasor, phasor_derivative
 from rim_camera_ros.parameters import flatten, with_values
-from rim_camera_ros.phasor import nearest_period, phase_distance, to_phasor, wrap
-from rim_camera_ros.scene import Geometry
+from rim_camera_ros.phasor import to_phasor, wrap
 
 if TYPE_CHECKING:
     from rim_camera_ros.effects.candidate import Candidate
     from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn
     from rim_camera_ros.effects.graph import Graph
 
-Image = NDArray[Any]
 #: What a term may depend on; terms of one kind are folded into tables by the correction.
 Dependency = Literal["distance", "amplitude", "pixel", "incidence", "frame", "settings"]
 #: How well one frame suffices to undo an effect.
 Undo = Literal["exact", "planes", "partial", "none"]
-
-
-@dataclass(frozen=True)
-class Signal:
-    """Light and measurement of one exposure, all (H, W).
-
-    ``distance`` [m] and ``amplitude`` [counts] are what the optics deliver, noise-free and unwrapped;
-    NaN and 0 where there is no light. ``offset`` [m] is the sum of the terms so far: the measured
-    distance is ``distance + offset``. ``published`` is the amplitude after the electronics, None where
-    it is the amplitude itself.
-    """
-
-    distance: Image
-    amplitude: Image
-    offset: Image | float = 0.0
-    published: Image | None = None
-
-    @property
-    def measured(self) -> Image:
-        """Measured distance in metres, before noise and wrapping."""
-        result: Image = self.distance + self.offset
-        return result
-
-    @property
-    def published_amplitude(self) -> Image:
-        """Amplitude in counts before noise and clipping."""
-        return self.amplitude if self.published is None else self.published
-
-
-@dataclass
-class Context:
-    """What an effect may know beside the signal.
-
-    ``geometry``, ``geometry_at(seconds)`` (the scene that much later, with its ideal amplitude) and
-    ``footprint(cells)`` (the light around the centres of the pixels) only in simulation; ``moving`` says
-    whether the camera moves meanwhile; ``incidence`` [rad] (H, W) is true in simulation, estimated in
-    correction; ``saturated`` (H, W) marks saturated pixels; ``time`` [s] counts from the first frame;
-    ``memory`` is kept from frame to frame; what is kept there holds for light that changed by the share
-    ``light_tolerance``; ``notes`` collects what the user should be told.
-    """
-
-    camera: Camera
-    settings: Settings = field(default_factory=Settings)
-    stamp: int = 0
-    time: float = 0.0
-    geometry: Geometry | None = None
-    geometry_at: Callable[[float], tuple[Geometry, Image]] | None = None
-    footprint: Callable[[Cells], FootprintLight] | None = None
-    incidence: Image | None = None
-    saturated: NDArray[np.bool_] | None = None
-    moving: bool = False
-    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
-    memory: dict[str, Any] = field(default_factory=dict)
-    light_tolerance: float = 1e-9
-    notes: set[str] = field(default_factory=set)
-
-    @property
-    def ambiguity(self) -> float:
-        return self.camera.sensor.ambiguity
-
-    @cached_property
-    def column(self) -> NDArray[np.float64]:
-        """Column coordinate u, (1, W)."""
-        return np.arange(self.camera.sensor.width, dtype=float)[None, :]
-
-    @cached_property
-    def row(self) -> NDArray[np.float64]:
-        """Row coordinate v, (H, 1)."""
-        return np.arange(self.camera.sensor.height, dtype=float)[:, None]
-
-    @cached_property
-    def integration_time(self) -> float:
-        """The frame's integration time in the device's unit; `InputError` where unknown."""
-        return self.camera.integration_time(self.settings)
-
-
-#: Derivatives of measured distance [m] and published amplitude [counts] by one parameter.
-Column = tuple[Image | float, Image | float]
 
 
 @dataclass(frozen=True)
@@ -463,25 +380,3 @@ def effect_of[E: Effect](camera: Camera, kind: type[E]) -> E | None:
 def response_of(camera: Camera) -> ResponseEffect | None:
     """Return the camera's effect that is its amplitude response, None where it publishes light as it is."""
     return next((one for one in camera.effects.values() if isinstance(one, ResponseEffect)), None)
-
-
-def from_phasor(phasor: Image, signal: Signal, context: Context) -> Signal:
-    """Return the signal of a complex image; the distance in the period nearest the one before."""
-    distance = phase_distance(phasor, context.ambiguity)
-    distance = nearest_period(distance, signal.distance, context.ambiguity)
-    amplitude = np.abs(phasor).astype(signal.amplitude.dtype, copy=False)
-    return replace(signal, distance=distance, amplitude=amplitude)
-
-
-def phasor_derivative(phasor: Image, change: Image, ambiguity: float) -> Column:
-    """Return the derivatives of distance and amplitude for a change of the complex image."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        relative = np.where(phasor == 0, 0, change / phasor)
-    return relative.imag * (ambiguity / (2 * np.pi)), relative.real * np.abs(phasor)
-
-
-def require_geometry(context: Context, name: str) -> Geometry:
-    """Return the scene's geometry, or raise `InputError` where there is none (only a simulation has it)."""
-    if context.geometry is None:
-        raise InputError(f"{name} needs the scene's geometry", remedy="simulate a scene file")
-    return context.geometry

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Context, DistanceTerm, Effect, Signal
+from rim_camera_ros.effects.base import DistanceTerm, Effect
+from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.frame import Settings
 
 Array = NDArray[Any]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from rim_camera_ros.effects.base import Context
+    from rim_camera_ros.effects.signal import Context
 
 Image = NDArray[Any]
 

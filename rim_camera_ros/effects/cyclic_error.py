@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Column, Context, Dependency, DistanceTerm, Image, Signal
+from rim_camera_ros.effects.base import Dependency, DistanceTerm
 from rim_camera_ros.effects.candidate import Candidate, Coefficients, Facts, effect_block, with_effect
 from rim_camera_ros.effects.discrepancy import DIRECTIONS, Change, DiscrepancyColumn
 from rim_camera_ros.effects.graph import Graph, over_distance
+from rim_camera_ros.effects.signal import Column, Context, Image, Signal
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.phasor import cosine_and_sine
 

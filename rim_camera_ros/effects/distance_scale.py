@@ -8,9 +8,10 @@ from functools import lru_cache
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Column, Context, Dependency, DistanceTerm, Image, Signal
+from rim_camera_ros.effects.base import Dependency, DistanceTerm
 from rim_camera_ros.effects.candidate import Candidate, Facts, linear
 from rim_camera_ros.effects.graph import Graph, over_distance
+from rim_camera_ros.effects.signal import Column, Context, Image, Signal
 from rim_camera_ros.optics import Optics, pixel_rays
 from rim_camera_ros.parameters import quantity
 

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import ComplexEffect, Context, Image
+from rim_camera_ros.effects.base import ComplexEffect
 from rim_camera_ros.effects.candidate import Candidate, Facts, linear
 from rim_camera_ros.effects.covariates import AXIS
 from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn, functions_of_direction
 from rim_camera_ros.effects.graph import POINTS, Graph, Line
+from rim_camera_ros.effects.signal import Context, Image
 from rim_camera_ros.parameters import quantity
 
 

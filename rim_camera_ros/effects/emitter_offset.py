@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Column, Context, Effect, Image, Signal
+from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.effects.candidate import (
     Block,
     Candidate,
@@ -20,6 +20,7 @@ from rim_camera_ros.effects.candidate import (
     together,
     with_effect,
 )
+from rim_camera_ros.effects.signal import Column, Context, Image, Signal
 from rim_camera_ros.parameters import quantity
 
 #: Where variants begin [m]: LEDs stand about so far beside a lens, to one side of it or above.

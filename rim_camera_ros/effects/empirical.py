@@ -9,9 +9,10 @@ from typing import Self
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Context, Dependency, DistanceTerm, Image
+from rim_camera_ros.effects.base import Dependency, DistanceTerm
 from rim_camera_ros.effects.covariates import COVARIATES, SCALAR, covariate, resampled_knots
 from rim_camera_ros.effects.graph import Graph, Line
+from rim_camera_ros.effects.signal import Context, Image
 from rim_camera_ros.effects.tables import check_knots, interpolate
 from rim_camera_ros.errors import nearest_name
 from rim_camera_ros.parameters import NestedList, quantity

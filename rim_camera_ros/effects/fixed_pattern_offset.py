@@ -8,7 +8,8 @@ from typing import Self
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Context, Dependency, DistanceTerm, Image
+from rim_camera_ros.effects.base import Dependency, DistanceTerm
+from rim_camera_ros.effects.signal import Context, Image
 from rim_camera_ros.parameters import ArrayFile, quantity
 
 

@@ -8,7 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Column, Context, Dependency, DistanceTerm, Image, Signal
+from rim_camera_ros.effects.base import Dependency, DistanceTerm
+from rim_camera_ros.effects.signal import Column, Context, Image, Signal
 from rim_camera_ros.gated.estimation import GateEstimator
 from rim_camera_ros.gated.gates import Gate, GatedShutter
 from rim_camera_ros.parameters import quantity

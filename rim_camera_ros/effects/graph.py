@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Context, DistanceTerm
+from rim_camera_ros.effects.base import DistanceTerm
+from rim_camera_ros.effects.signal import Context
 from rim_camera_ros.frame import Settings
 
 Array = NDArray[Any]

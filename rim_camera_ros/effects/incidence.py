@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rim_camera_ros.effects.base import Context, DistanceTerm, Image
+from rim_camera_ros.effects.base import DistanceTerm
+from rim_camera_ros.effects.signal import Context, Image
 
 
 @dataclass(frozen=True)

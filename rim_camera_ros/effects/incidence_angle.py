@@ -11,11 +11,12 @@ from typing import ClassVar
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Column, Context, Dependency, Image, Signal, Undo
+from rim_camera_ros.effects.base import Dependency, Undo
 from rim_camera_ros.effects.candidate import TERM_SIZE, Candidate, Facts, linear
 from rim_camera_ros.effects.graph import POINTS, Graph, Line
 from rim_camera_ros.effects.incidence import IncidenceTerm, incidence_gon
 from rim_camera_ros.effects.rows import combine_rows, need_rows, row_name, row_weights
+from rim_camera_ros.effects.signal import Column, Context, Image, Signal
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.parameters import quantity
 

@@ -9,10 +9,11 @@ from types import MappingProxyType
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Column, Context, DistanceTerm, Image, Signal
+from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.effects.candidate import Candidate, Facts, linear
 from rim_camera_ros.effects.graph import Graph, Line
 from rim_camera_ros.effects.rows import combine_rows, need_rows, row_name, row_weights
+from rim_camera_ros.effects.signal import Column, Context, Image, Signal
 from rim_camera_ros.parameters import quantity
 
 

@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import ComplexEffect, Context, Image, Undo
+from rim_camera_ros.effects.base import ComplexEffect, Undo
+from rim_camera_ros.effects.signal import Context, Image
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.phasor import selectivity_envelope
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import ComplexEffect, Context, Image, Undo
+from rim_camera_ros.effects.base import ComplexEffect, Undo
 from rim_camera_ros.effects.candidate import (
     Block,
     Candidate,
@@ -24,6 +24,7 @@ from rim_camera_ros.effects.candidate import (
     with_effect,
 )
 from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn, spread_out
+from rim_camera_ros.effects.signal import Context, Image
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.footprint import COARSE, FINE, Cells, FootprintLight
 from rim_camera_ros.parameters import quantity

@@ -9,16 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import (
-    Column,
-    Context,
-    Effect,
-    Image,
-    Signal,
-    Undo,
-    from_phasor,
-    phasor_derivative,
-)
+from rim_camera_ros.effects.base import Effect, Undo
 from rim_camera_ros.effects.candidate import (
     Candidate,
     Coefficients,
@@ -29,6 +20,7 @@ from rim_camera_ros.effects.candidate import (
     with_effect,
 )
 from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn
+from rim_camera_ros.effects.signal import Column, Context, Image, Signal, from_phasor, phasor_derivative
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.phasor import to_phasor

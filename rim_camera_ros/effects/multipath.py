@@ -9,19 +9,18 @@ from typing import ClassVar
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import (
+from rim_camera_ros.effects.base import Effect, Undo
+from rim_camera_ros.effects.candidate import Candidate, Facts, linear
+from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn, spread_out
+from rim_camera_ros.effects.signal import (
     Column,
     Context,
-    Effect,
     Image,
     Signal,
-    Undo,
     from_phasor,
     phasor_derivative,
     require_geometry,
 )
-from rim_camera_ros.effects.candidate import Candidate, Facts, linear
-from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn, spread_out
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.phasor import to_phasor
 from rim_camera_ros.scene import Geometry

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Context, Effect, Signal, Undo
+from rim_camera_ros.effects.base import Effect, Undo
+from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.parameters import quantity
 

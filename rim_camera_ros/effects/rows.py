@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from rim_camera_ros.effects.base import Context, Image
+from rim_camera_ros.effects.signal import Context, Image
 
 
 def row_weights(

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Column, Context, Dependency, DistanceTerm, Image, Signal, Undo
+from rim_camera_ros.effects.base import Dependency, DistanceTerm, Undo
 from rim_camera_ros.effects.candidate import Candidate, Facts, linear
 from rim_camera_ros.effects.discrepancy import SPREADS, Change, DiscrepancyColumn, spread_out
+from rim_camera_ros.effects.signal import Column, Context, Image, Signal
 from rim_camera_ros.parameters import quantity
 
 

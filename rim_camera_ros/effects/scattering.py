@@ -18,11 +18,12 @@ from rim_camera_ros.convolution import (
     planar,
     shift,
 )
-from rim_camera_ros.effects.base import ComplexEffect, Context, Image
+from rim_camera_ros.effects.base import ComplexEffect
 from rim_camera_ros.effects.candidate import Candidate, Facts, has_many_pixels, linear
 from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn, spread_out
 from rim_camera_ros.effects.graph import POINTS, Graph, Line
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
+from rim_camera_ros.effects.signal import Context, Image
 from rim_camera_ros.parameters import quantity
 
 #: Sigma [px] up to which stray light is none: the footprint of a pixel and what crosses to its neighbours.

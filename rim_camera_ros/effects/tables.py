@@ -8,7 +8,7 @@ from itertools import pairwise, product
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.effects.base import Image
+from rim_camera_ros.effects.signal import Image
 
 #: Up to this many knots of one coordinate all intervals between them are summed up.
 _FEW = 24

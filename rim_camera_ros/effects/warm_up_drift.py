@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Column, Context, DistanceTerm, Image, Signal
+from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.effects.candidate import TERM_SIZE, Candidate, Facts, linear
 from rim_camera_ros.effects.graph import POINTS, Graph, Line
+from rim_camera_ros.effects.signal import Column, Context, Image, Signal
 from rim_camera_ros.parameters import quantity
 
 

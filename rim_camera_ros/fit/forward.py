@@ -5,7 +5,7 @@ amplitude.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,15 +14,12 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.chain import Chain, deliver, ideal_amplitude
 from rim_camera_ros.effects import effects_of, registry
-from rim_camera_ros.effects.base import (
-    Context,
-    Signal,
-)
 from rim_camera_ros.effects.light_curves import LightCurves
+from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.amplitudes import AmplitudeModel, gains_and_error
 from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.prediction import Prediction, Shift
-from rim_camera_ros.fit.robust import excess
 from rim_camera_ros.fit.views import NEAR, Margins, View, Views
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.noise import sigma_amplitude
@@ -35,22 +32,6 @@ Array = NDArray[Any]
 #: Relative change of the light up to which what effects keep of a geometry is not computed anew: what bounces
 #: of light that changed by a hundredth is off by a ten thousandth of all light.
 _SAME_LIGHT = 0.01
-
-
-#: Relative 1-sigma to which amplitudes are predicted at best; what areas, flatness and dust do is estimated.
-AMPLITUDE_MODEL = 0.01
-
-
-@dataclass
-class AmplitudeModel:
-    """How well the amplitude is predicted: relative 1-sigma ``tau`` per pixel, gain of every pose.
-
-    ``pixels`` (H, W) are the logarithms of the gains of pixels, None where nothing is known of them.
-    """
-
-    gains: dict[tuple[int, int], float] = field(default_factory=dict)
-    tau: float = 0.0
-    pixels: Array | None = None
 
 
 class Forward:
@@ -106,37 +87,11 @@ class Forward:
         Known ``gains`` are kept. Without variation from pose to pose (``radiometry.gain_sigma`` 0) there
         is one gain for all.
         """
-        ratios: dict[tuple[int, int], list[Array]] = {}
-        errors, variances = [], []
-        known_pixels = self.amplitude_model.pixels
-        for one in self.predictions(AmplitudeModel(tau=0.0, pixels=known_pixels), slopes=False):
-            pixels = one.amplitude_used & (one.model_amplitude > 0) & (one.station.amplitude > 0)
-            if not pixels.any():
-                continue
-            measured = self._expanded(one.station.amplitude[pixels].astype(float))
-            with np.errstate(invalid="ignore", divide="ignore"):
-                ratio = np.log(measured / one.model_amplitude[pixels])
-            noise = one.amplitude_sigma[pixels] / one.model_amplitude[pixels]
-            # a response may not reach as high as what was measured: no light is so strong
-            known = np.isfinite(ratio)
-            if not known.any():
-                continue
-            ratio, noise = ratio[known], noise[known]
-            sharp = noise <= np.quantile(noise, 0.5)
-            key = (one.station.recording, one.station.pose)
-            ratios.setdefault(key, []).append(ratio[sharp])
-            errors.append((key, ratio[sharp]))
-            variances.append(noise[sharp] ** 2)
-        if gains is None:
-            gains = {key: float(np.exp(np.median(np.concatenate(r)))) for key, r in ratios.items()}
-            if self.camera.radiometry.gain_sigma == 0 and gains:
-                everything = np.concatenate([r for parts in ratios.values() for r in parts])
-                gains = dict.fromkeys(gains, float(np.exp(np.median(everything))))
-        tau = AMPLITUDE_MODEL
-        if errors:
-            rest = np.concatenate([r - np.log(gains.get(key, 1.0)) for key, r in errors])
-            tau = max(tau, excess(rest, np.concatenate(variances)))
-        self.amplitude_model = AmplitudeModel(dict(gains), tau, known_pixels)
+        pixels = self.amplitude_model.pixels
+        predictions = self.predictions(AmplitudeModel(tau=0.0, pixels=pixels), slopes=False)
+        varies = self.camera.radiometry.gain_sigma > 0
+        found, tau = gains_and_error(predictions, self._expanded, gains=gains, varies=varies)
+        self.amplitude_model = AmplitudeModel(found, tau, pixels)
         return self.amplitude_model
 
     def predictions(

@@ -15,8 +15,9 @@ from rim_camera_ros.camera_file import camera_numbers, with_numbers
 from rim_camera_ros.effects.candidate import Block, Regressor, priors_of
 from rim_camera_ros.effects.light_curves import FALLOFF, LOBE, tile_labels
 from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.fit.amplitudes import AmplitudeModel
 from rim_camera_ros.fit.design import GAIN, is_linear
-from rim_camera_ros.fit.forward import AmplitudeModel, Forward
+from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.linearised import Linearised
 from rim_camera_ros.fit.normal_equations import accumulate
 from rim_camera_ros.fit.problem import (

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.effects.base import ComplexEffect, Context, DistanceTerm, Effect, ResponseEffect, Signal
+from rim_camera_ros.effects.base import ComplexEffect, DistanceTerm, Effect, ResponseEffect
 from rim_camera_ros.effects.light_curves import RESPONSE, LightCurves
+from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.fit.data import Station
 from rim_camera_ros.fit.views import PoseColumn, View
 from rim_camera_ros.phasor import to_phasor

@@ -15,6 +15,7 @@ from rim_camera_ros.effects.base import effect_of, response_of
 from rim_camera_ros.effects.candidate import Block
 from rim_camera_ros.effects.light_curves import RESPONSE, RIPPLES, SURFACES, LightCurves
 from rim_camera_ros.effects.sections import light_block
+from rim_camera_ros.fit.amplitudes import AmplitudeModel
 from rim_camera_ros.fit.covariate_table import empirical_block
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.design import (
@@ -24,7 +25,7 @@ from rim_camera_ros.fit.design import (
     pose_block,
     present_blocks,
 )
-from rim_camera_ros.fit.forward import AmplitudeModel, Forward
+from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR, NormalEquations, Reduced
 from rim_camera_ros.fit.prediction import Shift
 from rim_camera_ros.fit.steps import moved_light

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.fit.forward import AMPLITUDE_MODEL, Forward
+from rim_camera_ros.fit.amplitudes import AMPLITUDE_MODEL
+from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.robust import excess
 from rim_camera_ros.threads import in_order

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.effects.base import Context, Signal
+from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.gated.estimation import GateEstimator
 from rim_camera_ros.gated.gates import GatedShutter
 from rim_camera_ros.pipeline.pulsed import PulsedSimulation

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import FULL_SCALE, Camera
-from rim_camera_ros.effects.base import Context, DistanceTerm, Image, ResponseEffect
+from rim_camera_ros.effects.base import DistanceTerm, ResponseEffect
+from rim_camera_ros.effects.signal import Context, Image
 from rim_camera_ros.frame import Flag
 from rim_camera_ros.noise import sigma_amplitude
 from rim_camera_ros.pipeline import kernels

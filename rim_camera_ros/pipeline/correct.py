@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.chain import Chain
 from rim_camera_ros.effects import InternalReference
-from rim_camera_ros.effects.base import Context, effect_of
+from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.effects.signal import Context
 from rim_camera_ros.errors import InputError, nearest_name
 from rim_camera_ros.frame import (
     NANOSECONDS,

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.camera import FULL_SCALE, Camera
 from rim_camera_ros.effects import HarmonicError
-from rim_camera_ros.effects.base import Context, DistanceTerm, Image, solve_terms
+from rim_camera_ros.effects.base import DistanceTerm, solve_terms
+from rim_camera_ros.effects.signal import Context, Image
 from rim_camera_ros.pipeline import kernels
 
 #: Entries of the table of distance per ambiguity range: half a step squared times half the curvature of the

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.chain import Chain
 from rim_camera_ros.effects import InternalReference
-from rim_camera_ros.effects.base import Context, DistanceTerm
+from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.effects.incidence import IncidenceTerm, incidence_gon
 from rim_camera_ros.effects.rows import outside_rows
+from rim_camera_ros.effects.signal import Context
 from rim_camera_ros.pipeline import kernels
 from rim_camera_ros.pipeline.amplitude_tables import AmplitudeModel
 from rim_camera_ros.pipeline.distance_tables import DistanceSolver, PlaneTable

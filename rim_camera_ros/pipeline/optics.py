@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.chain import Chain
 from rim_camera_ros.effects import EmitterPath, InternalReference, StrayLight
-from rim_camera_ros.effects.base import Context, Signal, effect_of
+from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.pipeline import kernels
 
 Image = NDArray[Any]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.effects.base import Signal
+from rim_camera_ros.effects.signal import Signal
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
 
 Array = NDArray[Any]

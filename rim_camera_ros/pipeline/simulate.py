@@ -13,13 +13,8 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import FULL_SCALE, Camera
 from rim_camera_ros.chain import Chain, deliver, ideal_amplitude
 from rim_camera_ros.effects import InternalReference, mean_reading
-from rim_camera_ros.effects.base import (
-    Context,
-    DistanceTerm,
-    Effect,
-    Signal,
-    effect_of,
-)
+from rim_camera_ros.effects.base import DistanceTerm, Effect, effect_of
+from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.footprint import Cells, FootprintLight, footprint_light
 from rim_camera_ros.frame import NANOSECONDS, Pose, RawFrame, Settings

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.effects.base import Context, Signal
+from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.pipeline.pulsed import PulsedSimulation
 from rim_camera_ros.pipeline.simulate import Exposure
 from rim_camera_ros.single_photon.detector import SinglePhotonDetector

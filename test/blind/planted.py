@@ -28,11 +28,12 @@ from rim_camera_ros.bags import Recording, RecordingWriter
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera, save_camera
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
-from rim_camera_ros.effects.base import Context, Effect, Signal
+from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.emitter_offset import EmitterOffset
 from rim_camera_ros.effects.scattering import Kernel, Scattering
+from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.fit.decimation import decimated_camera
 from rim_camera_ros.frame import RawFrame
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rim_camera_ros.effects.base import Context, Signal
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.select.search import search
 

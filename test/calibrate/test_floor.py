@@ -10,8 +10,9 @@ import pytest
 from rim_camera_ros.calibrate.run import Request, calibrate
 from rim_camera_ros.camera_file import load_camera, with_effects, with_numbers
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
+from rim_camera_ros.fit.amplitudes import AmplitudeModel
 from rim_camera_ros.fit.fold_sums import Fold
-from rim_camera_ros.fit.forward import AmplitudeModel, Forward
+from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.normal_equations import PixelPriors, reduce_folds
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.reduction import reduce_recording

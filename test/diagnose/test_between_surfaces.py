@@ -15,8 +15,9 @@ from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.diagnose.between_surfaces import measured_between
 from rim_camera_ros.diagnose.where import of_terms
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
+from rim_camera_ros.fit.amplitudes import AmplitudeModel
 from rim_camera_ros.fit.data import Dataset
-from rim_camera_ros.fit.forward import AmplitudeModel, Forward
+from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.optics import Optics
 from rim_camera_ros.scene import Scene, load_scene, see
 from rim_camera_ros.select.effect_sizes import contribution

@@ -23,8 +23,9 @@ from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.effects.light_curves import RESPONSE, LightCurves
 from rim_camera_ros.effects.saturation_bleed import SaturationBleed
 from rim_camera_ros.effects.scattering import Kernel, Scattering
+from rim_camera_ros.fit.amplitudes import AmplitudeModel
 from rim_camera_ros.fit.data import Dataset
-from rim_camera_ros.fit.forward import AmplitudeModel, Forward
+from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.noise import Noise

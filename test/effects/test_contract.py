@@ -15,7 +15,7 @@ import pytest
 from rim_camera_ros.camera import Camera, Optics, Sensor
 from rim_camera_ros.camera_file import load_camera, save_camera, with_effects
 from rim_camera_ros.effects import ORDER, SECTIONS, Effect
-from rim_camera_ros.effects.base import Context, Signal
+from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.frame import Flag, RawFrame, Settings
 from rim_camera_ros.parameters import NestedList, flatten, with_values
 from rim_camera_ros.pipeline.correct import Correction

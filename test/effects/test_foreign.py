@@ -14,9 +14,10 @@ from rim_camera_ros import effects
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera, save_camera
 from rim_camera_ros.effects import ComplexEffect, DistanceTerm, Effect
-from rim_camera_ros.effects.base import Column, Context, Dependency, Image, Signal
+from rim_camera_ros.effects.base import Dependency
 from rim_camera_ros.effects.candidate import Candidate, Facts, linear
 from rim_camera_ros.effects.scattering import Kernel, Scattering
+from rim_camera_ros.effects.signal import Column, Context, Image, Signal
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.parameters import quantity

@@ -21,7 +21,6 @@ from rim_camera_ros.effects import ORDER, Effect
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
-from rim_camera_ros.effects.base import Context, Signal
 from rim_camera_ros.effects.covariates import COVARIATES, covariate
 from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.effects.emitter_offset import EmitterOffset
@@ -33,6 +32,7 @@ from rim_camera_ros.effects.multipath import Multipath
 from rim_camera_ros.effects.reference_path import ReferencePath
 from rim_camera_ros.effects.rows import row_weights
 from rim_camera_ros.effects.saturation_bleed import SaturationBleed
+from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.effects.warm_up_drift import Exponential, WarmUpDrift
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from rim_camera_ros.effects.base import Signal
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
+from rim_camera_ros.effects.signal import Signal
 from rim_camera_ros.fit.prediction import Prediction
 
 

@@ -20,7 +20,8 @@ from rim_camera_ros.effects.incidence_angle import IncidenceAngle
 from rim_camera_ros.effects.integration_time_offset import IntegrationTimeOffset
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.errors import InputError
-from rim_camera_ros.fit.forward import AmplitudeModel, Forward
+from rim_camera_ros.fit.amplitudes import AmplitudeModel
+from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.frame import Pose

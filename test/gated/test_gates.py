@@ -16,9 +16,10 @@ from rim_camera_ros.camera_file import load_camera, with_effects
 from rim_camera_ros.devices.timeline import Timeline
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.background_light import BackgroundLight
-from rim_camera_ros.effects.base import Context, Effect, Signal
+from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.effects.gate_timing import GateTiming
 from rim_camera_ros.effects.scattering import Kernel, Scattering
+from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera
 from rim_camera_ros.frame import RawFrame

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from rim_camera_ros.bags import RecordingWriter
 from rim_camera_ros.camera_file import load_camera
-from rim_camera_ros.effects.base import Context
 from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.effects.signal import Context
 from rim_camera_ros.photogrammetry.from_images import poses_of_recording
 from rim_camera_ros.scene import load_scene, rotation_matrix
 

@@ -1,0 +1,74 @@
+"""How well amplitudes are predicted: the gain of every pose, and the relative error of the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.robust import excess
+
+Array = NDArray[Any]
+
+#: Relative 1-sigma to which amplitudes are predicted at best; what areas, flatness and dust do is estimated.
+AMPLITUDE_MODEL = 0.01
+
+
+@dataclass
+class AmplitudeModel:
+    """How well the amplitude is predicted: relative 1-sigma ``tau`` per pixel, gain of every pose.
+
+    ``pixels`` (H, W) are the logarithms of the gains of pixels, None where nothing is known of them.
+    """
+
+    gains: dict[tuple[int, int], float] = field(default_factory=dict)
+    tau: float = 0.0
+    pixels: Array | None = None
+
+
+def gains_and_error(
+    predictions: Iterable[Prediction],
+    expanded: Callable[[Array], Array],
+    *,
+    gains: Mapping[tuple[int, int], float] | None,
+    varies: bool,
+) -> tuple[dict[tuple[int, int], float], float]:
+    """Return the gain of every pose and the relative 1-sigma of predicted amplitudes (robustly).
+
+    ``expanded`` returns the light of published amplitudes [counts]; known ``gains`` are kept; one gain for
+    all where it ``varies`` not from pose to pose.
+    """
+    ratios: dict[tuple[int, int], list[Array]] = {}
+    errors, variances = [], []
+    for one in predictions:
+        pixels = one.amplitude_used & (one.model_amplitude > 0) & (one.station.amplitude > 0)
+        if not pixels.any():
+            continue
+        measured = expanded(one.station.amplitude[pixels].astype(float))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = np.log(measured / one.model_amplitude[pixels])
+        noise = one.amplitude_sigma[pixels] / one.model_amplitude[pixels]
+        # a response may not reach as high as what was measured: no light is so strong
+        known = np.isfinite(ratio)
+        if not known.any():
+            continue
+        ratio, noise = ratio[known], noise[known]
+        sharp = noise <= np.quantile(noise, 0.5)
+        key = (one.station.recording, one.station.pose)
+        ratios.setdefault(key, []).append(ratio[sharp])
+        errors.append((key, ratio[sharp]))
+        variances.append(noise[sharp] ** 2)
+    if gains is None:
+        gains = {key: float(np.exp(np.median(np.concatenate(r)))) for key, r in ratios.items()}
+        if not varies and gains:
+            everything = np.concatenate([r for parts in ratios.values() for r in parts])
+            gains = dict.fromkeys(gains, float(np.exp(np.median(everything))))
+    tau = AMPLITUDE_MODEL
+    if errors:
+        rest = np.concatenate([r - np.log(gains.get(key, 1.0)) for key, r in errors])
+        tau = max(tau, excess(rest, np.concatenate(variances)))
+    return dict(gains), tau
