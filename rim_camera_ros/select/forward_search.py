@@ -120,8 +120,10 @@ class Search:
         An effect that stood in for others, found first, is needless once they are there. The last exploration
         is replaced by one without them.
         """
-        for one in list(self.found[:-1]):
-            left = without_effect(one.effect, self.problem, self.step.fit.camera, self.camera)
+        for name in [one.effect for one in self.found[:-1]]:
+            # what became the first is judged anew: of no effect is what was before
+            one = next(each for each in self.found if each.effect == name)
+            left = without_effect(name, self.problem, self.step.fit.camera, self.camera)
             if left is None or len(self.found) < 2:
                 continue
             problem, camera = left
@@ -129,8 +131,8 @@ class Search:
             alike = replace(problem, amplitude_error=self.step.fit.forward.amplitude_model.tau)
             without = self._fitted(alike, camera, self.step)
             before = self.explorations[one.step]
-            threshold = float(before.thresholds[before.best()[one.effect]])
-            own = Trial([one.effect], self.problem, self.step, 0.0)
+            threshold = float(before.thresholds[before.best()[name]])
+            own = Trial([name], self.problem, self.step, 0.0)
             compared = where_clean(own, without, problem, self.folds)
             if self._gain(*compared) > self._entry(threshold, *compared):
                 continue

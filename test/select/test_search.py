@@ -319,6 +319,28 @@ def test_an_effect_that_later_ones_make_needless_is_dropped(tmp_path: Path, scal
     assert len(state.explorations) == 3
 
 
+def test_all_effects_that_a_later_one_makes_needless_are_dropped(tmp_path: Path) -> None:
+    """Where the first leaves, the next is judged anew as the first, and leaves as well."""
+    truth, board = camera(tmp_path, CYCLIC), scene(tmp_path)
+    data = record(truth, board, seed=6)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=truth)
+    problem, folds = Problem(data, board), folds_of(data)
+    names = ["distance_scale", "mixed_pixels", "cyclic_error"]
+    pool = candidates(camera(tmp_path), facts, effects=names)
+    first = explore(problem, camera(tmp_path), pool, folds, replicates=0)
+    last = explore(
+        problem, camera(tmp_path, CYCLIC, MixedPixels(0.05), DistanceScale(0.0002)), [], folds, replicates=0
+    )
+    found = [
+        Found(name, gain, step=k)
+        for k, (name, gain) in enumerate(zip(names, (900.0, 500.0, 400.0), strict=True))
+    ]
+    state = Search(problem, camera(tmp_path), [first, first, first, last], folds, found=found)
+    state.drop_needless()
+    assert [one.effect for one in state.found] == ["cyclic_error"]
+    assert set(state.step.fit.camera.effects) == {"cyclic_error"}
+
+
 def test_a_member_of_a_pair_that_moves_nothing_does_not_join(tmp_path: Path) -> None:
     """On one grey surface two surfaces in a pixel are none, whatever the pair gains."""
     truth, board = camera(tmp_path, CYCLIC), scene(tmp_path)
