@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc, ndtr
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.hypotheses import DEPTH, LEAST_GAIN
@@ -14,6 +13,7 @@ from rim_camera_ros.effects.light_curves import PREFIX, TILES
 from rim_camera_ros.fit.design import BEYOND, COMMON_POSE, OPTICS
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.scene import Scene
+from rim_camera_ros.select.exploration import LEAST_THRESHOLD
 
 #: Poses that a sentence names.
 _MOST_NAMED = 5
@@ -82,9 +82,9 @@ def nuisances_of(fitted: Fit, camera: Camera) -> list[Nuisance]:
 def optics_beyond(fitted: Fit) -> str | None:
     """Return in words that the optics differ from the file by far more than it states; None: they do not.
 
-    By the sum of their squared pulls, as improbable as one of `BEYOND`: a parameter that the file knows with
-    the variance P and the fit with S moves by a variance of P - S where the file is right (Demortier & Lyons,
-    CDF note 5776, 2002).
+    By half the sum of their squared pulls: what their stated covariance costs must be what an effect must
+    gain in order to be named. A parameter that the file knows with the variance P and the fit with S moves by
+    a variance of P - S where the file is right (Demortier & Lyons, CDF note 5776, 2002).
     """
     priors = {one.label: one.prior for one in fitted.equations.regressors}
     own = [one for one in fitted.parameters if one.startswith(OPTICS) and one in priors]
@@ -94,7 +94,7 @@ def optics_beyond(fitted: Fit) -> str | None:
     stated = np.array([priors[one] for one in own])
     known = np.array([fitted.sigma[one] for one in own])
     variance = np.maximum(stated**2 - known**2, (_LEAST_MOVE * stated) ** 2)
-    if chdtrc(len(own), float(np.sum(moved**2 / variance))) > 2 * ndtr(-BEYOND):
+    if 0.5 * float(np.sum(moved**2 / variance)) <= LEAST_THRESHOLD:
         return None
     return (
         f"the optics differ from the camera file by {np.max(np.abs(moved) / stated):.1f} times the sigma of "

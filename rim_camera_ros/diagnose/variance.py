@@ -34,7 +34,7 @@ LEAST_COMMON_SHARE = 0.003
 #: Persistence of what pixels share from which on it drifts, in its standard deviations where frames are
 #: independent.
 _DRIFTS = 4.0
-#: Probability with which frames that scatter as in a drift are taken for ones of which the first differs.
+#: Probability with which independent frames are taken for ones of which the first differs.
 _BEGINS_BY_CHANCE = 0.001
 _BINS = 10
 #: Factors on the light that a response of another form than the true one may leave.
@@ -120,7 +120,10 @@ def drifts_or_tilts(one: Movement) -> bool:
 def _begins(one: Movement) -> bool:
     later = one.freedom - one.number
     # two numbers a frame
-    return later > 0 and one.begins > float(fdtri(2 * one.number, 2 * later, 1 - _BEGINS_BY_CHANCE))
+    if later <= 0 or one.begins <= float(fdtri(2 * one.number, 2 * later, 1 - _BEGINS_BY_CHANCE)):
+        return False
+    # a drift lets the first frame stand out too, by what its persistence tells
+    return abs(one.first - one.first_where_it_begins) < abs(one.first - one.first_in_drift)
 
 
 def is_common(common: float, share: float, sigma: float) -> bool:

@@ -43,22 +43,44 @@ class Movement:
         return 1.0 - self.steps / (2.0 * self.spread) if self.spread > 0 else 0.0
 
     @property
-    def begins(self) -> float:
-        """By how much more than in a steady drift the first frame stands out from those after it.
+    def first(self) -> float:
+        """The share of the spread that is of the first frame's distance to those after it."""
+        return 1.0 - self.later / self.spread if self.spread > 0 else 0.0
 
-        The mean square of its distance to them over theirs, in independent frames 1, is 3 in a drift however
-        many frames it has; the result is over that.
-        """
+    @property
+    def begins(self) -> float:
+        """By how much more the first frame stands out than independent frames do (1), as a ratio of F."""
         others = self.freedom - self.number
         if others <= 0 or not self.spread > 0:
             return 0.0
-        first = (self.spread - self.later) / self.number
-        return first / (3.0 * max(self.later / others, 1e-12))
+        return (self.spread - self.later) / self.number / max(self.later / others, 1e-12)
+
+    @property
+    def first_in_drift(self) -> float:
+        """What `first` is where a drift, steady or a random walk, makes the persistence beside noise."""
+        n = self.frames
+        drift = self.persistence / (1.0 - 6.0 / (n * (n + 1.0)))
+        return self._first(drift, 3.0 / (n + 1.0))
+
+    @property
+    def first_where_it_begins(self) -> float:
+        """What `first` is where only first frames differ, which makes the persistence beside noise."""
+        n = self.frames
+        return self._first(self.persistence / (1.0 - n / (2.0 * (n - 1.0))), 1.0)
+
+    def _first(self, share: float, own: float) -> float:
+        share = min(max(share, 0.0), 1.0)
+        return share * own + (1.0 - share) / (self.frames - 1.0)
+
+    @property
+    def frames(self) -> float:
+        """Frames of a station, on average."""
+        return self.freedom / self.number + 1.0
 
     @property
     def persistence_sigma(self) -> float:
         """Standard deviation of the persistence of so many independent frames, of two numbers each."""
-        frames = self.freedom / self.number + 1.0
+        frames = self.frames
         single = (frames - 2.0) / (frames**2 - 1.0) if frames > 2 else 0.5
         return float(np.sqrt(single / (2.0 * self.number)))
 

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from rim_camera_ros.bags import Recording, RecordingWriter
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.diagnose.codes import missing_codes
 from rim_camera_ros.effects.interference import Interference
-from rim_camera_ros.fit.common_variation import common_variation, together
+from rim_camera_ros.fit.common_variation import Movement, common_variation, together
 
 from ..calibrate.floor import ONE_COLOUR, TILES, floor_camera, floor_scene, write_floor
 from .helpers import run
@@ -80,25 +82,51 @@ def test_how_persistent_independent_frames_are() -> None:
     assert found[0].persistence_sigma == pytest.approx(values.std(), rel=0.35)
 
 
+def movement(stations: Iterable[NDArray[np.complex128]]) -> Movement:
+    found = [common_variation(frames, 5.0) for frames in stations]
+    return together([one.movement for one in found if one is not None])
+
+
 def test_by_how_much_the_first_frame_stands_out() -> None:
-    """A ramp of any number of frames is 1, independent frames are a third; one that differs is far more."""
+    """Three times in a ramp of any number of frames, once in independent frames, more where one differs."""
     rng = np.random.default_rng(4)
-    ambiguity = 5.0
 
     def begins(count: int, **one: float) -> float:
-        stations = (frames_of(rng, **one)[:count] for _ in range(8))
-        found = [common_variation(frames, ambiguity) for frames in stations]
-        return together([one.movement for one in found if one is not None]).begins
+        return movement(frames_of(rng, **one)[:count] for _ in range(8)).begins
 
-    assert begins(8, tilt=0.03) == pytest.approx(1.0, rel=0.15)
-    assert begins(3, tilt=0.12) == pytest.approx(1.0, rel=0.15)
-    assert begins(8, light=9.0) == pytest.approx(1 / 3, rel=0.5)
+    assert begins(8, tilt=0.03) == pytest.approx(3.0, rel=0.15)
+    assert begins(3, tilt=0.12) == pytest.approx(3.0, rel=0.15)
+    assert begins(8, light=9.0) == pytest.approx(1.0, rel=0.5)
     assert begins(2, tilt=0.12) == 0.0  # nothing follows the second
     kept = frames_of(rng)
     kept[0] += 9.0 * np.exp(0.4j)
-    found = common_variation(kept[:3], ambiguity)
-    assert found is not None
-    assert found.movement.begins > 5  # noise of one station limits it
+    assert movement([kept[:3]]).begins > 15  # noise of one station limits it
+
+
+@pytest.mark.parametrize("count", [3, 5, 8])
+def test_a_drift_and_frames_that_begin_otherwise_are_told_apart(count: int) -> None:
+    """Beside light that changes independently: steady drifts, random walks, and first frames that differ."""
+    rng = np.random.default_rng(count)
+
+    def beside_noise(courses: NDArray[np.float64]) -> Movement:
+        stations = []
+        for course in courses:
+            frames = frames_of(rng)[:count]
+            noise = rng.standard_normal(count) + 1j * rng.standard_normal(count)
+            stations.append(frames + (4.0 * noise + 14.0 * course * np.exp(0.4j))[:, None, None])
+        return movement(stations)
+
+    ramp = np.tile((np.arange(count) - (count - 1) / 2) / count, (40, 1))
+    walk = np.cumsum(rng.standard_normal((40, count)), axis=1) / np.sqrt(count)
+    first = np.zeros((40, count))
+    first[:, 0] = 1.0
+    for courses in (ramp, walk):
+        drift = beside_noise(courses)
+        assert drift.first == pytest.approx(drift.first_in_drift, abs=0.07)
+        assert abs(drift.first - drift.first_in_drift) < abs(drift.first - drift.first_where_it_begins)
+    begun = beside_noise(first)
+    assert begun.first == pytest.approx(begun.first_where_it_begins, abs=0.15)
+    assert abs(begun.first - begun.first_where_it_begins) < abs(begun.first - begun.first_in_drift)
 
 
 def test_first_frames_that_differ_are_no_motion(tmp_path: Path) -> None:
