@@ -13,6 +13,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.diagnose.codes import MissingCodes
 from rim_camera_ros.diagnose.menu import Proposal
+from rim_camera_ros.diagnose.pixel_gains import GainSpread
 from rim_camera_ros.diagnose.result import Missing, Ranked
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.effects import OF_SURFACES, SECTIONS, registry, vocabulary
@@ -134,6 +135,16 @@ def first_frames() -> Missing:
         "record without the first frame of each pose"
     )
     return Missing(UNKNOWN, 1.0, {}, {}, sentence, ("time",))
+
+
+def large_gains(gains: GainSpread) -> Missing:
+    """Return what is said of gains of pixels beyond those that the camera file states: unknown physics."""
+    sentence = (
+        f"unknown physics: neighbouring pixels see light that differs by {gains.found:.1%} (1 sigma) in all "
+        f"poses, where the camera file states gains of {gains.stated:.1%} (radiometry.pattern_sigma): light "
+        "goes from pixel to pixel, or pixels are as unequal as that; then state it"
+    )
+    return Missing(UNKNOWN, 1.0, {}, {}, sentence, ("row", "column"))
 
 
 def ranking_of(baseline: Exploration, result: Result) -> list[Ranked]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.hypotheses import DEPTH, LEAST_GAIN
+from rim_camera_ros.diagnose.pixel_gains import GainSpread
 from rim_camera_ros.effects.light_curves import PREFIX, TILES
 from rim_camera_ros.fit.design import BEYOND, COMMON_POSE, OPTICS
 from rim_camera_ros.fit.problem import Fit
@@ -45,8 +46,8 @@ _KINDS = (
 )
 
 
-def nuisances_of(fitted: Fit, camera: Camera) -> list[Nuisance]:
-    """Return what was found of reflectivities, gains of pixels, powers and poses [m, rad], and optics."""
+def nuisances_of(fitted: Fit, camera: Camera, gains: GainSpread | None = None) -> list[Nuisance]:
+    """Return what was found of reflectivities, powers and poses [m, rad], optics, and ``gains`` of pixels."""
     priors = {one.label: one.prior for one in fitted.equations.regressors}
     result = []
     for name, beginning, unit in _KINDS:
@@ -72,10 +73,8 @@ def nuisances_of(fitted: Fit, camera: Camera) -> list[Nuisance]:
                 pairs.setdefault(name, []).append((at + fitted.nuisances.get(label, 0.0), prior))
     units = {"emitted_power": "-", "pose_offset": "m", "pose_tilt": "rad", "stray_light": "counts"}
     result += [_of(name, values, units[name]) for name, values in pairs.items()]
-    pixels = fitted.forward.amplitude_model.pixels
-    if pixels is not None:
-        spread = float(np.sqrt(np.mean(pixels**2)))
-        result.append(Nuisance("pixel_gain", spread, camera.radiometry.pattern_sigma))
+    if gains is not None:
+        result.append(Nuisance("pixel_gain", gains.found, gains.stated))
     return result
 
 

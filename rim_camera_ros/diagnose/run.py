@@ -32,6 +32,7 @@ from rim_camera_ros.diagnose.nuisances import (
     poses_beyond,
     reflectivities_beyond,
 )
+from rim_camera_ros.diagnose.pixel_gains import spread_of_gains
 from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.setup import VERY_FEW, Setup, check_setup
 from rim_camera_ros.diagnose.smooth import axes_of, gradient_terms, single_terms
@@ -257,6 +258,7 @@ def _diagnose(
         described = None
         result = result.withdrawn()
     say("held-out poses before and after")
+    gains = spread_of_gains(result.fit)
     findings = Findings(
         camera=camera,
         dataset=dataset,
@@ -268,12 +270,13 @@ def _diagnose(
         reason=reason,
         shifted=by_background,
         left_over=setup.chi_square,
+        gains=gains,
         seed=seed,
     )
     diagnosis = verdict_of(findings, say)
     if diagnosis.accuracy.hopeless:
         diagnosis = _hopeless(problem, camera, variance, seed)
-    return with_setups(replace(diagnosis, nuisances=nuisances_of(result.fit, camera)), setups)
+    return with_setups(replace(diagnosis, nuisances=nuisances_of(result.fit, camera, gains)), setups)
 
 
 def _other_lens(fitted: Fit, camera: Camera) -> str | None:

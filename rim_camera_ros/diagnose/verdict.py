@@ -17,6 +17,7 @@ from rim_camera_ros.diagnose.intervals import intervals_of
 from rim_camera_ros.diagnose.menu import recommended, told_apart
 from rim_camera_ros.diagnose.naming import (
     first_frames,
+    large_gains,
     missing_codes_of,
     missing_effect,
     next_recording,
@@ -27,6 +28,7 @@ from rim_camera_ros.diagnose.naming import (
     with_unknown,
 )
 from rim_camera_ros.diagnose.noise_verdict import OF_NOISE, beside_unknown, with_variance
+from rim_camera_ros.diagnose.pixel_gains import GainSpread
 from rim_camera_ros.diagnose.result import Diagnosis, Missing, Ranked
 from rim_camera_ros.diagnose.second_camera import second_camera, with_second_camera
 from rim_camera_ros.diagnose.smooth import UNKNOWN
@@ -40,6 +42,7 @@ from rim_camera_ros.diagnose.where import (
     of_scatter,
     of_terms,
 )
+from rim_camera_ros.effects import vocabulary
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.select.candidates import change_of_forms
@@ -58,6 +61,7 @@ _LITTLE = (
     "{0} would explain {1.explained:.0%} of what does not fit (chi-square per value of held-out poses "
     "{1.chi2_before:.3g} -> {1.chi2_after:.3g}): most of what is missing is something else"
 )
+_BESIDE_LARGE_GAINS = "not named beside light that goes from pixel to pixel, which may look like it"
 _BESIDE_FIRST_FRAMES = "not named beside first frames that differ, as their means may look like it"
 _BESIDE_CODES = "not told beside counts that are left out, which may look like it; mend those first"
 
@@ -69,7 +73,7 @@ class Findings:
     ``unknown`` is unknown physics that takes the place of named effects, ``rest`` the smooth function that
     the search left, whether told or not; ``reason`` why the setup cannot be trusted (None: it can).
     ``shifted`` says that distances go with unmodulated light; ``left_over`` is the mean chi-square per
-    distance of the poses.
+    distance of the poses; ``gains`` are those of neighbouring pixels.
     """
 
     camera: Camera
@@ -82,6 +86,7 @@ class Findings:
     reason: str | None
     shifted: bool
     left_over: float
+    gains: GainSpread | None
     seed: int
 
     @property
@@ -117,7 +122,7 @@ class _Draft:
 def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
     """Return what is said of the findings; ``say`` takes progress in words."""
     draft = _begun(found)
-    for step in (_wrong_parameters, _of_variance, _first_frames, _unknown_alone, _codes_first):
+    for step in (_wrong_parameters, _of_variance, _first_frames, _large_gains, _unknown_alone, _codes_first):
         step(draft, found)
     advice = {}
     for one in found.result.found:
@@ -291,6 +296,25 @@ def _first_frames(draft: _Draft, found: Findings) -> None:
     draft.where = of_residuals(found.baseline.fit)
     if names:
         draft.notes.append(f"{_BESIDE_FIRST_FRAMES}: {', '.join(names)}")
+
+
+def _large_gains(draft: _Draft, found: Findings) -> None:
+    """Pixels that see other light than their neighbours, in every pose: beside names it is a note.
+
+    Light from neighbours moves where a pixel looks, and mixes surfaces: effects that do so are not named.
+    """
+    if found.gains is None or not found.gains.is_beyond or draft.verdict == "inconsistent_setup":
+        return
+    said = large_gains(found.gains)
+    names = [one.effect for one in draft.missing if one.effect != UNKNOWN]
+    if draft.verdict == "unknown_physics" or not all(vocabulary()[name].is_of_neighbours() for name in names):
+        draft.notes.append(said.sentence)
+        return
+    draft.verdict, draft.missing, draft.model = "unknown_physics", [said], found.camera
+    draft.adjusted, draft.ties = [], []
+    draft.where = of_residuals(found.baseline.fit)
+    if names:
+        draft.notes.append(f"{_BESIDE_LARGE_GAINS}: {', '.join(names)}")
 
 
 def _codes_first(draft: _Draft, found: Findings) -> None:

@@ -48,8 +48,6 @@ class Effect(Physics):
     predictable: ClassVar[bool] = True
     #: whether the light that it delivers stays as it is while the scene does
     steady: ClassVar[bool] = False
-    #: whether it brings light from one pixel to others
-    spreads: ClassVar[bool] = False
     #: whether it settles after power-on
     settles: ClassVar[bool] = False
     #: whether it is one number as long as the setting is the same

@@ -52,6 +52,8 @@ class Physics(ABC):
     demodulates: ClassVar[bool] = False
     #: whether it moves rays, so that every pixel sees another point
     moves_rays: ClassVar[bool] = False
+    #: whether it brings light from one pixel to others
+    spreads: ClassVar[bool] = False
     #: whether it is of the scene's surfaces, which no parameter of a camera file describes
     of_surfaces: ClassVar[bool] = False
     #: whether it acts from pixel to pixel or is stated by pixels, so that a fit needs all of them
@@ -66,6 +68,11 @@ class Physics(ABC):
     everywhere: ClassVar[bool] = False
     #: whether experiments are planned for it
     planned: ClassVar[bool] = True
+
+    @classmethod
+    def is_of_neighbours(cls) -> bool:
+        """Whether light of neighbouring pixels may look like it."""
+        return cls.spreads or cls.at_edges or cls.moves_rays
 
     @classmethod
     def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:

@@ -1,0 +1,90 @@
+"""Gains of single pixels as the recording shows them, beside the size that the camera file states.
+
+Fits estimate gains within their stated size. Larger ones would pass for errors of predicted amplitudes, whose
+size is estimated from what is left: nothing would be said of light that goes from pixel to pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.fit.design import BEYOND
+from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.select.compare import PAIRED_ERRORS
+
+Array = NDArray[Any]
+
+#: Variance of a pixel's logarithm less the mean of its four neighbours', of independent gains of variance 1.
+_OF_DIFFERENCE = 1.25
+
+
+@dataclass(frozen=True)
+class GainSpread:
+    """1-sigma of the gains of neighbouring pixels: ``found``, the ``least`` it may be, and ``stated``."""
+
+    found: float
+    least: float
+    stated: float
+
+    @property
+    def is_beyond(self) -> bool:
+        """Whether gains are larger than the camera file allows."""
+        return self.least > BEYOND * self.stated
+
+
+def spread_of_gains(fitted: Fit) -> GainSpread | None:
+    """Return how much neighbouring pixels differ in gain; None where no two poses show it.
+
+    By what a pixel's brightness differs from the mean of its four neighbours on the same tile, times the same
+    in another pose: noise and errors of tiles are independent from pose to pose, and what is smooth over the
+    array cancels.
+    """
+    forward = fitted.forward
+    shape = forward.camera.shape
+    placed: dict[tuple[int, int], tuple[Array, Array]] = {}
+    for one in forward.predictions(slopes=False):
+        lit = one.amplitude_used & (one.station.amplitude > 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            light = np.where(lit, np.log(one.station.amplitude / one.model_reading), np.nan)
+        if forward.amplitude_model.pixels is not None:
+            light = light + forward.amplitude_model.pixels
+        apart, count = placed.setdefault(
+            (one.station.recording, one.station.placed), (np.zeros(shape), np.zeros(shape))
+        )
+        own = _beside_neighbours(light, one.view.geometry.tile)
+        seen = np.isfinite(own)
+        apart[seen] += own[seen]
+        count += seen
+    total, squares, poses = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    for apart, count in placed.values():
+        mean = apart / np.maximum(count, 1)
+        total += mean
+        squares += mean**2
+        poses += count > 0
+    several = poses > 1
+    if several.sum() < 2:
+        return None
+    pairs = (poses * (poses - 1))[several]
+    products = (total**2 - squares)[several]
+    variance = float(products.sum() / pairs.sum())
+    error = float(np.sqrt(np.sum((products - variance * pairs) ** 2)) / pairs.sum())
+    found, least = (
+        float(np.sqrt(max(one, 0.0) / _OF_DIFFERENCE)) for one in (variance, variance - PAIRED_ERRORS * error)
+    )
+    return GainSpread(found, least, forward.camera.radiometry.pattern_sigma)
+
+
+def _beside_neighbours(image: Array, tile: Array) -> Array:
+    """Return an image less the mean of its four neighbours (H, W), NaN where they see another tile."""
+    result = np.full(image.shape, np.nan)
+    inner = (slice(1, -1), slice(1, -1))
+    sides = [(slice(1, -1), slice(2, None)), (slice(1, -1), slice(None, -2))]
+    sides += [(slice(2, None), slice(1, -1)), (slice(None, -2), slice(1, -1))]
+    alike = np.all([tile[side] == tile[inner] for side in sides], axis=0)
+    apart = image[inner] - np.mean([image[side] for side in sides], axis=0)
+    result[inner] = np.where(alike, apart, np.nan)
+    return result
