@@ -10,7 +10,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import lean_camera, with_effects
 from rim_camera_ros.effects import Physics, vocabulary
 from rim_camera_ros.effects.candidate import Candidate
-from rim_camera_ros.fit.problem import Fit, Problem, keeps_amplitude_error
+from rim_camera_ros.fit.problem import Fit, Problem, clean_by, keeps_amplitude_error
 from rim_camera_ros.select.candidates import form_blocks
 from rim_camera_ros.select.compare import (
     LEAST_SIZE,
@@ -67,9 +67,10 @@ class Search:
     ``explorations`` begin with that of the camera file; each effect found adds one. ``pool`` are all
     candidates, ``variants`` those worth their columns at first. ``failed`` are leaders that proved wrong
     since then, and why; ``settled`` the numbers of effects found at which the fit was repeated. ``may_look``
-    allows pixels beside edges; explorations from number ``beside_edges`` on take them in. ``curves`` are
-    those of the smooth ``further`` candidates that entered as discrepancies of effects found. ``workers``
-    fit what needs nothing of one another.
+    allows pixels beside edges; explorations from number ``beside_edges`` on take them in. With ``may_narrow``
+    a search ends where rays move, with the ``narrowed`` problem of the pixels that are clean by both cameras,
+    of which it is to be made anew. ``curves`` are those of the smooth ``further`` candidates that entered as
+    discrepancies of effects found. ``workers`` fit what needs nothing of one another.
     """
 
     problem: Problem
@@ -85,6 +86,8 @@ class Search:
     failed: dict[str, str] = field(default_factory=dict)
     settled: set[int] = field(default_factory=set)
     may_look: bool = True
+    may_narrow: bool = False
+    narrowed: Problem | None = None
     beside_edges: int | None = None
     curves: list[Candidate] = field(default_factory=list)
     workers: Workers = map
@@ -96,7 +99,7 @@ class Search:
 
     def add(self, most: int) -> None:
         """Add effects, ``most`` in all, until nothing gains enough or too many leaders proved wrong."""
-        while len(self.found) < most and len(self.failed) <= _MOST_FAILURES:
+        while len(self.found) < most and len(self.failed) <= _MOST_FAILURES and self.narrowed is None:
             curve = discrepancy(self.step, self.found, self.failed.keys())
             if curve is not None:
                 self._enter(self.step.candidates[curve])
@@ -258,6 +261,10 @@ class Search:
             # what looked like it is something else: perhaps the next in line
             self.failed |= {self._effect(k): why for k in numbers}
             return
+        if self.may_narrow and any(vocabulary()[name].moves_rays for name in trial.effects):
+            fit = fitted.fit
+            self.narrowed = clean_by(fit.camera, self.problem, fit.scene, views=fit.forward.views)
+            return
         self.failed.clear()
         for name in trial.effects:
             ties = tied(self.step, name, threshold)
@@ -358,7 +365,16 @@ class Search:
     ) -> dict[tuple[int, ...], Trial]:
         """Fit candidates, each by itself."""
         requests = [
-            trial_fit(self.problem, self.step, choice, self.folds, self.seed, few, (starts or {}).get(choice))
+            trial_fit(
+                self.problem,
+                self.step,
+                choice,
+                self.folds,
+                self.seed,
+                few,
+                (starts or {}).get(choice),
+                with_edges=self.beside_edges is not None,
+            )
             for choice in choices
         ]
         result = {}

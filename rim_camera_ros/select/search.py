@@ -52,29 +52,40 @@ def search(
     pool = candidates(camera, facts, effects=effects)
     problem = replace(problem, origin=problem.origin or camera)
     say(f"baseline and {len(pool)} candidates")
-    first = explore(problem, camera, pool, folds, further=further, views=views, seed=seed)
-    start = first.scores.log_likelihood()
-    state = Search(
-        problem=replace(
-            problem,
-            masks=first.fit.forward.pixels_used(),
-            patches=first.fit.forward.patches_seen(),
-        ),
-        camera=camera,
-        explorations=[first],
-        folds=folds,
-        further=further,
-        pool=pool,
-        variants=leading_variants(first),
-        seed=seed,
-        say=say,
-        # masks that somebody chose may leave out pixels beside edges for good
-        may_look=problem.masks is None,
-        workers=workers,
-    )
-    if smooth_says_more(first):
+
+    def begun(problem: Problem, *, again: bool) -> Search:
+        first = explore(problem, camera, pool, folds, further=further, views=views, seed=seed)
+        return Search(
+            problem=replace(
+                problem,
+                masks=first.fit.forward.pixels_used(),
+                patches=first.fit.forward.patches_seen(),
+            ),
+            camera=camera,
+            explorations=[first],
+            folds=folds,
+            further=further,
+            pool=pool,
+            variants=leading_variants(first),
+            seed=seed,
+            say=say,
+            # masks that somebody chose may leave out pixels beside edges for good
+            may_look=may_look,
+            may_narrow=may_look and not again,
+            workers=workers,
+        )
+
+    may_look = problem.masks is None
+    state = begun(problem, again=False)
+    if smooth_says_more(state.step):
         most = 0
     state.add(most)
+    if state.narrowed is not None:
+        say("once more without pixels that edges reach by either camera")
+        state.step.forget()
+        state = begun(replace(problem, masks=state.narrowed.masks), again=True)
+        state.add(most)
+    start = state.explorations[0].scores.log_likelihood()
     if len(state.found) > 1:
         say("whether each is still needed")
         state.drop_needless()

@@ -11,8 +11,9 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects import OF_SURFACES, OPTICS, vocabulary
 from rim_camera_ros.fit.data import level_of
-from rim_camera_ros.fit.problem import Point, Problem
-from rim_camera_ros.fit.views import Views
+from rim_camera_ros.fit.pixels import LEAST_LEFT
+from rim_camera_ros.fit.problem import Point, Problem, forward_of
+from rim_camera_ros.fit.views import WIDE, Views
 from rim_camera_ros.select.compare import Trial
 from rim_camera_ros.select.exploration import Exploration, explore
 from rim_camera_ros.select.subsample import at_stations
@@ -29,7 +30,8 @@ Workers = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 class TrialFit:
     """A fit of ``effects`` to a ``problem`` from a camera ``start`` and the ``point`` of a fit without them.
 
-    ``near`` as in `adjustment.fit`; ``views`` are those of that fit, None where they are elsewhere.
+    ``near`` as in `adjustment.fit`; ``views`` are those of that fit, None where they are elsewhere. Fits
+    ``away_from_edges`` keep to pixels that stay clean wherever their rays go.
     """
 
     effects: tuple[str, ...]
@@ -40,6 +42,7 @@ class TrialFit:
     seed: int
     near: bool = False
     views: Views | None = None
+    away_from_edges: bool = False
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"views": None}
@@ -53,25 +56,49 @@ class TrialFit:
 
 
 def fit_trial(trial: TrialFit) -> Exploration:
-    """Fit a trial; a pure function that may run anywhere."""
-    fitted = explore(
-        trial.problem,
-        trial.start,
-        [],
-        trial.folds,
-        views=trial.views,
-        warm=trial.point,
-        seed=trial.seed,
-        replicates=0,
-        iterations=ITERATIONS,
-        tolerance=TOLERANCE,
-        near=trial.near,
-    )
+    """Fit a trial; a pure function that may run anywhere.
+
+    Where rays move, edges move to other pixels. Those that one has reached say where it is: they hold the
+    rays where they were. A first fit is of pixels that no edge comes near, that of all begins where it ended.
+    """
+
+    def fitted_to(problem: Problem, camera: Camera, views: Views | None, point: Point) -> Exploration:
+        return explore(
+            problem,
+            camera,
+            [],
+            trial.folds,
+            views=views,
+            warm=point,
+            seed=trial.seed,
+            replicates=0,
+            iterations=ITERATIONS,
+            tolerance=TOLERANCE,
+            near=trial.near,
+        )
+
+    problem, start, views, point = trial.problem, trial.start, trial.views, trial.point
+    far = _far_from_edges(trial) if trial.away_from_edges else None
+    if far is not None:
+        first = fitted_to(far, start, views, point).fit
+        start, views, point = first.camera, first.forward.views, first.point
+    fitted = fitted_to(problem, start, views, point)
     if trial.response is not trial.problem:
         # its one parameter first: together with a free response it would not find the way
         camera, views = fitted.fit.camera, fitted.fit.forward.views
         fitted = explore(trial.response, camera, [], trial.folds, views=views, warm=fitted.fit, replicates=0)
     return fitted
+
+
+def _far_from_edges(trial: TrialFit) -> Problem | None:
+    """Return a trial's problem with the pixels that no edge comes near; None where too few are left."""
+    problem = trial.problem
+    forward = forward_of(problem, problem.scene, trial.start, views=trial.views, offsets={})
+    now = forward.pixels_used()
+    wide = forward.pixels_near_edges(WIDE)
+    masks = [(a & c, b & d) for (a, b), (c, d) in zip(now, wide, strict=True)]
+    left, before = (sum(int(used.sum()) for used, _ in each) for each in (masks, now))
+    return replace(problem, masks=masks) if left >= LEAST_LEFT * before else None
 
 
 def fitted_trials(
@@ -105,10 +132,12 @@ def trial_fit(
     seed: int,
     few: Sequence[int] | None = None,
     start: Camera | None = None,
+    *,
+    with_edges: bool = False,
 ) -> TrialFit:
     """Return the fit of some candidates of a ``step`` beside what it has, to the stations ``few`` if given.
 
-    It begins at a guess, or nearer by, at the camera ``start``.
+    It begins at a guess, or nearer by, at the camera ``start``. ``with_edges`` pixels beside edges take part.
     """
     names = tuple(step.candidates[k].effect for k in choice)
     geometry = tuple(dict.fromkeys([*problem.geometry, *(n for n in names if n in OPTICS)]))
@@ -121,7 +150,18 @@ def trial_fit(
         # first by itself: what loses need not be explored; rays from where they are, as a linear guess of
         # them may put a texture's edges on other pixels
         start = step.camera_with([k for k in choice if step.candidates[k].effect not in OPTICS])
-    return TrialFit(names, problem, start, step.fit.point, folds, seed, near=near, views=views)
+    moves = any(vocabulary()[name].moves_rays for name in names)
+    return TrialFit(
+        names,
+        problem,
+        start,
+        step.fit.point,
+        folds,
+        seed,
+        near=near,
+        views=views,
+        away_from_edges=moves and not with_edges,
+    )
 
 
 def without_effect(

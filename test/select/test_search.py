@@ -410,3 +410,34 @@ def test_a_linear_guess_that_no_camera_can_have_is_begun_at_less_of_it(
     # power at the corner: 1 + strength, which must stay positive
     assert isinstance(begun, EmissionPattern)
     assert begun.falloff[0] * edge == pytest.approx(begins)
+
+
+def test_pixels_that_edges_have_reached_do_not_hold_the_rays(tmp_path: Path) -> None:
+    """What is beside an edge by the true lens reads as by the file's: it says nothing of the lens."""
+    told, board = camera(tmp_path), scene(tmp_path)
+    truth = replace(told, optics=replace(told.optics, d=(0.25, 0.0, 0.0, 0.0, 0.0)))
+    data = record(truth, board, poses=24, seed=2)
+    by_file, by_lens = Forward(data, board, told), Forward(data, board, truth)
+    for forward in (by_file, by_lens):
+        forward.estimate_amplitudes()
+    rng, stations, spoiled = np.random.default_rng(8), [], 0
+    pairs = zip(by_file.predictions(slopes=False), by_lens.predictions(slopes=False), strict=True)
+    for own, true in pairs:
+        beside = own.used & ~true.view.clean
+        spoiled += int(beside.sum())
+        reading = own.distance + own.sigma * rng.standard_normal(beside.shape)
+        station = own.station
+        stations.append(
+            replace(
+                station,
+                distance=np.where(beside, reading, station.distance),
+                amplitude=np.where(beside, own.model_reading, station.amplitude),
+            )
+        )
+    assert spoiled > 1000
+    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
+    problem = Problem(replace(data, stations=stations), board)
+    result = search(problem, told, facts, effects=["lens_distortion"])
+    assert [one.effect for one in result.found] == ["lens_distortion"]
+    # with all pixels that were clean by the file it was 0.19, seven standard errors off
+    assert abs(result.camera.optics.d[0] - 0.25) < 3 * result.fit.sigma["optics.d.0"]
