@@ -46,7 +46,7 @@ class Scores:
     """
 
     def __init__(self, equations: NormalEquations, base: Iterable[int], *, temper: float = 1.0) -> None:
-        self.regressors = equations.regressors
+        self.equations, self.regressors = equations, equations.regressors
         self.base = np.array(sorted(base), int)
         self.prior = priors_of(equations.regressors)
         folds = range(len(equations.folds)) if len(equations.folds) > 1 else ()
@@ -115,6 +115,13 @@ class Scores:
         columns = self.columns(extra)
         solution = self._solve(reduced, columns)
         return {self.regressors[i].label: float(v) for i, v in zip(columns, solution, strict=True)}
+
+    def errors(self, extra: Iterable[int] = ()) -> dict[str, float]:
+        """Return the errors of poses and powers that go with the coefficients of base and extra."""
+        columns = self.columns(extra)
+        values = np.zeros(len(self.regressors))
+        values[columns] = self._solve(self.full, columns)
+        return self.full.recover(values)[0]
 
     def _solve(self, reduced: Reduced, columns: Array) -> Array:
         matrix, right = self._scaled(reduced, columns)

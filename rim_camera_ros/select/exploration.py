@@ -18,7 +18,7 @@ from rim_camera_ros.fit.gauss_newton import TOLERANCE
 from rim_camera_ros.fit.problem import Fit, Point, Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.select.evidence import Scores
-from rim_camera_ros.select.null_replicates import null_scores
+from rim_camera_ros.select.null_replicates import error_size, null_scores
 
 Array = NDArray[Any]
 
@@ -221,12 +221,59 @@ def explored(
             seed=seed,
             errors=fitted.nuisances,
         )
-        base = nulls.held_out()
-        drawn = np.array([nulls.held_out(span) - base for span in spans])
-        rate = ALARM_RATE / _INDEPENDENT
-        thresholds = np.array([max(LEAST_THRESHOLD, gumbel_quantile(one, 1 - rate)) for one in drawn])
+        drawn = _gains_by_chance(nulls, spans)
+        thresholds = np.array([_threshold(one) for one in drawn])
         maxima = drawn[: len(named)].max(axis=0) if named else drawn.max(axis=0)
+        names = [one.effect for one in named]
+        thresholds[: len(named)] = _given_candidate(
+            scores, names, spans, gains, thresholds[: len(named)], replicates=replicates, seed=seed
+        )
     return Exploration(fitted, found, scores, spans, gains, maxima, thresholds, len(named), beside, forms)
+
+
+def _gains_by_chance(nulls: Scores, spans: Sequence[Sequence[int]]) -> Array:
+    """Return the gains (C, R) of candidates in replicates."""
+    base = nulls.held_out()
+    return np.array([nulls.held_out(span) - base for span in spans])
+
+
+def _threshold(by_chance: Array) -> float:
+    return max(LEAST_THRESHOLD, gumbel_quantile(by_chance, 1 - ALARM_RATE / _INDEPENDENT))
+
+
+def _given_candidate(
+    scores: Scores,
+    names: Sequence[str],
+    spans: Sequence[Sequence[int]],
+    gains: Array,
+    thresholds: Array,
+    *,
+    replicates: int,
+    seed: int,
+) -> Array:
+    """Return the thresholds, those of the leading effect from errors of poses that are found beside it.
+
+    What is missing makes errors of poses that pass for larger ones than stated, and replicates with such
+    errors hide it. Permuted residuals are those of the model with what is tested (ter Braak 1992), and their
+    size is corrected for the parameters that took a part of them up.
+    """
+    held_back = [k for k in range(len(names)) if LEAST_THRESHOLD < gains[k] <= thresholds[k]]
+    equations = scores.equations
+    whole = error_size(equations, scores.errors())
+    if not held_back or whole <= 1.0:
+        return thresholds
+    leader = max(held_back, key=lambda k: float(gains[k]))
+    errors = scores.errors(spans[leader])
+    count = len({tuple(name.split(".", 2)[:2]) for name in errors})
+    width = min(len(spans[leader]), count - 1)
+    larger = {name: one * float(np.sqrt(count / (count - width))) for name, one in errors.items()}
+    if error_size(equations, larger) >= whole:
+        return thresholds
+    nulls = null_scores(equations, scores.base.tolist(), replicates=replicates, seed=seed, errors=larger)
+    result = thresholds.copy()
+    for k in (k for k, name in enumerate(names) if name == names[leader]):
+        result[k] = min(float(thresholds[k]), _threshold(_gains_by_chance(nulls, [spans[k]])[0]))
+    return result
 
 
 def further_equations(

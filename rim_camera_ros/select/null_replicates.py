@@ -116,6 +116,12 @@ def _error_shapes(equations: NormalEquations, errors: Mapping[str, float]) -> di
     return result
 
 
+def error_size(equations: NormalEquations, errors: Mapping[str, float]) -> float:
+    """Return by how much the errors of the worst kind exceed their stated size (RMS, 1 at least)."""
+    shapes = _error_shapes(equations, errors).values()
+    return max((float(np.sqrt(np.mean(z**2))) for z in shapes), default=1.0)
+
+
 def kind_of_error(name: str) -> str:
     """Return surface and direction of a nuisance ``recording.pose.pose.SURFACE.DIRECTION``."""
     kind = name.split(".", 2)[2]
