@@ -66,6 +66,10 @@ class Exploration:
         leader = int(np.argmax(self.gains[: self.named])) if self.named else 0
         return float(self.thresholds[leader]) if self.thresholds.size else LEAST_THRESHOLD
 
+    def threshold_of(self, numbers: Sequence[int]) -> float:
+        """Return the highest threshold of some candidates in nats."""
+        return max(float(self.thresholds[k]) for k in numbers)
+
     @property
     def unexplained(self) -> float:
         """What the residuals of held-out poses cost beyond their noise, in nats."""

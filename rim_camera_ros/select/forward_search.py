@@ -8,9 +8,10 @@ from functools import cached_property
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import lean_camera, with_effects
-from rim_camera_ros.effects import Physics, vocabulary
+from rim_camera_ros.effects import vocabulary
 from rim_camera_ros.effects.candidate import Candidate
 from rim_camera_ros.fit.problem import Fit, Problem, clean_by, keeps_amplitude_error
+from rim_camera_ros.select.best_trial import Trials
 from rim_camera_ros.select.candidates import form_blocks
 from rim_camera_ros.select.compare import (
     LEAST_SIZE,
@@ -21,43 +22,28 @@ from rim_camera_ros.select.compare import (
     PAIRED_ERRORS,
     Found,
     Trial,
-    as_good,
     discrepancy,
     leaders,
     leading_variants,
-    near_rivals,
     paired_error,
     tied,
-    what_it_became,
 )
 from rim_camera_ros.select.confounding import follows_time_in_quiet_pixels, shows_in_quiet_pixels
 from rim_camera_ros.select.edge_pixels import Look, promising, sharper, where_clean, with_edges
 from rim_camera_ros.select.effect_sizes import effect_size
 from rim_camera_ros.select.exploration import Exploration, explore, explored, further_equations
-from rim_camera_ros.select.subsample import dominated, subsample_of
 from rim_camera_ros.select.trials import (
     ITERATIONS,
     TOLERANCE,
     Workers,
-    fitted_trials,
-    onwards,
-    trial_fit,
+    silent,
     without_effect,
 )
 
 #: Leaders that may prove wrong when they are fitted, until the search ends.
 _MOST_FAILURES = 2
-#: Fits that are tried for one effect.
-_MOST_TRIALS = 3
-#: Share of what the best gains within which others may be as good.
-_NEARLY = 0.15
 #: Gain of a fit over its linear forecast above which it is looked at what gained it.
 _BY_ITSELF = 2.0
-
-
-def silent(text: str) -> None:
-    """Say nothing."""
-    return
 
 
 @dataclass
@@ -213,15 +199,9 @@ class Search:
     def _effect(self, number: int) -> str:
         return self.step.candidates[number].effect
 
-    def _physics(self, number: int) -> type[Physics]:
-        return vocabulary()[self._effect(number)]
-
     def _shows_in_quiet_pixels(self, number: int) -> bool:
         names = [one.effect for one in self.found]
         return shows_in_quiet_pixels(self.problem, self.step, number, names, self.folds)
-
-    def _threshold(self, numbers: Sequence[int]) -> float:
-        return max(float(self.step.thresholds[k]) for k in numbers)
 
     def _gain(self, after: Exploration, before: Exploration) -> float:
         return after.scores.log_likelihood() - before.scores.log_likelihood()
@@ -241,9 +221,9 @@ class Search:
 
     def _try(self, numbers: tuple[int, ...], leader: int) -> None:
         """Fit candidates and what rivals them; the best joins, where it gains and moves enough."""
-        trial, close = self._best_trial(numbers, leader)
+        trial, close = self._trials().best(numbers, leader)
         fitted = trial.fitted
-        threshold = self._threshold(self.step.best_of(trial.effects))
+        threshold = self.step.threshold_of(self.step.best_of(trial.effects))
         compared = where_clean(trial, self.step, self.problem, self.folds)
         need = self._entry(threshold, *compared)
         gain = self._gain(*compared)
@@ -303,89 +283,19 @@ class Search:
             seed=self.seed,
         )
 
-    def _best_trial(self, numbers: tuple[int, ...], leader: int) -> tuple[Trial, list[str]]:
-        """Fit candidates and their near rivals non-linearly; return the best, and effects that are as good.
-
-        A pair must beat the leader alone by what a further effect must gain: linearly, one that bends the
-        light much looks worse than it is.
-        """
-        beside = near_rivals(self.step, numbers, leader, self.failed.keys())
-        choices, starts = self._ahead([numbers, *beside][:_MOST_TRIALS])
-        trials: dict[tuple[int, ...], Trial] = {}
-        became: dict[tuple[int, ...], tuple[int, ...] | None] = {}
-        while len(trials) < len(choices):
-            new = [choice for choice in choices if choice not in trials]
-            trials |= self._trials(new, starts=starts)
-            for choice in new:
-                other = what_it_became(trials[choice].fitted, choice, self.step, self.camera)
-                became[choice] = other
-                if other is not None and other not in choices:
-                    choices.append(other)
-        stay = {choice: trial for choice, trial in trials.items() if became[choice] is None}
-        alone = {trial.effects[0]: trial for choice, trial in stay.items() if len(choice) == 1}
-        best = max(stay.values(), key=lambda one: one.likelihood)
-        return best, as_good(alone, best)
-
-    def _ahead(
-        self, choices: Sequence[tuple[int, ...]]
-    ) -> tuple[list[tuple[int, ...]], dict[tuple[int, ...], Camera]]:
-        """Fit choices to a few poses where there are many values; return who may win, and where fits begin.
-
-        Rays are not moved by a few poses, and what follows the time of the poses needs them all.
-        """
-        few = subsample_of(self.problem, seed=self.seed)
-        if few is None:
-            return list(choices), {}
-        able = [
-            choice
-            for choice in choices
-            if not any(self._physics(k).moves_rays or self._physics(k).in_time for k in choice)
-        ]
-        trials = self._trials(able, few=few)
-        lost: set[tuple[int, ...]] = set()
-        if all(len(choice) == 1 for choice in choices):
-            # beside effects found before, those nearly as good as the best are told
-            gain = max((self.step.joint(*choice) for choice in able), default=0.0) if self.found else 0.0
-            least = _NEARLY * gain * len(few) / len(self.problem.dataset.stations)
-            by_fold = {choice: one.fitted.scores.log_likelihoods() for choice, one in trials.items()}
-            lost = dominated(by_fold, least=least)
-        # they cost little: the nearer they come to their end, the fewer steps remain with all poses
-        left = [choice for choice in able if choice not in lost]
-        further = [onwards(trials[choice], self.folds, self.seed) for choice in left]
-        ends = fitted_trials(further, self.workers, self.say, to="a few poses")
-        starts = {choice: one.fit.camera for choice, one in zip(left, ends, strict=True)}
-        return [choice for choice in choices if choice not in lost], starts
-
-    def _trials(
-        self,
-        choices: Sequence[tuple[int, ...]],
-        *,
-        few: Sequence[int] | None = None,
-        starts: Mapping[tuple[int, ...], Camera] | None = None,
-    ) -> dict[tuple[int, ...], Trial]:
-        """Fit candidates, each by itself."""
-        requests = [
-            trial_fit(
-                self.problem,
-                self.step,
-                choice,
-                self.folds,
-                self.seed,
-                few,
-                (starts or {}).get(choice),
-                with_edges=self.beside_edges is not None,
-            )
-            for choice in choices
-        ]
-        result = {}
-        poses = "all poses" if few is None else "a few poses"
-        fits = fitted_trials(requests, self.workers, self.say, to=poses)
-        for choice, one, fitted in zip(choices, requests, fits, strict=True):
-            likelihood = fitted.scores.log_likelihood()
-            if len(choice) == 2:
-                likelihood -= self._threshold(choice)
-            result[choice] = Trial([*one.effects], one.response, fitted, likelihood)
-        return result
+    def _trials(self) -> Trials:
+        return Trials(
+            problem=self.problem,
+            camera=self.camera,
+            step=self.step,
+            folds=self.folds,
+            seed=self.seed,
+            failed=self.failed.keys(),
+            is_first=not self.found,
+            with_edges=self.beside_edges is not None,
+            say=self.say,
+            workers=self.workers,
+        )
 
     def _without(self, effects: Sequence[str], after: Exploration, gain: float) -> Exploration | None:
         """Return the fit without further effects from where that with them ended, where it gained much.

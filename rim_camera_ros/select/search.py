@@ -19,8 +19,8 @@ from rim_camera_ros.select.candidates import candidates
 from rim_camera_ros.select.compare import Result, leading_variants, refused, smooth_says_more
 from rim_camera_ros.select.evidence import folds_of
 from rim_camera_ros.select.exploration import explore
-from rim_camera_ros.select.forward_search import Search, silent
-from rim_camera_ros.select.trials import Workers
+from rim_camera_ros.select.forward_search import Search
+from rim_camera_ros.select.trials import Workers, silent
 
 MOST_EFFECTS = 4
 

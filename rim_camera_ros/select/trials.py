@@ -22,6 +22,12 @@ from rim_camera_ros.select.subsample import at_stations
 ITERATIONS = 12
 TOLERANCE = 0.15
 
+
+def silent(text: str) -> None:
+    """Say nothing."""
+    return
+
+
 #: What calls a function for each of some things, and yields the results in their order: ``map``, or workers.
 Workers = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 

@@ -24,10 +24,10 @@ from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.reduction import reduce_recording
 from rim_camera_ros.scene import Scene, load_scene
+from rim_camera_ros.select.best_trial import Trials
 from rim_camera_ros.select.candidates import candidates
 from rim_camera_ros.select.evidence import folds_of
 from rim_camera_ros.select.exploration import explore
-from rim_camera_ros.select.forward_search import Search
 
 from .helpers import CAMERA, camera, record, scene
 
@@ -126,7 +126,7 @@ def test_candidates_are_fitted_as_on_one_machine_though_a_worker_is_lost(tmp_pat
     pool = candidates(camera(tmp_path), facts, effects=["cyclic_error", "distance_scale"])
     first = explore(problem, camera(tmp_path), pool, folds, replicates=0)
     choices = [(number,) for number in first.best().values()]
-    here = Search(problem, camera(tmp_path), [first], folds)._trials(choices)
+    here = Trials(problem, camera(tmp_path), first, folds).fitted(choices)
     marker = tmp_path / "a_worker_was_lost"
     with (
         distributed.LocalCluster(
@@ -138,7 +138,7 @@ def test_candidates_are_fitted_as_on_one_machine_though_a_worker_is_lost(tmp_pat
         def dying(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
             return workers(partial(called_by_a_worker_that_dies_once, marker, function), items)
 
-        there = Search(problem, camera(tmp_path), [first], folds, workers=dying)._trials(choices)
+        there = Trials(problem, camera(tmp_path), first, folds, workers=dying).fitted(choices)
     assert marker.exists()
     assert {one.effects[0] for one in there.values()} == {"cyclic_error", "distance_scale"}
     for choice, one in there.items():

@@ -24,7 +24,8 @@ from rim_camera_ros.fit.reduction import reduce_frames
 from rim_camera_ros.fit.views import NEAR
 from rim_camera_ros.frame import Pose, RawFrame, Settings
 from rim_camera_ros.scene import Scene
-from rim_camera_ros.select import forward_search
+from rim_camera_ros.select import best_trial
+from rim_camera_ros.select.best_trial import Trials
 from rim_camera_ros.select.candidates import candidates
 from rim_camera_ros.select.compare import (
     NOT_IN_ALL_POSES,
@@ -286,17 +287,17 @@ def test_what_became_another_effect_is_no_rival_of_it(
     step: Any = SimpleNamespace(scores=SimpleNamespace(log_likelihood=lambda: 0.0))
     nothing: Any = None
     by_fold = [[10.0, 40.0, 20.0, 25.0], [25.0, 25.0, 25.0, 25.0]]
-    monkeypatch.setattr(forward_search, "near_rivals", lambda *_: [(1,)])
+    monkeypatch.setattr(best_trial, "near_rivals", lambda *_: [(1,)])
     monkeypatch.setattr(
-        forward_search, "what_it_became", lambda _, choice, *__: became if choice == (0,) else None
+        best_trial, "what_it_became", lambda _, choice, *__: became if choice == (0,) else None
     )
     monkeypatch.setattr(
-        Search,
-        "_trials",
+        Trials,
+        "fitted",
         lambda _, choices, **__: {one: trial([names[one[0]]], by_fold[one[0]]) for one in choices},
     )
-    monkeypatch.setattr(forward_search, "subsample_of", lambda *_, **__: None)
-    best, others = Search(nothing, nothing, [step], {})._best_trial((0,), 0)
+    monkeypatch.setattr(best_trial, "subsample_of", lambda *_, **__: None)
+    best, others = Trials(nothing, nothing, step, {}).best((0,), 0)
     assert (best.effects, others) == (["mixed_pixels"], close)
 
 
@@ -352,7 +353,7 @@ def test_a_member_of_a_pair_that_moves_nothing_does_not_join(tmp_path: Path) -> 
     first = explore(problem, camera(tmp_path), pool, folds, replicates=0)
     state = Search(problem, camera(tmp_path), [first], folds)
     best = first.best()
-    trial, _ = state._best_trial((best["cyclic_error"], best["mixed_pixels"]), best["mixed_pixels"])
+    trial, _ = state._trials().best((best["cyclic_error"], best["mixed_pixels"]), best["mixed_pixels"])
     assert trial.effects == ["cyclic_error"]
 
 

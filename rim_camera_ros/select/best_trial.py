@@ -1,0 +1,128 @@
+"""Candidates of one step of a search, fitted beside each other: which of them is the best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence, Set
+from dataclasses import dataclass
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects import Physics, vocabulary
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.select.compare import Trial, as_good, near_rivals, what_it_became
+from rim_camera_ros.select.exploration import Exploration
+from rim_camera_ros.select.subsample import dominated, subsample_of
+from rim_camera_ros.select.trials import Workers, fitted_trials, onwards, silent, trial_fit
+
+#: Fits that are tried for one effect.
+_MOST_TRIALS = 3
+#: Share of what the best gains within which others may be as good.
+_NEARLY = 0.15
+
+
+@dataclass(frozen=True)
+class Trials:
+    """What candidates of a ``step`` are fitted with, beside what a ``camera`` file came to have until then.
+
+    ``failed`` effects are no rivals; ``is_first`` where none was found before; ``with_edges`` pixels beside
+    edges take part. ``workers`` fit what needs nothing of one another.
+    """
+
+    problem: Problem
+    camera: Camera
+    step: Exploration
+    folds: Mapping[tuple[int, int], int]
+    seed: int = 0
+    failed: Set[str] = frozenset()
+    is_first: bool = True
+    with_edges: bool = False
+    say: Callable[[str], None] = silent
+    workers: Workers = map
+
+    def best(self, numbers: tuple[int, ...], leader: int) -> tuple[Trial, list[str]]:
+        """Fit candidates and their near rivals non-linearly; return the best, and effects that are as good.
+
+        A pair must beat the leader alone by what a further effect must gain: linearly, one that bends the
+        light much looks worse than it is.
+        """
+        beside = near_rivals(self.step, numbers, leader, self.failed)
+        choices, starts = self._ahead([numbers, *beside][:_MOST_TRIALS])
+        trials: dict[tuple[int, ...], Trial] = {}
+        became: dict[tuple[int, ...], tuple[int, ...] | None] = {}
+        while len(trials) < len(choices):
+            new = [choice for choice in choices if choice not in trials]
+            trials |= self.fitted(new, starts=starts)
+            for choice in new:
+                other = what_it_became(trials[choice].fitted, choice, self.step, self.camera)
+                became[choice] = other
+                if other is not None and other not in choices:
+                    choices.append(other)
+        stay = {choice: trial for choice, trial in trials.items() if became[choice] is None}
+        alone = {trial.effects[0]: trial for choice, trial in stay.items() if len(choice) == 1}
+        best = max(stay.values(), key=lambda one: one.likelihood)
+        return best, as_good(alone, best)
+
+    def _ahead(
+        self, choices: Sequence[tuple[int, ...]]
+    ) -> tuple[list[tuple[int, ...]], dict[tuple[int, ...], Camera]]:
+        """Fit choices to a few poses where there are many values; return who may win, and where fits begin.
+
+        Rays are not moved by a few poses, and what follows the time of the poses needs them all.
+        """
+        few = subsample_of(self.problem, seed=self.seed)
+        if few is None:
+            return list(choices), {}
+        able = [
+            choice
+            for choice in choices
+            if not any(one.moves_rays or one.in_time for one in map(self._physics, choice))
+        ]
+        trials = self.fitted(able, few=few)
+        lost: set[tuple[int, ...]] = set()
+        if all(len(choice) == 1 for choice in choices):
+            # beside effects found before, those nearly as good as the best are told
+            gain = (
+                max((self.step.joint(*choice) for choice in able), default=0.0) if not self.is_first else 0.0
+            )
+            least = _NEARLY * gain * len(few) / len(self.problem.dataset.stations)
+            by_fold = {choice: one.fitted.scores.log_likelihoods() for choice, one in trials.items()}
+            lost = dominated(by_fold, least=least)
+        # they cost little: the nearer they come to their end, the fewer steps remain with all poses
+        left = [choice for choice in able if choice not in lost]
+        further = [onwards(trials[choice], self.folds, self.seed) for choice in left]
+        ends = fitted_trials(further, self.workers, self.say, to="a few poses")
+        starts = {choice: one.fit.camera for choice, one in zip(left, ends, strict=True)}
+        return [choice for choice in choices if choice not in lost], starts
+
+    def fitted(
+        self,
+        choices: Sequence[tuple[int, ...]],
+        *,
+        few: Sequence[int] | None = None,
+        starts: Mapping[tuple[int, ...], Camera] | None = None,
+    ) -> dict[tuple[int, ...], Trial]:
+        """Fit candidates, each by itself."""
+        requests = [
+            trial_fit(
+                self.problem,
+                self.step,
+                choice,
+                self.folds,
+                self.seed,
+                few,
+                (starts or {}).get(choice),
+                with_edges=self.with_edges,
+            )
+            for choice in choices
+        ]
+        result = {}
+        poses = "all poses" if few is None else "a few poses"
+        fits = fitted_trials(requests, self.workers, self.say, to=poses)
+        for choice, one, fitted in zip(choices, requests, fits, strict=True):
+            likelihood = fitted.scores.log_likelihood()
+            if len(choice) == 2:
+                likelihood -= self.step.threshold_of(choice)
+            result[choice] = Trial([*one.effects], one.response, fitted, likelihood)
+        return result
+
+    def _physics(self, number: int) -> type[Physics]:
+        return vocabulary()[self.step.candidates[number].effect]
