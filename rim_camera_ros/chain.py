@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.effects.base import ComplexEffect, DistanceTerm, Effect, ResponseEffect
 from rim_camera_ros.effects.signal import Context, Signal, from_phasor
+from rim_camera_ros.geometry import Geometry
 from rim_camera_ros.phasor import to_phasor
-from rim_camera_ros.scene import Geometry
 
 Array = NDArray[Any]
 

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.frame import Pose
-from rim_camera_ros.scene import Geometry, Scene, beside_edges, see
+from rim_camera_ros.geometry import Geometry, beside_edges, see
+from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]
 

@@ -1,4 +1,4 @@
-"""Scenes: surfaces with poses and reflectivities, and what each pixel of a camera sees of them.
+"""Scenes: surfaces with poses and reflectivities, and the motion of the camera before them.
 
 A surface is the x-y plane of its frame (a sphere is centred on it); poses are in the camera optical
 frame (x right, y down, z forward). Lengths in metres.
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.parameters import NestedList, decode, quantity
+from rim_camera_ros.rotations import quaternion, rotation_matrix, screw
 from rim_camera_ros.yaml_files import read_yaml
 
 Array = NDArray[np.float64]
@@ -201,7 +202,7 @@ class CameraMotion:
         """Return the pose of a resting surface as the moving camera sees it ``seconds`` later."""
         if not self.moves or seconds == 0:
             return pose
-        rotation, translation = _screw(np.array(self.linear) * seconds, np.array(self.angular) * seconds)
+        rotation, translation = screw(np.array(self.linear) * seconds, np.array(self.angular) * seconds)
         position = rotation.T @ (np.array(pose.position) - translation)
         orientation = quaternion(rotation.T @ rotation_matrix(pose.orientation))
         return Pose((float(position[0]), float(position[1]), float(position[2])), orientation)
@@ -274,111 +275,6 @@ class Scene:
         return poses
 
 
-@dataclass(frozen=True)
-class Geometry:
-    """What each pixel sees (all (H, W) or (H, W, 3)); NaN and surface -1 where a ray meets nothing.
-
-    ``distance`` [m] from the projection centre along the ray, ``points`` [m], ``normals`` (towards the
-    camera), ``cos_incidence`` = |ray . normal|, ``reflectivity``, ``surface`` index; ``tile`` numbers the
-    tiles of all surfaces, those of the first surface first (-1: nothing).
-    """
-
-    surface: NDArray[np.int16]
-    distance: Array
-    points: Array
-    normals: Array
-    cos_incidence: Array
-    reflectivity: Array
-    tile: NDArray[np.int32]
-
-    @property
-    def hit(self) -> NDArray[np.bool_]:
-        return self.surface >= 0
-
-    @property
-    def incidence(self) -> Array:
-        """Angle between ray and normal in rad."""
-        result: Array = np.arccos(np.clip(self.cos_incidence, 0.0, 1.0))
-        return result
-
-
-def see(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> Geometry:
-    """Return what the rays (H, W, 3) from the origin meet: the nearest surface at positive length.
-
-    Surfaces without a pose in ``poses`` are not there.
-    """
-    shape = rays.shape[:2]
-    directions = rays.reshape(-1, 3)
-    index, distance = _first_met(scene, poses, directions)
-    points = distance[:, None] * directions
-    normals = np.full_like(points, np.nan)
-    reflectivity = np.full(len(directions), np.nan)
-    tile = np.full(len(directions), -1, np.int32)
-    first = 0
-    for i, surface in enumerate(scene.surfaces):
-        start, first = first, first + surface.tiles
-        mine = index == i
-        if not mine.any():
-            continue
-        pose = poses[surface.name]
-        rotation = rotation_matrix(pose.orientation)
-        local = (points[mine] - np.array(pose.position)) @ rotation
-        if surface.type == "sphere":
-            assert surface.radius is not None
-            normals[mine] = (points[mine] - np.array(pose.position)) / surface.radius
-        else:
-            normals[mine] = rotation[:, 2]
-        if surface.texture is None:
-            reflectivity[mine] = surface.nominal_reflectivity
-            tile[mine] = start
-        else:
-            reflectivity[mine] = surface.texture.reflectivity(local[:, 0], local[:, 1])
-            tile[mine] = start + surface.texture.tile(local[:, 0], local[:, 1])
-    along = np.sum(directions * normals, axis=-1)
-    normals = np.where(along[:, None] > 0, -normals, normals)
-    return Geometry(
-        surface=index.reshape(shape),
-        distance=distance.reshape(shape),
-        points=points.reshape(*shape, 3),
-        normals=normals.reshape(*shape, 3),
-        cos_incidence=np.abs(along).reshape(shape),
-        reflectivity=reflectivity.reshape(shape),
-        tile=tile.reshape(shape),
-    )
-
-
-def beside_edges(geometry: Geometry, margin: int) -> NDArray[np.bool_]:
-    """Return the pixels (H, W) within ``margin`` [px] of another surface, another brightness, or nothing."""
-    from scipy.ndimage import maximum_filter, minimum_filter  # takes a good part of a node's start
-
-    size = 2 * margin + 1
-    bright = np.where(geometry.hit, geometry.reflectivity, -1.0)
-    surface = geometry.surface
-    same = minimum_filter(bright, size) == maximum_filter(bright, size)
-    same &= minimum_filter(surface, size) == maximum_filter(surface, size)
-    return np.asarray(~same)
-
-
-def surface_seen(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> NDArray[np.int16]:
-    """Return the index of the surface that each of the rays (..., 3) meets, as `see` does."""
-    return _first_met(scene, poses, rays.reshape(-1, 3))[0].reshape(rays.shape[:-1])
-
-
-def _first_met(scene: Scene, poses: Mapping[str, Pose], directions: Array) -> tuple[NDArray[np.int16], Array]:
-    """Return the index of the nearest surface along each ray (N, 3), -1 where there is none, and how far."""
-    origin = np.zeros(3)
-    nearest = np.full(len(directions), np.inf)
-    index = np.full(len(directions), -1, np.int16)
-    for i, surface in enumerate(scene.surfaces):
-        if surface.name not in poses:
-            continue
-        length = surface.lengths(poses[surface.name], origin, directions)
-        closer = length < nearest
-        nearest[closer] = length[closer]
-        index[closer] = i
-    return index, np.where(index >= 0, nearest, np.nan)
-
-
 def load_scene(path: str | os.PathLike[str]) -> Scene:
     """Read a scene file. Raises `InputError` with file, place and remedy."""
     document = read_yaml(path)
@@ -405,63 +301,3 @@ def _normalised(pose: ScenePose) -> ScenePose:
     q = np.array(pose.orientation)
     q = q / np.linalg.norm(q)
     return replace(pose, orientation=(float(q[0]), float(q[1]), float(q[2]), float(q[3])))
-
-
-# --- rotations ----------------------------------------------------------------------------------
-
-
-def rotation_matrix(orientation: tuple[float, float, float, float]) -> Array:
-    """Return the rotation matrix (3, 3) of a quaternion x y z w, which is normalised first."""
-    q = np.array(orientation, dtype=float)
-    x, y, z, w = q / np.linalg.norm(q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def quaternion(rotation: Array) -> tuple[float, float, float, float]:
-    """Return the quaternion x y z w (w >= 0) of a rotation matrix."""
-    k = np.array(
-        [
-            [rotation[0, 0] - rotation[1, 1] - rotation[2, 2], 0, 0, 0],
-            [rotation[0, 1] + rotation[1, 0], rotation[1, 1] - rotation[0, 0] - rotation[2, 2], 0, 0],
-            [
-                rotation[0, 2] + rotation[2, 0],
-                rotation[1, 2] + rotation[2, 1],
-                rotation[2, 2] - rotation[0, 0] - rotation[1, 1],
-                0,
-            ],
-            [
-                rotation[2, 1] - rotation[1, 2],
-                rotation[0, 2] - rotation[2, 0],
-                rotation[1, 0] - rotation[0, 1],
-                rotation[0, 0] + rotation[1, 1] + rotation[2, 2],
-            ],
-        ]
-    )
-    q = np.linalg.eigh(k, UPLO="L")[1][:, -1]
-    if q[3] < 0:
-        q = -q
-    return (float(q[0]), float(q[1]), float(q[2]), float(q[3]))
-
-
-def _screw(linear: Array, angular: Array) -> tuple[Array, Array]:
-    """Exponential of a twist: rotation (3, 3) and translation (3,)."""
-    angle = float(np.linalg.norm(angular))
-    if angle < 1e-12:
-        return np.eye(3), linear
-    k = np.array(
-        [
-            [0, -angular[2], angular[1]],
-            [angular[2], 0, -angular[0]],
-            [-angular[1], angular[0], 0],
-        ]
-    )
-    s, c = math.sin(angle) / angle, (1 - math.cos(angle)) / angle**2
-    rotation = np.eye(3) + s * k + c * (k @ k)
-    left = np.eye(3) + c * k + (1 - s) / angle**2 * (k @ k)
-    return rotation, left @ linear

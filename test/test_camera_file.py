@@ -31,8 +31,9 @@ from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.files import find_camera, find_scene, share_folder, shipped
 from rim_camera_ros.fit.decimation import decimated_camera
 from rim_camera_ros.frame import Settings
+from rim_camera_ros.geometry import see
 from rim_camera_ros.parameters import ArrayFile
-from rim_camera_ros.scene import load_scene, see
+from rim_camera_ros.scene import load_scene
 
 TEXT = """\
 format: rim_camera/1

@@ -23,9 +23,11 @@ from rim_camera_ros.effects.interference import Interference
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene, share_folder, shipped
 from rim_camera_ros.frame import Flag, Pose
+from rim_camera_ros.geometry import see
 from rim_camera_ros.pipeline.correct import Correction
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation, measured_residual
-from rim_camera_ros.scene import Scene, load_scene, rotation_matrix, see
+from rim_camera_ros.rotations import rotation_matrix
+from rim_camera_ros.scene import Scene, load_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = [

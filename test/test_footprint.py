@@ -17,8 +17,9 @@ from rim_camera_ros.effects.signal import Context
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.footprint import COARSE, FINE, Cells, FootprintLight
 from rim_camera_ros.frame import RawFrame, Settings
+from rim_camera_ros.geometry import see, surface_seen
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
-from rim_camera_ros.scene import Scene, ScenePose, Surface, see, surface_seen
+from rim_camera_ros.scene import Scene, ScenePose, Surface
 
 F, CX, CY = 400.0, 14.3, 10.6
 L = 299792458.0 / 40e6

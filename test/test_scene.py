@@ -22,18 +22,11 @@ from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.multipath import Multipath
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Pose, Settings
+from rim_camera_ros.geometry import see
 from rim_camera_ros.parameters import NestedList
 from rim_camera_ros.phasor import Waveform
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
-from rim_camera_ros.scene import (
-    CameraMotion,
-    Scene,
-    ScenePose,
-    Surface,
-    Texture,
-    load_scene,
-    see,
-)
+from rim_camera_ros.scene import CameraMotion, Scene, ScenePose, Surface, Texture, load_scene
 
 L = 299792458.0 / 40e6
 HEAD = "format: rim_scene/1\nsurfaces:\n"

@@ -11,18 +11,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rim_camera_ros.frame import Pose
+from rim_camera_ros.geometry import see
 from rim_camera_ros.optics import Optics, distort, pixel_rays, project, rays_through, undistort
 from rim_camera_ros.parameters import NestedList
-from rim_camera_ros.scene import (
-    CameraMotion,
-    Scene,
-    ScenePose,
-    Surface,
-    Texture,
-    quaternion,
-    rotation_matrix,
-    see,
-)
+from rim_camera_ros.rotations import quaternion, rotation_matrix
+from rim_camera_ros.scene import CameraMotion, Scene, ScenePose, Surface, Texture
 
 OPTICS = Optics(fx=199.9, fy=196.4, cx=89.99, cy=62.4, d=(-0.108, -0.07, 0.0011, -0.0023, 0.12))
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rim_camera_ros.scene import quaternion
+from rim_camera_ros.rotations import quaternion
 
 
 def about(axis, angle):

@@ -21,7 +21,9 @@ from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.reduction import check_frame, of_known_exposure
 from rim_camera_ros.frame import Intrinsics, RawFrame
-from rim_camera_ros.scene import Scene, ScenePose, rotation_matrix, see
+from rim_camera_ros.geometry import see
+from rim_camera_ros.rotations import rotation_matrix
+from rim_camera_ros.scene import Scene, ScenePose
 
 Array = NDArray[Any]
 

@@ -24,7 +24,8 @@ from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.pixels import BESIDE, WIDEST, usable_pixels
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.residuals import ROBUST_LIMIT, after_nuisances
-from rim_camera_ros.scene import Scene, beside_edges, see
+from rim_camera_ros.geometry import beside_edges, see
+from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]
 

@@ -11,7 +11,8 @@ import numpy as np
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.fit.data import Station
 from rim_camera_ros.frame import Pose, Settings
-from rim_camera_ros.scene import Scene, Surface, quaternion, rotation_matrix
+from rim_camera_ros.rotations import quaternion, rotation_matrix
+from rim_camera_ros.scene import Scene, Surface
 
 #: Distances in multiples of that at which the surface fills the image.
 _DISTANCES = (1.0, 1.6, 2.6, 4.2)

@@ -18,7 +18,8 @@ from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.views import Views
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.parameters import NestedList
-from rim_camera_ros.scene import Scene, Surface, quaternion, rotation_matrix
+from rim_camera_ros.rotations import quaternion, rotation_matrix
+from rim_camera_ros.scene import Scene, Surface
 
 Array = NDArray[Any]
 

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.geometry import Geometry
 from rim_camera_ros.phasor import cosine_and_sine
-from rim_camera_ros.scene import Geometry, Scene
+from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]
 

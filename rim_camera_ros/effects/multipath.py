@@ -21,9 +21,9 @@ from rim_camera_ros.effects.signal import (
     phasor_derivative,
     require_geometry,
 )
+from rim_camera_ros.geometry import Geometry
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.phasor import to_phasor
-from rim_camera_ros.scene import Geometry
 
 #: Side in pixels of the blocks of pixels that act as senders of the bounced light.
 BLOCK = 4

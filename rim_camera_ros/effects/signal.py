@@ -14,8 +14,8 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.footprint import Cells, FootprintLight
 from rim_camera_ros.frame import Settings
+from rim_camera_ros.geometry import Geometry
 from rim_camera_ros.phasor import nearest_period, phase_distance
-from rim_camera_ros.scene import Geometry
 
 Image = NDArray[Any]
 #: Derivatives of measured distance [m] and published amplitude [counts] by one parameter.

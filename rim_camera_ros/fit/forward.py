@@ -22,9 +22,10 @@ from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.prediction import Prediction, Shift
 from rim_camera_ros.fit.views import NEAR, Margins, View, Views
 from rim_camera_ros.frame import Settings
+from rim_camera_ros.geometry import Geometry, see
 from rim_camera_ros.noise import sigma_amplitude
 from rim_camera_ros.phasor import wrap_residual
-from rim_camera_ros.scene import Geometry, Scene, see
+from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]
 

@@ -14,7 +14,7 @@ from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.residuals import ROBUST_LIMIT, after_nuisances
-from rim_camera_ros.scene import beside_edges
+from rim_camera_ros.geometry import beside_edges
 
 Array = NDArray[Any]
 Masks = list[tuple[Array, Array]]

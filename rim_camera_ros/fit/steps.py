@@ -21,7 +21,8 @@ from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.design import GAIN, is_linear
 from rim_camera_ros.fit.normal_equations import Reduced
 from rim_camera_ros.fit.views import OPTICAL_AXES
-from rim_camera_ros.scene import Scene, ScenePose, quaternion, rotation_matrix
+from rim_camera_ros.rotations import quaternion, rotation_matrix
+from rim_camera_ros.scene import Scene, ScenePose
 
 Array = NDArray[Any]
 

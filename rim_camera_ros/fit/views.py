@@ -13,8 +13,10 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.fit.data import Station
 from rim_camera_ros.footprint import Cells, FootprintLight, footprint_light
 from rim_camera_ros.frame import Pose
+from rim_camera_ros.geometry import Geometry, see, surface_seen
 from rim_camera_ros.parameters import NestedList
-from rim_camera_ros.scene import Geometry, Scene, ScenePose, Surface, rotation_matrix, see, surface_seen
+from rim_camera_ros.rotations import rotation_matrix
+from rim_camera_ros.scene import Scene, ScenePose, Surface
 
 Array = NDArray[Any]
 

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.frame import CorrectedDistance, CorrectedFrame, RawFrame, Settings
+from rim_camera_ros.geometry import Geometry
 from rim_camera_ros.noise import NoiseFactors
 from rim_camera_ros.phasor import Waveform
-from rim_camera_ros.scene import Geometry, Scene
+from rim_camera_ros.scene import Scene
 
 if TYPE_CHECKING:
     from rim_camera_ros.pipeline.simulate import Exposure

@@ -14,7 +14,8 @@ from rim_camera_ros.frame import Pose
 from rim_camera_ros.optics import Optics, project, rays_through
 from rim_camera_ros.photogrammetry.board_design import require_aruco
 from rim_camera_ros.photogrammetry.texture_targets import TextureTargets, detect_markers
-from rim_camera_ros.scene import Surface, quaternion, rotation_matrix
+from rim_camera_ros.rotations import quaternion, rotation_matrix
+from rim_camera_ros.scene import Surface
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]

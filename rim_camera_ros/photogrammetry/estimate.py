@@ -33,7 +33,7 @@ from rim_camera_ros.photogrammetry.report import LeftOut, OpticsCovariance, Opti
 from rim_camera_ros.photogrammetry.significance import least_significant, zeroed
 from rim_camera_ros.photogrammetry.summarise import Labels, correlation_of, covariance_of, report_on
 from rim_camera_ros.photogrammetry.targets import Distance, ImagePoint, Observations
-from rim_camera_ros.scene import rotation_matrix
+from rim_camera_ros.rotations import rotation_matrix
 
 Array = NDArray[np.float64]
 

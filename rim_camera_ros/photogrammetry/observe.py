@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Pose, RawFrame
+from rim_camera_ros.geometry import see
 from rim_camera_ros.optics import project
 from rim_camera_ros.photogrammetry.checkerboards import refine_corners
 from rim_camera_ros.photogrammetry.circles import Ellipse, find_circles
 from rim_camera_ros.photogrammetry.projection import ellipse_centre_offset
 from rim_camera_ros.photogrammetry.scene_field import FieldOnSurfaces
 from rim_camera_ros.photogrammetry.targets import ImagePoint, Observations
-from rim_camera_ros.scene import Scene, quaternion, see
+from rim_camera_ros.rotations import quaternion
+from rim_camera_ros.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -30,7 +30,7 @@ from rim_camera_ros.photogrammetry.projection import (
 )
 from rim_camera_ros.photogrammetry.report import OpticsCovariance
 from rim_camera_ros.photogrammetry.targets import ImagePoint, Observations
-from rim_camera_ros.scene import quaternion, rotation_matrix
+from rim_camera_ros.rotations import quaternion, rotation_matrix
 
 Array = NDArray[np.float64]
 

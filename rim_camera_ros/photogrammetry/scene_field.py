@@ -12,7 +12,8 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.photogrammetry.targets import Target, TargetField
 from rim_camera_ros.photogrammetry.texture_targets import targets_of
-from rim_camera_ros.scene import Scene, quaternion, rotation_matrix
+from rim_camera_ros.rotations import quaternion, rotation_matrix
+from rim_camera_ros.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from rim_camera_ros.photogrammetry.adjustment import Adjusted
 from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS, OPTICS_PATHS
 from rim_camera_ros.photogrammetry.report import LeftOut, OpticsCovariance, OpticsReport, RejectedPoint
 from rim_camera_ros.photogrammetry.targets import ImagePoint
-from rim_camera_ros.scene import quaternion
+from rim_camera_ros.rotations import quaternion
 
 Array = NDArray[np.float64]
 

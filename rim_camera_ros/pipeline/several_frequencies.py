@@ -20,12 +20,13 @@ from rim_camera_ros.frame import (
     RawFrame,
     Settings,
 )
+from rim_camera_ros.geometry import Geometry
 from rim_camera_ros.measurement.several_frequencies import SeveralFrequencies
 from rim_camera_ros.pipeline.correct import Correction
 from rim_camera_ros.pipeline.mixed import mixed_pixels
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
 from rim_camera_ros.pipeline.two_paths import TwoPaths
-from rim_camera_ros.scene import Geometry, Scene
+from rim_camera_ros.scene import Scene
 
 Image = NDArray[Any]
 

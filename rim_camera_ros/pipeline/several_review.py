@@ -14,11 +14,12 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import PixelMap, SettingOffset
 from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.frame import INVALID, Flag, RawFrame
+from rim_camera_ros.geometry import see
 from rim_camera_ros.measurement import Change
 from rim_camera_ros.parameters import ArrayFile
 from rim_camera_ros.phasor import wrap_residual
 from rim_camera_ros.pipeline.several_frequencies import ResolvedFrame, SeveralCorrections
-from rim_camera_ros.scene import Scene, see
+from rim_camera_ros.scene import Scene
 
 Image = NDArray[Any]
 

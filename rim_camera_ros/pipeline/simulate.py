@@ -18,10 +18,11 @@ from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.footprint import Cells, FootprintLight, footprint_light
 from rim_camera_ros.frame import NANOSECONDS, Pose, RawFrame, Settings
+from rim_camera_ros.geometry import Geometry, see
 from rim_camera_ros.noise import sigma_amplitude
 from rim_camera_ros.phasor import Waveform, to_phasor, wrap, wrap_residual
 from rim_camera_ros.pipeline.reference import SimulatedReference
-from rim_camera_ros.scene import Geometry, Scene, see
+from rim_camera_ros.scene import Scene
 
 _MOTION_STEPS = 1e-9
 Image = NDArray[Any]

@@ -19,7 +19,7 @@ from rim_camera_ros.reproduce.reductions import (
 )
 from rim_camera_ros.reproduce.results import Outcome, Picture, Printed, Row, Table
 from rim_camera_ros.reproduce.targets import hyperbolas
-from rim_camera_ros.scene import rotation_matrix
+from rim_camera_ros.rotations import rotation_matrix
 
 Array = NDArray[np.float64]
 

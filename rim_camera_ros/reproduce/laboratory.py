@@ -17,7 +17,8 @@ from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.frame import NANOSECONDS, Pose, RawFrame
 from rim_camera_ros.pipeline.reference import SimulatedReference
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation, measured_residual
-from rim_camera_ros.scene import Scene, ScenePose, Station, Surface, load_scene, quaternion
+from rim_camera_ros.rotations import quaternion
+from rim_camera_ros.scene import Scene, ScenePose, Station, Surface, load_scene
 
 Array = NDArray[np.float64]
 #: Rows and columns of the array that are looked at.

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.scene import Scene, ScenePose, Station, Surface, quaternion
+from rim_camera_ros.rotations import quaternion
+from rim_camera_ros.scene import Scene, ScenePose, Station, Surface
 from rim_camera_ros.tracking.ground import Ground
 
 Array = NDArray[np.float64]

@@ -30,7 +30,8 @@ from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.frame import Pose, RawFrame, Settings
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.optics import Optics
-from rim_camera_ros.scene import Scene, Surface, quaternion, rotation_matrix
+from rim_camera_ros.rotations import quaternion, rotation_matrix
+from rim_camera_ros.scene import Scene, Surface
 
 Array = NDArray[np.float64]
 

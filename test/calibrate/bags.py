@@ -12,7 +12,8 @@ from rim_camera_ros.bags import RecordingWriter
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.frame import Pose, RawFrame, Settings
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
-from rim_camera_ros.scene import Scene, quaternion, rotation_matrix
+from rim_camera_ros.rotations import quaternion, rotation_matrix
+from rim_camera_ros.scene import Scene
 
 #: 1-sigma of the reference instrument in the tests: along the normal [m], tilt [rad].
 POSE_SIGMA = (0.001, 0.0005)

@@ -14,7 +14,8 @@ from rim_camera_ros.camera_file import load_camera, with_effects
 from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.frame import Pose, Settings
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
-from rim_camera_ros.scene import load_scene, quaternion, rotation_matrix
+from rim_camera_ros.rotations import quaternion, rotation_matrix
+from rim_camera_ros.scene import load_scene
 
 CAMERA = """
 format: rim_camera/1

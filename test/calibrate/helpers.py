@@ -13,8 +13,10 @@ from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.reduction import reduce_frames
 from rim_camera_ros.frame import Pose, RawFrame, Settings
+from rim_camera_ros.geometry import see
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
-from rim_camera_ros.scene import Scene, load_scene, quaternion, rotation_matrix, see
+from rim_camera_ros.rotations import quaternion, rotation_matrix
+from rim_camera_ros.scene import Scene, load_scene
 
 CAMERA = """
 format: rim_camera/1

@@ -27,7 +27,8 @@ from rim_camera_ros.fit.pixels import usable_pixels
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.parameters import ArrayFile, NestedList
-from rim_camera_ros.scene import Scene, quaternion, rotation_matrix
+from rim_camera_ros.rotations import quaternion, rotation_matrix
+from rim_camera_ros.scene import Scene
 
 from .helpers import POSE_SIGMA, camera, record, scene
 

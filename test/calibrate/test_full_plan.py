@@ -26,7 +26,8 @@ from rim_camera_ros.frame import INVALID, Pose, RawFrame, Settings
 from rim_camera_ros.parameters import ArrayFile
 from rim_camera_ros.pipeline.correct import Correction
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
-from rim_camera_ros.scene import Scene, Surface, load_scene, quaternion, rotation_matrix
+from rim_camera_ros.rotations import quaternion, rotation_matrix
+from rim_camera_ros.scene import Scene, Surface, load_scene
 
 PLAN = ("board_by_hand_experiment", "cold_start_experiment", "integration_times_experiment")
 CLIMATE = "climate_cell_experiment"

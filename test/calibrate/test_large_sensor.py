@@ -21,8 +21,8 @@ from rim_camera_ros.fit import decimation
 from rim_camera_ros.fit.decimation import decimation_for
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.pixels import BESIDE
+from rim_camera_ros.geometry import beside_edges, see
 from rim_camera_ros.parameters import ArrayFile
-from rim_camera_ros.scene import beside_edges, see
 
 from .bags import frames, write
 from .helpers import camera, record, scene

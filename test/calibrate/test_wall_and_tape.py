@@ -15,7 +15,8 @@ from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.files import find_scene
 from rim_camera_ros.frame import Pose, Settings
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
-from rim_camera_ros.scene import load_scene, quaternion, rotation_matrix
+from rim_camera_ros.rotations import quaternion, rotation_matrix
+from rim_camera_ros.scene import load_scene
 from test.calibrate import helpers
 from test.helpers_cli import run
 

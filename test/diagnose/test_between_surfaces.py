@@ -18,8 +18,9 @@ from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.fit.amplitudes import AmplitudeModel
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.geometry import see
 from rim_camera_ros.optics import Optics
-from rim_camera_ros.scene import Scene, load_scene, see
+from rim_camera_ros.scene import Scene, load_scene
 from rim_camera_ros.select.effect_sizes import contribution
 
 from ..blind.score import intersection_over_union, region

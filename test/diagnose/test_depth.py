@@ -19,7 +19,7 @@ from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.frame import Pose
-from rim_camera_ros.scene import rotation_matrix
+from rim_camera_ros.rotations import rotation_matrix
 from rim_camera_ros.select.search import search
 
 from ..calibrate.helpers import camera, record, scene

@@ -11,7 +11,8 @@ import pytest
 from rim_camera_ros.bags import Recording
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.fit.reduction import reduce_recording
-from rim_camera_ros.scene import load_scene, see
+from rim_camera_ros.geometry import see
+from rim_camera_ros.scene import load_scene
 
 from .helpers import AMBIGUITY, CAMERA, CYCLIC, run, scene_text
 

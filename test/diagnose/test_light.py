@@ -18,8 +18,9 @@ from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.effects.light_curves import DIFFUSE, GLOSS, RIPPLES, SURFACES, LightCurves
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.geometry import Geometry
 from rim_camera_ros.noise import Noise
-from rim_camera_ros.scene import Geometry, Scene
+from rim_camera_ros.scene import Scene
 
 from ..calibrate.helpers import camera, record, scene
 

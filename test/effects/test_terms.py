@@ -40,7 +40,8 @@ from rim_camera_ros.frame import Settings
 from rim_camera_ros.parameters import ArrayFile, NestedList, encode
 from rim_camera_ros.pipeline.correct import Correction
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
-from rim_camera_ros.scene import CameraMotion, Scene, ScenePose, Surface, rotation_matrix
+from rim_camera_ros.rotations import rotation_matrix
+from rim_camera_ros.scene import CameraMotion, Scene, ScenePose, Surface
 
 L = 299792458.0 / 40e6
 EMPTY = np.empty((0,))

@@ -14,7 +14,8 @@ from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.pixels import usable_pixels, without_edges
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit
-from rim_camera_ros.scene import Scene, beside_edges, load_scene, see
+from rim_camera_ros.geometry import beside_edges, see
+from rim_camera_ros.scene import Scene, load_scene
 
 from ..calibrate.helpers import camera, record
 

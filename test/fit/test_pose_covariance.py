@@ -12,7 +12,7 @@ from rim_camera_ros.calibrate.run import Request, calibrate
 from rim_camera_ros.fit.variance_components import WiderSurface, wider_poses_note
 from rim_camera_ros.fit.views import Views
 from rim_camera_ros.frame import Pose, RawFrame
-from rim_camera_ros.scene import rotation_matrix
+from rim_camera_ros.rotations import rotation_matrix
 
 from ..calibrate.bags import frames, write
 from ..calibrate.helpers import camera, record, scene

@@ -81,7 +81,7 @@ def test_errors_of_a_pose_are_those_of_the_geometry(tmp_path: Path, direction: s
     before = next(Forward(data, board, own).predictions(AmplitudeModel()))
     column = next(one for one in before.pose_columns if one.path == f"pose.board.{direction}")
     pose = data.stations[0].truth["board"]
-    from rim_camera_ros.scene import quaternion, rotation_matrix
+    from rim_camera_ros.rotations import quaternion, rotation_matrix
 
     rotation = rotation_matrix(pose.orientation)
     size = 1e-5

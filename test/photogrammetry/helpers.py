@@ -16,7 +16,8 @@ from rim_camera_ros.optics import project
 from rim_camera_ros.photogrammetry import ImagePoint, Observations, Target, TargetField
 from rim_camera_ros.photogrammetry.projection import ellipse_centre_offset
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
-from rim_camera_ros.scene import Scene, ScenePose, Surface, quaternion, rotation_matrix
+from rim_camera_ros.rotations import quaternion, rotation_matrix
+from rim_camera_ros.scene import Scene, ScenePose, Surface
 
 #: Kahlmann 2007, table 3.2, as plumb_bob (calibration/sr3000.yaml).
 SR3000 = Optics(

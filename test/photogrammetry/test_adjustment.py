@@ -16,7 +16,7 @@ from rim_camera_ros.frame import Pose
 from rim_camera_ros.optics import Optics
 from rim_camera_ros.photogrammetry import Distance, ImagePoint, Observations, estimate_optics
 from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS, projection_derivatives
-from rim_camera_ros.scene import quaternion
+from rim_camera_ros.rotations import quaternion
 
 from .helpers import HEIGHT, SR3000, WIDTH, camera, field, seen, stations, vector
 

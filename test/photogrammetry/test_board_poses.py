@@ -18,7 +18,8 @@ from rim_camera_ros.photogrammetry.board_stations import BoardStations
 from rim_camera_ros.photogrammetry.from_images import ImagePoses, Known, poses_of_recording, write_poses
 from rim_camera_ros.photogrammetry.texture_targets import targets_of
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
-from rim_camera_ros.scene import Scene, load_scene, rotation_matrix
+from rim_camera_ros.rotations import rotation_matrix
+from rim_camera_ros.scene import Scene, load_scene
 
 CAMERA = """
 format: rim_camera/1

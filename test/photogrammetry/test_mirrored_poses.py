@@ -10,7 +10,7 @@ from rim_camera_ros.frame import Pose
 from rim_camera_ros.optics import Optics
 from rim_camera_ros.photogrammetry.poses import estimate_poses
 from rim_camera_ros.photogrammetry.targets import ImagePoint, Observations, Target, TargetField
-from rim_camera_ros.scene import quaternion, rotation_matrix
+from rim_camera_ros.rotations import quaternion, rotation_matrix
 
 MATRIX = np.array([[365.0, 0, 260.0], [0, 361.0, 207.0], [0, 0, 1]])
 SHIFT = np.array([0.11, -0.07, 1.45])

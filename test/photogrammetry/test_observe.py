@@ -19,7 +19,8 @@ from rim_camera_ros.photogrammetry import estimate_optics, observe
 from rim_camera_ros.photogrammetry.projection import ellipse_centre_offset
 from rim_camera_ros.photogrammetry.scene_field import FieldOnSurfaces
 from rim_camera_ros.pipeline.simulate import Simulation
-from rim_camera_ros.scene import Scene, ScenePose, Surface, Texture, quaternion, rotation_matrix
+from rim_camera_ros.rotations import quaternion, rotation_matrix
+from rim_camera_ros.scene import Scene, ScenePose, Surface, Texture
 
 from .helpers import (
     RADIUS,

@@ -14,7 +14,8 @@ from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.signal import Context
 from rim_camera_ros.photogrammetry.from_images import poses_of_recording
-from rim_camera_ros.scene import load_scene, rotation_matrix
+from rim_camera_ros.rotations import rotation_matrix
+from rim_camera_ros.scene import load_scene
 
 from .kinect_residuals import Board, Terms, boards, judged
 from .kinect_step import FOLDER, frames_of

@@ -15,7 +15,8 @@ from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.frame import NANOSECONDS
-from rim_camera_ros.scene import load_scene, see
+from rim_camera_ros.geometry import see
+from rim_camera_ros.scene import load_scene
 from rim_camera_ros.tracking import __main__ as program
 from rim_camera_ros.tracking.figures import (
     GROUND,
