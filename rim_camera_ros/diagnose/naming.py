@@ -144,7 +144,7 @@ def large_gains(gains: GainSpread) -> Missing:
         f"poses, where the camera file states gains of {gains.stated:.1%} (radiometry.pattern_sigma): light "
         "goes from pixel to pixel, or pixels are as unequal as that; then state it"
     )
-    return Missing(UNKNOWN, 1.0, {}, {}, sentence, ("row", "column"))
+    return Missing(UNKNOWN, 1.0, {}, {}, sentence)
 
 
 def ranking_of(baseline: Exploration, result: Result) -> list[Ranked]:

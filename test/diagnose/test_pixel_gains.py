@@ -18,6 +18,7 @@ from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.parameters import quantity
+from rim_camera_ros.reports.diagnosis.words import verdict
 
 from ..calibrate.helpers import camera, record, scene
 
@@ -89,5 +90,6 @@ def test_columns_that_take_light_from_their_neighbours_are_unknown_physics(tmp_p
     size = float(said.sentence.split("differs by ")[1].split("%")[0]) / 100
     assert size == pytest.approx(expected, rel=0.08)
     assert "radiometry.pattern_sigma" in said.sentence
+    assert verdict(found).startswith("This recording differs from its simulation")
     (gains,) = (one for one in found.nuisances if one.name == "pixel_gain")
     assert gains.found == pytest.approx(expected, rel=0.08)
