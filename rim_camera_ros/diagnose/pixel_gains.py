@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.fit.amplitudes import AMPLITUDE_MODEL
 from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.select.compare import PAIRED_ERRORS
@@ -32,16 +33,16 @@ class GainSpread:
 
     @property
     def is_beyond(self) -> bool:
-        """Whether gains are larger than the camera file allows."""
-        return self.least > BEYOND * self.stated
+        """Whether gains are larger than the camera file allows, and than amplitudes are predicted."""
+        return self.least > BEYOND * max(self.stated, AMPLITUDE_MODEL)
 
 
 def spread_of_gains(fitted: Fit) -> GainSpread | None:
     """Return how much neighbouring pixels differ in gain; None where no two poses show it.
 
     By what a pixel's brightness differs from the mean of its four neighbours on the same tile, times the same
-    in another pose: noise and errors of tiles are independent from pose to pose, and what is smooth over the
-    array cancels.
+    in another pose: noise is independent from pose to pose, and what is smooth over the array cancels. A
+    texture that the scene file does not describe is taken for gains where it rests before the camera.
     """
     forward = fitted.forward
     shape = forward.camera.shape

@@ -307,6 +307,8 @@ def _large_gains(draft: _Draft, found: Findings) -> None:
         return
     said = large_gains(found.gains)
     names = [one.effect for one in draft.missing if one.effect != UNKNOWN]
+    if draft.verdict == "wrong_parameters":
+        names += [one.effect for one in draft.adjusted]
     if draft.verdict == "unknown_physics" or not all(vocabulary()[name].is_of_neighbours() for name in names):
         draft.notes.append(said.sentence)
         return

@@ -57,14 +57,21 @@ class Movement:
 
     @property
     def first_in_drift(self) -> float:
-        """What `first` is where a drift, steady or a random walk, makes the persistence beside noise."""
+        """What `first` is where a drift makes the persistence beside noise, of more than two frames.
+
+        A steady drift of n frames has a persistence of 1 - 6 / (n (n + 1)), and 3 / (n + 1) of its spread is
+        of the first; a random walk of three frames is as half of it beside noise.
+        """
         n = self.frames
         drift = self.persistence / (1.0 - 6.0 / (n * (n + 1.0)))
         return self._first(drift, 3.0 / (n + 1.0))
 
     @property
     def first_where_it_begins(self) -> float:
-        """What `first` is where only first frames differ, which makes the persistence beside noise."""
+        """What `first` is where only first frames differ, of more than two frames.
+
+        Without noise their persistence is 1 - n / (2 (n - 1)), and all of the spread is of the first.
+        """
         n = self.frames
         return self._first(self.persistence / (1.0 - n / (2.0 * (n - 1.0))), 1.0)
 

@@ -30,7 +30,7 @@ class Margins(NamedTuple):
 
 #: Pixels whose rays pass nearer are left out: a pixel has an area, and a lens spreads its light.
 CLEAN = Margins(1.1, 1.1)
-#: ... while rays are looked for: no edge comes so near that rays move by a pixel.
+#: ... while rays are looked for: pixels that stay clean where rays move by about a pixel.
 WIDE = Margins(2.2, 2.2)
 #: ... of surfaces and tiles so small that an edge reaches every pixel.
 SMALL = Margins(0.4, 0.3)

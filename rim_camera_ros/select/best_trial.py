@@ -80,9 +80,8 @@ class Trials:
         lost: set[tuple[int, ...]] = set()
         if all(len(choice) == 1 for choice in choices):
             # beside effects found before, those nearly as good as the best are told
-            gain = (
-                max((self.step.joint(*choice) for choice in able), default=0.0) if not self.is_first else 0.0
-            )
+            joint = [self.step.joint(*choice) for choice in able]
+            gain = 0.0 if self.is_first else max(joint, default=0.0)
             least = _NEARLY * gain * len(few) / len(self.problem.dataset.stations)
             by_fold = {choice: one.fitted.scores.log_likelihoods() for choice, one in trials.items()}
             lost = dominated(by_fold, least=least)

@@ -235,7 +235,7 @@ def test_waiting_for_a_camera_that_is_plugged_in_later(make: Make, control: Cont
 
 
 def test_the_words_of_usb_come_before_those_of_the_library(library: str, control: Control) -> None:
-    pytest.importorskip("usb")
+    pytest.importorskip("usb", reason="pyusb is an optional extra")
     backend = usb_backend(control)
     device = SwissRanger(library=library, cameras=UsbCameras(backend))
     device.open()
@@ -261,7 +261,7 @@ def test_the_words_of_usb_come_before_those_of_the_library(library: str, control
 
 
 def test_the_second_hang_resets_the_camera(library: str, control: Control) -> None:
-    pytest.importorskip("usb")
+    pytest.importorskip("usb", reason="pyusb is an optional extra")
     backend = usb_backend(control)
     device = SwissRanger(
         library=library, cameras=UsbCameras(backend), watchdog=0.3, start_timeout=0.4, transfer_timeout=0.1
@@ -290,7 +290,7 @@ def test_a_fault_is_told_once_and_looking_becomes_slower(
     library: str, control: Control, monkeypatch: pytest.MonkeyPatch, pyusb: bool
 ) -> None:
     if pyusb:
-        pytest.importorskip("usb")
+        pytest.importorskip("usb", reason="pyusb is an optional extra")
     cameras = UsbCameras(usb_backend(control)) if pyusb else without_pyusb(monkeypatch)
     monkeypatch.setattr(sr3000, "_RETRY_AT_MOST", 0.5)  # 1 s takes longer to reach
     device = SwissRanger(library=library, cameras=cameras)

@@ -35,7 +35,7 @@ RULE = (
 
 @pytest.fixture
 def backend(control: Control) -> Any:
-    pytest.importorskip("usb")
+    pytest.importorskip("usb", reason="pyusb is an optional extra")
     return usb_backend(control)
 
 
@@ -91,7 +91,7 @@ def test_what_keeps_a_camera_from_being_used(backend: Any, control: Control, num
 
 
 def test_one_camera_that_can_be_used_is_enough(control: Control) -> None:
-    pytest.importorskip("usb")
+    pytest.importorskip("usb", reason="pyusb is an optional extra")
     backend = usb_backend(control, (0x1AD2, 0x0075), (0x0852, 0x0074))
     cameras = UsbCameras(backend)
     assert [str(one.error() or "usable") for one in cameras.find()] == [
@@ -128,7 +128,7 @@ def test_without_pyusb_nothing_is_known(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_without_libusb_nothing_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("usb")
+    pytest.importorskip("usb", reason="pyusb is an optional extra")
     calls = []
 
     def absent() -> None:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.pixel_gains import spread_of_gains
+from rim_camera_ros.diagnose import verdict as verdict_steps
+from rim_camera_ros.diagnose.pixel_gains import GainSpread, spread_of_gains
 from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.effects.base import ComplexEffect
 from rim_camera_ros.effects.candidate import with_effect
@@ -61,6 +64,19 @@ def test_gains_are_found_as_large_as_they_are(tmp_path: Path, size: float, beyon
     assert (found.stated, found.is_beyond) == (0.02, beyond)
 
 
+@pytest.mark.parametrize(("size", "beyond"), [(0.0, False), (0.02, False), (0.05, True)])
+def test_gains_that_are_stated_as_none_are_known_as_well_as_amplitudes_are(
+    tmp_path: Path, size: float, beyond: bool
+) -> None:
+    told, board = camera(tmp_path), scene(tmp_path)
+    model = replace(told, radiometry=replace(told.radiometry, pattern_sigma=0.0))
+    gains = np.exp(size * np.random.default_rng(5).standard_normal(model.shape))
+    data = brighter(record(model, board, poses=12, seed=6), gains)
+    found = spread_of_gains(fit(Problem(data, board), model))
+    assert found is not None
+    assert (found.stated, found.is_beyond) == (0.0, beyond)
+
+
 def test_what_is_smooth_over_the_array_is_no_gain_of_pixels(tmp_path: Path) -> None:
     """Light that falls by a half from one side to the other, and tiles that differ by 6 %."""
     model, board = camera(tmp_path), scene(tmp_path)
@@ -93,3 +109,28 @@ def test_columns_that_take_light_from_their_neighbours_are_unknown_physics(tmp_p
     assert verdict(found).startswith("This recording differs from its simulation")
     (gains,) = (one for one in found.nuisances if one.name == "pixel_gain")
     assert gains.found == pytest.approx(expected, rel=0.08)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("cyclic_error", "wrong_parameters"), ("mixed_pixels", "unknown_physics")]
+)
+def test_known_terms_that_light_of_neighbours_does_not_look_like_stay_wrong(
+    monkeypatch: pytest.MonkeyPatch, name: str, said: str
+) -> None:
+    monkeypatch.setattr(verdict_steps, "of_residuals", lambda fitted: None)
+    found: Any = SimpleNamespace(
+        gains=GainSpread(0.15, 0.149, 0.02), camera=None, baseline=SimpleNamespace(fit=None)
+    )
+    draft: Any = SimpleNamespace(
+        verdict="wrong_parameters",
+        missing=[],
+        adjusted=[SimpleNamespace(effect=name)],
+        ties=[],
+        notes=[],
+        model=None,
+        where=None,
+    )
+    verdict_steps._large_gains(draft, found)
+    assert draft.verdict == said
+    (note,) = draft.notes
+    assert (name in note) == (said == "unknown_physics")
