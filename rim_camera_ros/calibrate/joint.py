@@ -38,9 +38,11 @@ from rim_camera_ros.fit.residuals import ROBUST_LIMIT
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.fit.views import Views
 from rim_camera_ros.select.candidates import candidates
+from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.evidence import Scores, folds_of
 from rim_camera_ros.select.exploration import LEAST_THRESHOLD, explore
 from rim_camera_ros.select.search import search
+from rim_camera_ros.select.subsample import SEARCH_PIXELS, at_stations, subsample_of
 
 Say = Callable[[str], None]
 Key = tuple[int, int]
@@ -71,14 +73,25 @@ class Outcome:
 def by_search(
     problem: Problem, camera: Camera, facts: Facts, *, views: Views, say: Say, seed: int = 0
 ) -> Outcome:
-    """Fit what the camera file has and the recordings determine, and add what held-out poses ask for."""
+    """Fit what the camera file has and the recordings determine, and add what held-out poses ask for.
+
+    Large recordings are searched by some of their poses first; the search goes on with all.
+    """
     kept = _undetermined(problem, camera, say)
     names = [name for name in [*effects_of(camera), *OPTICS] if name not in kept and _is_fitted(name)]
     free = replace(problem, effects=tuple(names))
     asked = [name for name in names if name not in camera.effects and name not in problem.geometry]
     # surfaces that do not reflect as Lambert says would lend their light to other effects
     asked += sorted(OF_SURFACES)
-    result = search(free, camera, facts, effects=asked, seed=seed, views=views, progress=say)
+    few = subsample_of(free, seed=seed, hold=SEARCH_PIXELS)
+    begin: Result | None = None
+    if few is not None:
+        part = at_stations(free, few)
+        say(f"{len(few)} of {len(free.dataset.stations)} stations first")
+        begin = search(part, camera, facts, effects=asked, seed=seed, views=views, progress=say)
+        begin.forget()
+        say("all stations")
+    result = search(free, camera, facts, effects=asked, begin=begin, seed=seed, views=views, progress=say)
     last = result.explorations[-1]
     solution = _solved(last.fit, last.scores, result.folds, camera, result.problem)
     named = list(last.candidates)[: len(last.spans)]

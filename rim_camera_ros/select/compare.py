@@ -17,7 +17,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.candidate import Candidate
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.select.effect_sizes import effect_size
-from rim_camera_ros.select.exploration import Exploration
+from rim_camera_ros.select.exploration import LEAST_THRESHOLD, Exploration
 
 #: Paired standard errors over poses that an effect must gain beside those found before it. The null
 #: replicates give the threshold of the first; what forms leave that are not quite true is not in them.
@@ -30,13 +30,15 @@ LEAST_SIZE = 0.0005
 class Found:
     """An effect that joined: its gain in nats alone at that step, and which others explain it as well.
 
-    ``step`` is the number of the exploration that it was found in.
+    ``step`` is the number of the exploration that it was found in, ``threshold`` what it had to gain there
+    [nats].
     """
 
     effect: str
     gain: float
     ties: list[str] = field(default_factory=list)
     step: int = 0
+    threshold: float = LEAST_THRESHOLD
 
 
 def paired_error(after: Sequence[float], before: Sequence[float]) -> float:

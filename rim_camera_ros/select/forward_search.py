@@ -10,6 +10,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import lean_camera, with_effects
 from rim_camera_ros.effects import vocabulary
 from rim_camera_ros.effects.candidate import Candidate
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.problem import Fit, Problem, clean_by, keeps_amplitude_error
 from rim_camera_ros.select.best_trial import Trials
 from rim_camera_ros.select.candidates import form_blocks
@@ -120,10 +121,9 @@ class Search:
             alike = replace(problem, amplitude_error=self.step.fit.forward.amplitude_model.tau)
             without = self._fitted(alike, camera, self.step)
             before = self.explorations[one.step]
-            threshold = float(before.thresholds[before.best()[name]])
             own = Trial([name], self.problem, self.step, 0.0)
             compared = where_clean(own, without, problem, self.folds)
-            if self._gain(*compared) > self._entry(threshold, *compared):
+            if self._gain(*compared) > self._entry(one.threshold, *compared):
                 continue
             self.problem = problem
             self.found.remove(one)
@@ -138,8 +138,9 @@ class Search:
         number = start.best().get(first.effect)
         if number is None or first.step == 0:
             return
-        ties = tied(start, first.effect, float(start.thresholds[number]))
-        self.found[0] = Found(first.effect, max(gain, first.gain), ties, step=0)
+        threshold = float(start.thresholds[number])
+        ties = tied(start, first.effect, threshold)
+        self.found[0] = Found(first.effect, max(gain, first.gain), ties, step=0, threshold=threshold)
 
     def look_beside_edges(self) -> None:
         """Look for what acts at edges in the pixels beside them, which are left out while others are sought.
@@ -250,7 +251,9 @@ class Search:
             ties = tied(self.step, name, threshold)
             # of a first one, what joins it decides
             ties += [other for other in close if self.found and other not in ties]
-            self.found.append(Found(name, gain, ties, step=len(self.explorations) - 1))
+            own_threshold = float(self.step.thresholds[self.step.best()[name]])
+            joined = Found(name, gain, ties, step=len(self.explorations) - 1, threshold=own_threshold)
+            self.found.append(joined)
         self.problem = trial.problem
         camera, lean = fitted.fit.camera, lean_camera(fitted.fit.camera)
         ended = lean is camera and fitted.fit.converged
@@ -306,7 +309,12 @@ class Search:
         if not self.found or gain <= _BY_ITSELF * step.joint(*step.best_of(effects)):
             return None
         left = {name: e for name, e in after.fit.camera.effects.items() if name not in effects}
-        return self._fitted(self.problem, with_effects(step.fit.camera, left), after)
+        try:
+            start = with_effects(step.fit.camera, left)
+        except InputError:
+            # by the rays without the further effects they are impossible
+            start = step.fit.camera
+        return self._fitted(self.problem, start, after)
 
     def _fitted(
         self,

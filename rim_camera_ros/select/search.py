@@ -14,6 +14,7 @@ from rim_camera_ros.effects.base import response_of
 from rim_camera_ros.effects.candidate import Candidate, Facts
 from rim_camera_ros.fit.data import level_of
 from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.fit.views import Views
 from rim_camera_ros.select.candidates import candidates
 from rim_camera_ros.select.compare import Result, leading_variants, refused, smooth_says_more
@@ -34,6 +35,7 @@ def search(
     seed: int = 0,
     most: int = MOST_EFFECTS,
     further: Sequence[Candidate] = (),
+    begin: Result | None = None,
     views: Views | None = None,
     workers: Workers = map,
     progress: Callable[[str], None] | None = None,
@@ -41,20 +43,38 @@ def search(
     """Add effects to a camera one after the other as long as held-out poses ask for them.
 
     ``effects`` restricts the candidates. ``further`` candidates are scored with the others but never join
-    (smooth terms); where one of them explains far more than any effects, none joins. ``views`` are those of
-    the same scene by the same rays, if there are any. ``workers`` fit candidates, as `cluster.on_workers`
-    does.
+    (smooth terms); where one of them explains far more than any effects, none joins. The search goes on from
+    what one of fewer stations found, ``begin``: its effects count among the ``most`` that may join, and are
+    needed still once others did. ``views`` are those of the same scene by the same rays, if there are any.
+    ``workers`` fit candidates, as `cluster.on_workers` does.
     """
     say = progress if progress is not None else silent
     folds = folds_of(problem.dataset)
-    if response_of(camera) is not None and problem.gain:
-        problem = replace(problem, response=level_of(problem.dataset))
-    pool = candidates(camera, facts, effects=effects)
     problem = replace(problem, origin=problem.origin or camera)
+    start_camera, ahead = camera, [] if begin is None else begin.found
+    if begin is not None:
+        start_camera = begin.camera
+        problem = replace(problem, geometry=begin.problem.geometry, reflectance=begin.problem.reflectance)
+    if response_of(start_camera) is not None and problem.gain:
+        problem = replace(problem, response=level_of(problem.dataset))
+    present = {one.effect for one in ahead}
+    pool = [one for one in candidates(camera, facts, effects=effects) if one.effect not in present]
     say(f"baseline and {len(pool)} candidates")
 
     def begun(problem: Problem, *, again: bool) -> Search:
-        first = explore(problem, camera, pool, folds, further=further, views=views, seed=seed)
+        # gains of poses that nobody knows yet come first, then what some poses could not tell
+        settled = None if begin is None else fit(problem, start_camera, views=views, near=True)
+        first = explore(
+            problem,
+            start_camera if settled is None else settled.camera,
+            pool,
+            folds,
+            further=further,
+            views=views if settled is None else settled.forward.views,
+            warm=settled,
+            seed=seed,
+            near=begin is not None,
+        )
         return Search(
             problem=replace(
                 problem,
@@ -63,6 +83,7 @@ def search(
             ),
             camera=camera,
             explorations=[first],
+            found=[replace(one, step=0) for one in ahead],
             folds=folds,
             further=further,
             pool=pool,
@@ -86,7 +107,7 @@ def search(
         state = begun(replace(problem, masks=state.narrowed.masks), again=True)
         state.add(most)
     start = state.explorations[0].scores.log_likelihood()
-    if len(state.found) > 1:
+    if len(state.found) > max(1, len(ahead)):
         say("whether each is still needed")
         state.drop_needless()
     left_out = refused(state.step, state.failed)

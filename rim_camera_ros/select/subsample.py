@@ -12,16 +12,19 @@ from rim_camera_ros.fit.problem import Problem
 #: Pixels of all images, which all are predicted whether they can be used or not, above which fits begin with
 #: a few poses, and about how many those hold.
 _MANY_PIXELS, _FEW_PIXELS = 500_000, 200_000
+#: ... and those hold in which effects are looked for before all are.
+SEARCH_PIXELS = 500_000
 #: Fewer poses than these tell too little, whatever they hold.
 _LEAST_POSES = 8
 #: Nats by which a fit to a few poses must be worse than the best of them, in all folds, to be left alone.
 _BEHIND = 30.0
 
 
-def subsample_of(problem: Problem, *, seed: int) -> list[int] | None:
+def subsample_of(problem: Problem, *, seed: int, hold: int | None = None) -> list[int] | None:
     """Return the numbers of the stations of a few poses, some of each setting; None where all may be fitted.
 
-    The poses are drawn: every so many of them could all have the same distance.
+    They ``hold`` about so many pixels (None: as many as fits begin with). The poses are drawn: every so many
+    of them could all have the same distance.
     """
     stations = problem.dataset.stations
     pixels = sum(one.distance.size for one in stations)
@@ -31,7 +34,7 @@ def subsample_of(problem: Problem, *, seed: int) -> list[int] | None:
         if (one.recording, one.placed) not in placed:
             placed.append((one.recording, one.placed))
     count = sum(len(placed) for placed in poses.values())
-    wanted = max(_LEAST_POSES, round(count * _FEW_PIXELS / max(pixels, 1)))
+    wanted = max(_LEAST_POSES, round(count * (hold or _FEW_PIXELS) / max(pixels, 1)))
     if pixels < _MANY_PIXELS or 2 * wanted > count:
         return None
     rng = np.random.default_rng(seed)

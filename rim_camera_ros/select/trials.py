@@ -8,8 +8,9 @@ from time import monotonic
 from typing import Any
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.camera_file import in_order, with_effects
 from rim_camera_ros.effects import OF_SURFACES, OPTICS, vocabulary
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.data import level_of
 from rim_camera_ros.fit.pixels import LEAST_LEFT
 from rim_camera_ros.fit.problem import Point, Problem, forward_of
@@ -175,11 +176,15 @@ def without_effect(
 ) -> tuple[Problem, Camera] | None:
     """Return problem and camera without an effect that was found; None where it is none of the camera's.
 
-    Optics are as those of the camera ``origin`` then.
+    Optics are as those of the camera ``origin`` then; None also where the other effects are impossible by
+    these.
     """
     if name in problem.geometry:
         left = tuple(one for one in problem.geometry if one != name)
-        return replace(problem, geometry=left), OPTICS[name].of_another(camera, origin)
+        try:
+            return replace(problem, geometry=left), in_order(OPTICS[name].of_another(camera, origin))
+        except InputError:
+            return None
     if name not in camera.effects:
         return None
     return problem, with_effects(camera, {key: one for key, one in camera.effects.items() if key != name})

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.camera_file import lean_camera
+from rim_camera_ros.camera_file import lean_camera, with_effects
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
@@ -18,6 +18,7 @@ from rim_camera_ros.effects.emission_pattern import EmissionPattern, squared_ang
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.motion import Motion
 from rim_camera_ros.effects.scattering import Ghost, Kernel, Scattering
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Problem, keeps_amplitude_error
 from rim_camera_ros.fit.reduction import reduce_frames
@@ -47,6 +48,7 @@ from rim_camera_ros.select.evidence import folds_of
 from rim_camera_ros.select.exploration import Exploration, explore
 from rim_camera_ros.select.forward_search import Search
 from rim_camera_ros.select.search import search
+from rim_camera_ros.select.trials import without_effect
 
 from ..calibrate.helpers import camera, record, scene
 
@@ -390,6 +392,39 @@ def test_a_drift_beside_other_effects_must_follow_time(
     assert why_not("integration_time_offset") is None
     state.found.clear()
     assert why_not("warm_up_drift") is None
+
+
+def test_rays_that_make_what_was_found_impossible_are_no_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An emission that ends just beside a narrow image is none of a wide one: the fit begins without it."""
+    wide = camera(tmp_path)
+    narrow = replace(wide, optics=replace(wide.optics, fx=1.5 * wide.optics.fx, fy=1.5 * wide.optics.fy))
+    edge = float(squared_angle(narrow).max())
+    pattern = EmissionPattern(falloff=(-0.9 / edge, 0.0))
+    fitted = with_effects(narrow, {pattern.name: pattern, CYCLIC.name: CYCLIC})
+    with pytest.raises(InputError, match="falloff must leave the relative power positive"):
+        with_effects(wide, fitted.effects)
+    begun: list[Any] = []
+    monkeypatch.setattr(Search, "_fitted", lambda self, problem, start, *_: begun.append(start))
+    step: Any = SimpleNamespace(
+        fit=SimpleNamespace(camera=with_effects(wide, {CYCLIC.name: CYCLIC})),
+        best_of=lambda names: [0],
+        joint=lambda *_: 10.0,
+    )
+    after: Any = SimpleNamespace(fit=SimpleNamespace(camera=fitted))
+    nothing: Any = None
+    state = Search(nothing, wide, [step], {}, found=[Found("emission_pattern", 900.0)])
+    assert state._without(["camera_constant"], after, 19.0) is None
+    state._without(["camera_constant"], after, 21.0)
+    assert [list(one.effects) for one in begun] == [["cyclic_error"]]
+    assert begun[0].optics == wide.optics
+    # nor is there a camera of the file's rays to compare with
+    problem = Problem(nothing, nothing, geometry=("camera_constant",))
+    assert without_effect("camera_constant", problem, fitted, wide) is None
+    kept = without_effect("camera_constant", problem, with_effects(narrow, {CYCLIC.name: CYCLIC}), wide)
+    assert kept is not None
+    assert (kept[0].geometry, kept[1].optics.fx) == ((), pytest.approx(wide.optics.fx))
 
 
 @pytest.mark.parametrize(("strength", "begins"), [(-0.9, -0.9), (-1.7, -0.85), (-2.3, -0.575)])

@@ -10,15 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rim_camera_ros.calibrate import joint
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
+from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.gauss_newton import GaussNewton
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.fit.steps import Solved
+from rim_camera_ros.fit.views import Views
 from rim_camera_ros.select import subsample
+from rim_camera_ros.select.compare import Found
 from rim_camera_ros.select.search import search
 from rim_camera_ros.select.subsample import at_stations, dominated, subsample_of
 
@@ -136,6 +140,58 @@ def test_a_few_poses_change_no_answer(spread: tuple[Problem, Any], monkeypatch: 
     for path in own:
         assert values[path] == pytest.approx(alone.fit.parameters[path], abs=0.5 * sigma[path]), path
     assert few.log_likelihood > alone.log_likelihood - 0.5
+
+
+def test_a_search_goes_on_from_what_some_poses_found(spread: tuple[Problem, Any]) -> None:
+    """Nothing is fitted anew, and what it found is that of a search of all."""
+    problem, told = spread
+    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=told)
+    effects = ["scattering", "amplitude_nonlinearity"]
+    alone, _ = found(spread, effects)
+    some = at_stations(problem, range(0, len(problem.dataset.stations), 2))
+    begin = search(some, told, facts, effects=effects, most=1)
+    said: list[str] = []
+    result = search(problem, told, facts, effects=effects, most=1, begin=begin, progress=said.append)
+    assert [one.effect for one in result.found] == ["scattering"]
+    assert not any(one.startswith("fitting scattering") for one in said)
+    values, sigma = result.fit.parameters, alone.fit.sigma
+    for path in (path for path in values if path.startswith("effects.")):
+        assert values[path] == pytest.approx(alone.fit.parameters[path], abs=0.5 * sigma[path]), path
+    # priors are those of the camera file, not of what the part found
+    assert result.problem.origin is told
+    assert result.problem.masks is not None
+    assert len(result.problem.masks) == len(problem.dataset.stations)
+
+
+def test_what_some_poses_found_leaves_where_all_explain_it_otherwise(
+    spread: tuple[Problem, Any], tmp_path: Path
+) -> None:
+    problem, told = spread
+    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=told)
+    wrong = camera(tmp_path, CYCLIC, DistanceScale(0.0004))
+    begin: Any = SimpleNamespace(found=[Found("distance_scale", 60.0, step=3)], camera=wrong, problem=problem)
+    result = search(problem, told, facts, effects=["scattering", "distance_scale"], most=2, begin=begin)
+    assert [one.effect for one in result.found] == ["scattering"]
+    assert "distance_scale" not in result.camera.effects
+
+
+def test_a_large_calibration_is_searched_by_some_of_its_poses_first(
+    spread: tuple[Problem, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem, told = spread
+    monkeypatch.setattr(subsample, "_MANY_PIXELS", 1000)
+    monkeypatch.setattr(joint, "SEARCH_PIXELS", 1000)
+    monkeypatch.setattr(joint, "OF_SURFACES", frozenset())
+    monkeypatch.setattr(joint, "OPTICS", {})
+    monkeypatch.setattr(joint, "effects_of", lambda camera: ["cyclic_error", "scattering"])
+    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=told)
+    said: list[str] = []
+    views = Views(told, problem.scene)
+    outcome = joint.by_search(problem, told, facts, views=views, say=said.append)
+    poses = len(problem.dataset.stations)
+    assert f"{len(subsample_of(problem, seed=0, hold=1000) or [])} of {poses} stations first" in said
+    assert outcome.found == ["scattering"]
+    assert len(outcome.solution.fit.forward.dataset.stations) == poses
 
 
 def test_what_follows_time_or_moves_rays_is_fitted_to_all_poses(
