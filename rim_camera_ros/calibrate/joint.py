@@ -61,21 +61,34 @@ _LAMBERT = (
 
 @dataclass
 class Outcome:
-    """The solution of a problem, and which effects joined; ``effect_statuses`` returns the status of each."""
+    """The solution of a problem, and which effects joined; ``effect_statuses`` returns the status of each.
+
+    ``part`` is what a search of some of the poses found, where not all were searched.
+    """
 
     solution: Solution
     problem: Problem
     effect_statuses: Callable[[], list[EffectStatus]]
     found: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    part: Result | None = None
 
 
 def by_search(
-    problem: Problem, camera: Camera, facts: Facts, *, views: Views, say: Say, seed: int = 0
+    problem: Problem,
+    camera: Camera,
+    facts: Facts,
+    *,
+    views: Views,
+    say: Say,
+    seed: int = 0,
+    part_is_enough: bool = False,
+    begin: Result | None = None,
 ) -> Outcome:
     """Fit what the camera file has and the recordings determine, and add what held-out poses ask for.
 
-    Large recordings are searched by some of their poses first; the search goes on with all.
+    Large recordings are searched by some of their poses first; the search goes on with all, unless the
+    ``part_is_enough``. ``begin`` is what they found, where that is known.
     """
     kept = _undetermined(problem, camera, say)
     names = [name for name in [*effects_of(camera), *OPTICS] if name not in kept and _is_fitted(name)]
@@ -84,14 +97,16 @@ def by_search(
     # surfaces that do not reflect as Lambert says would lend their light to other effects
     asked += sorted(OF_SURFACES)
     few = subsample_of(free, seed=seed, hold=SEARCH_PIXELS)
-    begin: Result | None = None
-    if few is not None:
-        part = at_stations(free, few)
+    if few is not None and begin is None:
         say(f"{len(few)} of {len(free.dataset.stations)} stations first")
-        begin = search(part, camera, facts, effects=asked, seed=seed, views=views, progress=say)
+        some = at_stations(free, few)
+        begin = search(some, camera, facts, effects=asked, seed=seed, views=views, progress=say)
         begin.forget()
+    if begin is not None:
         say("all stations")
-    result = search(free, camera, facts, effects=asked, begin=begin, seed=seed, views=views, progress=say)
+    part = begin if part_is_enough else None
+    pool = asked if part is None else []
+    result = search(free, camera, facts, effects=pool, begin=begin, seed=seed, views=views, progress=say)
     last = result.explorations[-1]
     solution = _solved(last.fit, last.scores, result.folds, camera, result.problem)
     named = list(last.candidates)[: len(last.spans)]
@@ -112,7 +127,7 @@ def by_search(
     joined = [one.effect for one in result.found]
     notes = [_LAMBERT] if set(joined) & OF_SURFACES else []
     found_names = [name for name in joined if name not in OF_SURFACES]
-    return Outcome(solution, result.problem, effect_statuses, found_names, notes)
+    return Outcome(solution, result.problem, effect_statuses, found_names, notes, part)
 
 
 def exactly(

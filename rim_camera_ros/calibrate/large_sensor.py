@@ -19,7 +19,7 @@ from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects import PixelMap
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.decimation import decimated_camera, decimated_dataset, full_camera, full_number
-from rim_camera_ros.fit.design import pattern_field
+from rim_camera_ros.fit.design import PATTERN_FIELD, linear_blocks, pattern_field
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.pixels import BESIDE, WIDEST, usable_pixels
 from rim_camera_ros.fit.prediction import Prediction
@@ -90,7 +90,9 @@ class LargeSensor:
         # Gains of pixels are those of the coarse grid.
         forward.amplitude_model = replace(fitted.forward.amplitude_model, pixels=None)
         forward.light_curves = fitted.forward.light_curves
-        forward.linear = fitted.forward.linear
+        # those over the array are of the coarse grid, too
+        field = any(name.startswith(PATTERN_FIELD) for name in fitted.nuisances)
+        forward.linear = linear_blocks(replace(camera, covariance=None), fitted.scene, pattern_field=field)
         forward.variance_factors = fitted.forward.variance_factors
         forward.tick = tick
         masks, _ = usable_pixels(forward)

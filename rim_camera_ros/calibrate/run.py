@@ -197,15 +197,30 @@ def calibrate(
     problem = refinement.first(problem)
     stated_scene = problem.scene
     begin: Camera | None = None
+    is_first, part = True, None
     while True:
         if words is None:
-            outcome = by_search(problem, camera, facts, views=forward.views, say=watch.say, seed=request.seed)
+            outcome = by_search(
+                problem,
+                camera,
+                facts,
+                views=forward.views,
+                say=watch.say,
+                seed=request.seed,
+                part_is_enough=is_first,
+                begin=part,
+            )
         else:
             outcome = exactly(problem, camera, facts, words, views=forward.views, say=watch.say, begin=begin)
+        is_first = False
         # a search is long: what it found shows all assumptions that it was wrong about before the next one
         settled = refinement.settled(problem, outcome.problem, outcome.solution.fit, say=watch.say)
         if settled is None:
+            part = outcome.part
+            if part is not None:
+                continue
             break
+        part = None
         if settled[0].scene is not problem.scene:
             forward = Forward(dataset, settled[0].scene, camera)
         problem, begin = settled[0], settled[1].camera

@@ -7,7 +7,7 @@ are compared by the paired differences of their poses (Vehtari, Gelman & Gabry 2
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -49,7 +49,7 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
     patterned = {one.surface for one in found if one.is_better and one.hypothesis in _OF_PATTERN}
     for name in sorted(patterned):
         found += _compared(other_boards(*files, name), files, given, poses, views)
-    return _best_of_each(found)
+    return by_gain(_decided(_best_of_each(found), dataset, scene, camera))
 
 
 def against_physics(
@@ -83,9 +83,29 @@ def against_physics(
     return _best_of_each(again)
 
 
-def _coarse(dataset: Dataset, scene: Scene, camera: Camera) -> Files:
-    """Return files of some poses and about `_ENOUGH_PIXELS` pixels."""
-    chosen = _some_poses(dataset)
+def _decided(
+    found: Iterable[Hypothesis], dataset: Dataset, scene: Scene, camera: Camera
+) -> Iterator[Hypothesis]:
+    """Yield set-ups; those that gain, but some poses do not tell whether by chance, by all poses."""
+    if dataset.poses <= _MOST_POSES:
+        yield from found
+        return
+    files: Files | None = None
+    for one in found:
+        if one.change is None or one.is_better or one.gain <= LEAST_GAIN:
+            yield one
+            continue
+        if files is None:
+            files = _coarse(dataset, scene, camera, most=dataset.poses)
+            views = Views(files[2], files[1], decimation=files[0].decimation)
+            given = predicted(files, views=views)
+        trial = Trial(one.hypothesis, one.surface, one.value, one.change, fitted=one.fitted)
+        yield from _compared([trial], files, given, dataset.poses, views)
+
+
+def _coarse(dataset: Dataset, scene: Scene, camera: Camera, *, most: int = _MOST_POSES) -> Files:
+    """Return files of at ``most`` some poses and about `_ENOUGH_PIXELS` pixels."""
+    chosen = _some_poses(dataset, most)
     step = round(np.sqrt(camera.sensor.width * camera.sensor.height / _ENOUGH_PIXELS))
     if step > 1:
         chosen, camera = decimated_dataset(chosen, step), decimated_camera(camera, step)
@@ -157,11 +177,11 @@ def _split(files: Files) -> tuple[Files, Files | None]:
     return (first, scene, camera), (rest, scene, camera) if rest.stations else None
 
 
-def _some_poses(dataset: Dataset) -> Dataset:
-    """Return the dataset with one station of each of some poses, spread over the recording."""
+def _some_poses(dataset: Dataset, most: int) -> Dataset:
+    """Return the dataset with one station of each of at ``most`` some poses, spread over the recording."""
     first: dict[tuple[int, int], Station] = {}
     for one in dataset.stations:
         first.setdefault((one.recording, one.pose), one)
     stations = list(first.values())
-    step = max(1, -(-len(stations) // _MOST_POSES))
+    step = max(1, -(-len(stations) // most))
     return replace(dataset, stations=stations[::step])

@@ -17,7 +17,7 @@ from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
 from rim_camera_ros.effects.scattering import Kernel, Scattering
-from rim_camera_ros.fit import decimation
+from rim_camera_ros.fit import decimation, variance_components
 from rim_camera_ros.fit.decimation import decimation_for
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.pixels import BESIDE
@@ -70,7 +70,13 @@ def test_small_sensors_are_fitted_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("many")
-def test_a_calibration_by_every_second_pixel(tmp_path: Path) -> None:
+@pytest.mark.parametrize("few_looks", [False, True])
+def test_a_calibration_by_every_second_pixel(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, few_looks: bool
+) -> None:
+    """Also where pixels have so few looks that the size of their offsets is estimated."""
+    if few_looks:
+        monkeypatch.setattr(variance_components, "FEW_LOOKS", 1000.0)
     true = given(tmp_path, cyclic=0.013, a=22.0)
     v, u = np.mgrid[:36, :44]
     pattern = 0.004 * np.sin(u / 9.0) + 0.003 * (v / 36)

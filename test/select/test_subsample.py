@@ -192,6 +192,18 @@ def test_a_large_calibration_is_searched_by_some_of_its_poses_first(
     assert f"{len(subsample_of(problem, seed=0, hold=1000) or [])} of {poses} stations first" in said
     assert outcome.found == ["scattering"]
     assert len(outcome.solution.fit.forward.dataset.stations) == poses
+    assert outcome.part is None
+    said.clear()
+    part = joint.by_search(problem, told, facts, views=views, say=said.append, part_is_enough=True)
+    assert part.found == ["scattering"]
+    assert part.part is not None
+    assert len(part.solution.fit.forward.dataset.stations) == poses
+    # on all poses nothing else was looked for
+    assert said[said.index("all stations") :] == ["all stations", "baseline and 0 candidates"]
+    said.clear()
+    rest = joint.by_search(problem, told, facts, views=views, say=said.append, begin=part.part)
+    assert (rest.found, rest.part) == (["scattering"], None)
+    assert "stations first" not in " ".join(said)
 
 
 def test_what_follows_time_or_moves_rays_is_fitted_to_all_poses(
