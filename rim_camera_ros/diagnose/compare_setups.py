@@ -103,9 +103,9 @@ def _decided(
         yield from _compared([trial], files, given, dataset.poses, views)
 
 
-def _coarse(dataset: Dataset, scene: Scene, camera: Camera, *, most: int = _MOST_POSES) -> Files:
-    """Return files of at ``most`` some poses and about `_ENOUGH_PIXELS` pixels."""
-    chosen = _some_poses(dataset, most)
+def _coarse(dataset: Dataset, scene: Scene, camera: Camera, *, most: int | None = None) -> Files:
+    """Return files of about `_ENOUGH_PIXELS` pixels of so many poses at ``most``; None: `_MOST_POSES`."""
+    chosen = _some_poses(dataset, most or _MOST_POSES)
     step = round(np.sqrt(camera.sensor.width * camera.sensor.height / _ENOUGH_PIXELS))
     if step > 1:
         chosen, camera = decimated_dataset(chosen, step), decimated_camera(camera, step)
@@ -178,7 +178,7 @@ def _split(files: Files) -> tuple[Files, Files | None]:
 
 
 def _some_poses(dataset: Dataset, most: int) -> Dataset:
-    """Return the dataset with one station of each of at ``most`` some poses, spread over the recording."""
+    """Return the dataset with one station of each of so many poses at ``most``, spread over the recording."""
     first: dict[tuple[int, int], Station] = {}
     for one in dataset.stations:
         first.setdefault((one.recording, one.pose), one)

@@ -12,6 +12,7 @@ import pytest
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.diagnose import compare_setups as setups
 from rim_camera_ros.diagnose.compare_setups import against_physics, compare_setups
 from rim_camera_ros.diagnose.hypotheses import Hypothesis, best_setup, moved_poses
 from rim_camera_ros.diagnose.nuisances import common_pose_beyond
@@ -180,6 +181,26 @@ def test_distances_along_the_axis(tmp_path: Path) -> None:
     best = winner(replace(data, stations=along), board, given)
     assert best is not None
     assert best.hypothesis == "z_distance"
+
+
+def test_what_some_poses_do_not_tell_is_decided_by_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A set-up that gains in few of the poses, those far away, is held against the files in each of them."""
+    data, board, given = recorded(tmp_path)
+    along = [replace(one, distance=one.distance * given.rays[..., 2]) for one in data.stations]
+    data = replace(data, stations=along)
+    monkeypatch.setattr(setups, "_MOST_POSES", data.poses)
+    whole = {one.hypothesis: one for one in compare_setups(data, board, given)}["z_distance"]
+    monkeypatch.setattr(setups, "_MOST_POSES", 4)
+    unsure = replace(whole, gain=90.0, standard_error=60.0)
+    lost, sure = (replace(whole, gain=gain, standard_error=10.0) for gain in (-5.0, 25.0))
+    decided = list(setups._decided([unsure, lost, sure], data, board, given))
+    assert decided[1:] == [lost, sure]
+    assert decided[0].is_better
+    assert decided[0].gain == pytest.approx(whole.gain)
+    monkeypatch.setattr(setups, "_MOST_POSES", data.poses)
+    assert list(setups._decided([unsure], data, board, given)) == [unsure]
 
 
 def test_another_lens(tmp_path: Path) -> None:
