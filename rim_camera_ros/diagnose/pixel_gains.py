@@ -6,7 +6,7 @@ size is estimated from what is left: nothing would be said of light that goes fr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,11 +25,16 @@ _OF_DIFFERENCE = 1.25
 
 @dataclass(frozen=True)
 class GainSpread:
-    """1-sigma of the gains of neighbouring pixels: ``found``, the ``least`` it may be, and ``stated``."""
+    """1-sigma of the gains of neighbouring pixels: ``found``, the ``least`` it may be, and ``stated``.
+
+    ``beside_neighbours`` (H, W) is what each pixel is brighter than the mean of its four neighbours
+    [relative], the mean over the poses; NaN where no two poses show it.
+    """
 
     found: float
     least: float
     stated: float
+    beside_neighbours: Array = field(repr=False, compare=False)
 
     @property
     def is_beyond(self) -> bool:
@@ -76,7 +81,8 @@ def spread_of_gains(fitted: Fit) -> GainSpread | None:
     found, least = (
         float(np.sqrt(max(one, 0.0) / _OF_DIFFERENCE)) for one in (variance, variance - PAIRED_ERRORS * error)
     )
-    return GainSpread(found, least, forward.camera.radiometry.pattern_sigma)
+    brighter = np.where(several, total / np.maximum(poses, 1), np.nan)
+    return GainSpread(found, least, forward.camera.radiometry.pattern_sigma, brighter)
 
 
 def _beside_neighbours(image: Array, tile: Array) -> Array:

@@ -41,6 +41,7 @@ from rim_camera_ros.diagnose.where import (
     of_residuals,
     of_scatter,
     of_terms,
+    of_values,
 )
 from rim_camera_ros.effects import vocabulary
 from rim_camera_ros.fit.data import Dataset
@@ -314,7 +315,9 @@ def _large_gains(draft: _Draft, found: Findings) -> None:
         return
     draft.verdict, draft.missing, draft.model = "unknown_physics", [said], found.camera
     draft.adjusted, draft.ties = [], []
-    draft.where = of_residuals(found.baseline.fit)
+    brighter = found.gains.beside_neighbours
+    # noise is circular in the complex plane: so much of the amplitude is worth that many metres
+    draft.where = of_values(found.baseline.fit, lambda one: brighter * (one.context.ambiguity / (2 * np.pi)))
     if names:
         draft.notes.append(f"{_BESIDE_LARGE_GAINS}: {', '.join(names)}")
 

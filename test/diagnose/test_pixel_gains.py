@@ -109,6 +109,28 @@ def test_columns_that_take_light_from_their_neighbours_are_unknown_physics(tmp_p
     assert verdict(found).startswith("This recording differs from its simulation")
     (gains,) = (one for one in found.nuisances if one.name == "pixel_gain")
     assert gains.found == pytest.approx(expected, rel=0.08)
+    # where the gains are, in units of one frame: amplitudes have a noise of sigma (2 pi / ambiguity) parts
+    seen = found.where.pixels[found.where.pixels > 0]
+    lit = [one.amplitude[one.amplitude > 0] for one in data.stations]
+    weight = np.mean(np.concatenate([model.sigma_distance(one) ** -2.0 for one in lit]))
+    at_gains = (np.log(1.3) / 2 * model.sensor.ambiguity / (2 * np.pi)) ** 2 * weight
+    assert np.median(seen) == pytest.approx(at_gains, rel=0.5)
+    assert seen.size > 0.8 * model.shape[0] * model.shape[1]
+
+
+def test_the_map_of_gains_is_what_pixels_have_beside_their_neighbours(tmp_path: Path) -> None:
+    model, board = camera(tmp_path), scene(tmp_path)
+    own = 0.05 * np.random.default_rng(8).standard_normal(model.shape)
+    data = brighter(record(model, board, poses=12, seed=6), np.exp(own))
+    found = spread_of_gains(fit(Problem(data, board), model))
+    assert found is not None
+    expected = own.copy()
+    expected[1:-1, 1:-1] -= (own[:-2, 1:-1] + own[2:, 1:-1] + own[1:-1, :-2] + own[1:-1, 2:]) / 4
+    seen = np.isfinite(found.beside_neighbours)
+    assert seen.sum() > 500
+    assert not seen[0].any()
+    assert np.std((found.beside_neighbours - expected)[seen]) < 0.012
+    assert np.corrcoef(found.beside_neighbours[seen], expected[seen])[0, 1] > 0.97
 
 
 @pytest.mark.parametrize(
@@ -117,9 +139,9 @@ def test_columns_that_take_light_from_their_neighbours_are_unknown_physics(tmp_p
 def test_known_terms_that_light_of_neighbours_does_not_look_like_stay_wrong(
     monkeypatch: pytest.MonkeyPatch, name: str, said: str
 ) -> None:
-    monkeypatch.setattr(verdict_steps, "of_residuals", lambda fitted: None)
+    monkeypatch.setattr(verdict_steps, "of_values", lambda fitted, value: None)
     found: Any = SimpleNamespace(
-        gains=GainSpread(0.15, 0.149, 0.02), camera=None, baseline=SimpleNamespace(fit=None)
+        gains=GainSpread(0.15, 0.149, 0.02, np.zeros((2, 3))), camera=None, baseline=SimpleNamespace(fit=None)
     )
     draft: Any = SimpleNamespace(
         verdict="wrong_parameters",
