@@ -23,7 +23,7 @@ from rim_camera_ros.diagnose.hypotheses import (
     share_explained,
 )
 from rim_camera_ros.diagnose.setup_likelihood import Difference, SetupPrediction, difference, predicted
-from rim_camera_ros.diagnose.setup_trials import LEAST_LENS, other_boards, trials_of
+from rim_camera_ros.diagnose.setup_trials import LEAST_LENS, other_boards, refined, trials_of
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.decimation import decimated_camera, decimated_dataset
@@ -49,7 +49,13 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
     patterned = {one.surface for one in found if one.is_better and one.hypothesis in _OF_PATTERN}
     for name in sorted(patterned):
         found += _compared(other_boards(*files, name), files, given, poses, views)
-    return by_gain(_decided(_best_of_each(found), dataset, scene, camera))
+    best = _best_of_each(found)
+    leader = best[0].at if best[0].is_better else None
+    if leader is not None:
+        # sizes and focal lengths may be any, not only those that are tried
+        around = refined(leader, best[0], lambda trials: _compared(trials, files, given, poses, views))
+        best = _best_of_each([*best, *around])
+    return by_gain(_decided(best, dataset, scene, camera))
 
 
 def against_physics(
@@ -71,10 +77,10 @@ def against_physics(
     given = predicted(_coarse(dataset, scene, found))
     again = []
     for one in setups:
-        if not one.is_better or one.fitted or one.change is None:
+        trial = one.trial
+        if not one.is_better or one.fitted or trial is None:
             again.append(one)
             continue
-        trial = Trial(one.hypothesis, one.surface, one.value, one.change)
         for own in (camera, found):
             files = _coarse(dataset, scene, own)
             views = Views(files[2], files[1], decimation=files[0].decimation)
@@ -92,14 +98,14 @@ def _decided(
         return
     files: Files | None = None
     for one in found:
-        if one.change is None or one.is_better or one.gain <= LEAST_GAIN:
+        trial = one.trial
+        if trial is None or one.is_better or one.gain <= LEAST_GAIN:
             yield one
             continue
         if files is None:
             files = _coarse(dataset, scene, camera, most=dataset.poses)
             views = Views(files[2], files[1], decimation=files[0].decimation)
             given = predicted(files, views=views)
-        trial = Trial(one.hypothesis, one.surface, one.value, one.change, fitted=one.fitted)
         yield from _compared([trial], files, given, dataset.poses, views)
 
 
@@ -158,6 +164,7 @@ def _compared(
                 share_explained(gain + own.reflectivities, own.short),
                 trial.change,
                 fitted=trial.fitted,
+                at=trial.at,
             )
         )
     return found

@@ -60,7 +60,7 @@ class Hypothesis:
     ``standard_error`` [nats] of the gain from its paired differences over poses; ``share`` of what does not
     fit that it explains; ``change`` makes recording, scene and camera of the set-up from those given.
     ``against_physics``: the gain is over the files with the physics that was found; ``fitted``: what it
-    changes is a parameter of the fit, which decides.
+    changes is a parameter of the fit, which decides. ``at`` returns the same with another value.
     """
 
     hypothesis: str
@@ -72,6 +72,14 @@ class Hypothesis:
     change: Change | None = None
     against_physics: bool = False
     fitted: bool = False
+    at: Callable[[float], Trial] | None = None
+
+    @property
+    def trial(self) -> Trial | None:
+        """What is compared; None where nothing is."""
+        if self.change is None:
+            return None
+        return Trial(self.hypothesis, self.surface, self.value, self.change, fitted=self.fitted, at=self.at)
 
     @property
     def sentence(self) -> str:
@@ -111,7 +119,8 @@ class Hypothesis:
 class Trial:
     """A set-up to be compared: its name, the surface, by how much, and what makes its files.
 
-    ``fitted``: it is a parameter of the fit too.
+    ``fitted``: it is a parameter of the fit too. ``at`` returns the same with another value, where it may
+    have any.
     """
 
     hypothesis: str
@@ -119,6 +128,7 @@ class Trial:
     value: float
     change: Change
     fitted: bool = False
+    at: Callable[[float], Trial] | None = None
 
 
 def share_explained(gain: float, short: float) -> float:

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.hypotheses import DEPTH, Change, Files, Trial
+from rim_camera_ros.diagnose.hypotheses import DEPTH, Change, Files, Hypothesis, Trial
 from rim_camera_ros.fit.amplitudes import AmplitudeModel
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.forward import Forward
@@ -31,6 +32,8 @@ ANY_REFLECTIVITY = 0.86
 _FAR = 5.0
 #: Factors on sizes of tiles and surfaces, on depths, and on the focal length that are tried.
 _FACTORS = (0.8, 0.9, 0.95, 1.05, 1.1, 1.25)
+#: ... and how finely the best of them is looked for in between.
+_FINENESS = 0.002
 #: Factors on the size of another board.
 _BOARD_FACTORS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 1.6, 2.0)
 #: A focal length nearer to the file's than this is no other lens, but a camera constant that is wrong.
@@ -52,8 +55,7 @@ def trials_of(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[Trial]
                 yield Trial(name, surface.name, 0.0, _to_scene(changed))
         if surface.texture is not None or surface.size is not None:
             for factor in _FACTORS:
-                changed = with_surface(_scaled(surface, factor))
-                yield Trial("scale", surface.name, factor, _to_scene(changed))
+                yield _other_scale(surface, with_surface, factor)
         if surface.pose == "truth":
             for axis in (0, 1):
                 turned = to_poses(surface.name, partial(_flipped, axis=axis))
@@ -149,8 +151,46 @@ def _of_camera() -> Iterator[Trial]:
         yield Trial("units", "", factor, to_poses(None, partial(_nearer, factor=factor)))
     yield Trial("z_distance", "", 0.0, _to_distances(lambda one, rays: one / rays[..., 2]))
     for factor in _FACTORS:
-        near = abs(factor - 1) < LEAST_LENS
-        yield Trial("other_lens", "", factor, partial(_through_lens, factor=factor), fitted=near)
+        yield _other_lens(factor)
+
+
+def _other_scale(surface: Surface, with_surface: Callable[[Surface], Scene], factor: float) -> Trial:
+    changed = _to_scene(with_surface(_scaled(surface, factor)))
+    at = partial(_other_scale, surface, with_surface)
+    return Trial("scale", surface.name, factor, changed, at=at)
+
+
+def _other_lens(factor: float) -> Trial:
+    near = abs(factor - 1) < LEAST_LENS
+    through = partial(_through_lens, factor=factor)
+    return Trial("other_lens", "", factor, through, fitted=near, at=_other_lens)
+
+
+def refined(
+    at: Callable[[float], Trial],
+    best: Hypothesis,
+    compared: Callable[[Sequence[Trial]], Sequence[Hypothesis]],
+) -> list[Hypothesis]:
+    """Return what the set-up ``at`` values between those beside the ``best`` gains, as ``compared`` says.
+
+    Values are factors; a maximum is sought between the factors tried beside it (Brent 1973).
+    """
+    tried = sorted({1.0, *_FACTORS})
+    number = int(np.argmin(np.abs(np.array(tried) - best.value)))
+    step = tried[1] / tried[0]
+    low, high = (
+        tried[k] if 0 <= k < len(tried) else tried[number] * step ** (k - number)
+        for k in (number - 1, number + 1)
+    )
+    found: list[Hypothesis] = []
+
+    def loss(factor: float) -> float:
+        one = compared([at(float(factor))])
+        found.extend(one)
+        return -one[0].gain if one else 0.0
+
+    minimize_scalar(loss, bounds=(low, high), method="bounded", options={"xatol": _FINENESS})
+    return found
 
 
 def _times(distance: Array, rays: Array, *, factor: float) -> Array:

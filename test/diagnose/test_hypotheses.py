@@ -205,10 +205,13 @@ def test_what_some_poses_do_not_tell_is_decided_by_all(
 
 def test_another_lens(tmp_path: Path) -> None:
     data, board, given = recorded(tmp_path)
-    optics = replace(given.optics, fx=given.optics.fx / 1.25, fy=given.optics.fy / 1.25)
-    best = winner(data, board, replace(given, optics=optics))
-    assert best is not None
-    assert (best.hypothesis, best.value) == ("other_lens", 1.25)
+    for factor in (1.25, 1.17, 0.77):
+        optics = replace(given.optics, fx=given.optics.fx / factor, fy=given.optics.fy / factor)
+        best = winner(data, board, replace(given, optics=optics))
+        assert best is not None
+        assert best.hypothesis == "other_lens"
+        # also between the factors that are tried, and beyond
+        assert best.value == pytest.approx(factor, rel=0.01)
 
 
 def test_poses_in_millimetres_before_a_board_that_no_ray_meets_then(tmp_path: Path) -> None:
