@@ -31,7 +31,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import OPTICS, PositionTable
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.errors import InputError
-from rim_camera_ros.fit.data import Dataset, merged
+from rim_camera_ros.fit.data import Dataset, merged, with_stated_errors
 from rim_camera_ros.fit.decimation import decimated_camera, decimation_for, decimation_of
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.noise import POOR, NoiseFit, fit_noise
@@ -151,6 +151,7 @@ def calibrate(
     dataset = checks.with_plausible_poses(dataset, scene, camera, watch.ticking("poses"))
     checks.require_variety(dataset, scene, camera, request.effects)
     notes += dataset.notes
+    scene = with_stated_errors(scene, dataset)
     watch.say("noise")
     noise = fit_noise(dataset, camera)
     if noise is not None:

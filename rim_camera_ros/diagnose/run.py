@@ -43,7 +43,7 @@ from rim_camera_ros.effects import OF_SURFACES, CovariateTable, without_poses
 from rim_camera_ros.effects.base import response_of
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.errors import InputError, RimError
-from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.data import Dataset, with_stated_errors
 from rim_camera_ros.fit.decimation import decimated_camera, decimated_dataset, decimation_of
 from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.forward import Forward
@@ -96,6 +96,7 @@ def diagnose(
     Raises `InputError` where no pixel can be compared.
     """
     say = progress if progress is not None else _silent
+    scene = with_stated_errors(scene, dataset)
     step = decimation_of(camera)
     if step == 1:
         return _diagnose(dataset, scene, camera, against, seed, threads, workers, say)

@@ -142,6 +142,28 @@ def merged(parts: Iterable[Dataset]) -> Dataset:
     return result
 
 
+def with_stated_errors(scene: Scene, dataset: Dataset) -> Scene:
+    """Return the scene with the ``pose_sigma`` of surfaces whose poses bring a covariance: the RMS of theirs.
+
+    It is the size of what the scene calls common to all poses (``pose_common``), and the instrument's
+    where errors are compared with it.
+    """
+    surfaces = []
+    for surface in scene.surfaces:
+        poses = {
+            (one.recording, one.placed): one.truth[surface.name]
+            for one in dataset.stations
+            if surface.pose == "truth" and surface.name in one.truth
+        }
+        if any(one.covariance is not None for one in poses.values()):
+            stated = [np.diag(surface.pose_covariance(one)) for one in poses.values()]
+            offset, *tilts = np.mean(stated, axis=0)
+            sigma = (float(np.sqrt(offset)), float(np.sqrt(np.mean(tilts))))
+            surface = replace(surface, pose_sigma=sigma)
+        surfaces.append(surface)
+    return replace(scene, surfaces=tuple(surfaces))
+
+
 def level_of(dataset: Dataset) -> float:
     """Return the amplitude [counts] in the middle of a recording's."""
     values = np.concatenate([one.amplitude[one.count > 0][::17] for one in dataset.stations])
