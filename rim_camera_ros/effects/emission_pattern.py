@@ -38,12 +38,18 @@ class EmissionPattern(ComplexEffect):
     falloff: tuple[float, float] = quantity("rad^-2, rad^-4", "f1, f2", typical=2.0)
 
     def check(self, camera: Camera) -> None:
-        if np.any(self.power(camera) <= 0):
+        q = squared_angle(camera)
+        if min(q.shape) > 1:
+            # up to a pixel beside the array: that of a coarser grid ends within a pixel of the full one's
+            q = np.maximum(np.pad(np.sqrt(q), 1, mode="reflect", reflect_type="odd"), 0.0) ** 2
+        if np.any(self._at(q) <= 0):
             raise ValueError("falloff must leave the relative power positive over the whole array")
 
     def power(self, camera: Camera) -> Image:
         """Return the relative power (H, W)."""
-        q = squared_angle(camera)
+        return self._at(squared_angle(camera))
+
+    def _at(self, q: Image) -> Image:
         return 1 + q * (self.falloff[0] + q * self.falloff[1])
 
     def apply(self, phasor: Image, context: Context) -> Image:

@@ -22,7 +22,7 @@ from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.covariates import COVARIATES, covariate
-from rim_camera_ros.effects.emission_pattern import EmissionPattern
+from rim_camera_ros.effects.emission_pattern import EmissionPattern, squared_angle
 from rim_camera_ros.effects.emitter_offset import EmitterOffset
 from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.effects.incidence_angle import IncidenceAngle
@@ -36,6 +36,7 @@ from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.effects.warm_up_drift import Exponential, WarmUpDrift
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera
+from rim_camera_ros.fit.decimation import decimated_camera, full_camera
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.parameters import ArrayFile, NestedList, encode
 from rim_camera_ros.pipeline.correct import Correction
@@ -268,6 +269,22 @@ def test_emission_pattern_is_relative_power() -> None:
         InputError, match="falloff must leave the relative power positive over the whole array"
     ):
         with_effects(CAMERA, {"emission_pattern": EmissionPattern((-9.0, 0.0))})
+
+
+@pytest.mark.parametrize("step", [2, 3, 4, 5])
+def test_an_emission_that_a_coarser_grid_may_have_is_one_of_the_full_array(step: int) -> None:
+    """Its outermost pixels are inside the full array's: what ends between them was refused in the end."""
+    small = decimated_camera(CAMERA, step)
+    inner, outer = (float(squared_angle(one).max()) for one in (small, CAMERA))
+    assert inner < outer
+    for reach in np.linspace(inner, 1.3 * outer, 40):
+        effect = EmissionPattern((-1.0 / reach, 0.0))
+        try:
+            found = with_effects(small, {effect.name: effect})
+        except InputError:
+            continue
+        full = full_camera(found, CAMERA, step)
+        assert np.all(effect.power(full) > 0)
 
 
 @pytest.mark.parametrize("name", ["sr3000", "sr2"])
