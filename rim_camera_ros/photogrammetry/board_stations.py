@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Pose, RawFrame
+from rim_camera_ros.parameters import NestedList
 from rim_camera_ros.photogrammetry.board_detection import FoundBoard, find_board
 from rim_camera_ros.photogrammetry.texture_targets import TextureTargets, targets_of
 from rim_camera_ros.scene import TRUTH, Scene, Surface
@@ -25,6 +26,8 @@ _WINDOW = 3
 #: ... and as long as the image there stays alike: where a board has left, corners are found nowhere near, and
 #: what does not move is where they were looked for. Noise takes little of the correlation of such contrasts.
 _ALIKE = 0.8
+#: Frames without the board that are looked at again for another one, at most.
+_MOST_MISSED = 8
 
 
 @dataclass
@@ -41,6 +44,8 @@ class BoardStations:
     first: list[int] = field(default_factory=list)
     unseen: int = 0
     ambiguous: int = 0
+    _missed: list[NDArray[np.float32]] = field(default_factory=list)
+    _every: int = 1
 
     def __post_init__(self) -> None:
         found = targets_of(self.surface)
@@ -63,7 +68,7 @@ class BoardStations:
             if not (reference is not None and reference[2] == told and self._rests(reference, image)):
                 found = find_board(image, self.surface, self.targets, self.camera.optics, near=last)
                 if found is None:
-                    self.unseen += 1
+                    self._miss(image)
                     reference = None
                     continue
                 self.ambiguous += found.ambiguous
@@ -74,6 +79,31 @@ class BoardStations:
             self.station[frame.stamp] = len(self.first) - 1
             name = self.surface.name
             yield replace(frame, truth={name: last}, pose_stamps={name: self.first[-1]})
+
+    def _miss(self, image: NDArray[np.float32]) -> None:
+        """Count a frame without the board, and keep some of them, spread over all."""
+        if self.unseen % self._every == 0:
+            self._missed.append(image)
+        self.unseen += 1
+        if len(self._missed) > _MOST_MISSED:
+            self._missed, self._every = self._missed[::2], 2 * self._every
+
+    def described_otherwise(self) -> str | None:
+        """Return as what the board is seen in frames in which it was not found; None: as nothing tried.
+
+        With width and height or bright and dark exchanged, with a row and a column of tiles more or less.
+        """
+        found: dict[str, int] = {}
+        for words, surface in _other_descriptions(self.surface):
+            targets = targets_of(surface)
+            if targets is not None:
+                seen = [find_board(one, surface, targets, self.camera.optics) for one in self._missed]
+                found[words] = sum(one is not None for one in seen)
+        most = max(found.values(), default=0)
+        if not most:
+            return None
+        words = ", or ".join(one for one, count in found.items() if count == most)
+        return f"{words}, it is found in {most} of {len(self._missed)} that were looked at again"
 
     def _rests(
         self, reference: tuple[NDArray[np.float32], FoundBoard, Any], image: NDArray[np.float32]
@@ -88,6 +118,23 @@ class BoardStations:
             return _common_motion(found.points, again.points - found.points) < _REST
         moved = [_settled(one, found.points) for one in (before, image)]
         return _common_motion(found.points, moved[1] - moved[0]) < _REST
+
+
+def _other_descriptions(surface: Surface) -> Iterator[tuple[str, Surface]]:
+    """Yield surfaces that a board may be instead, and in words what must be said of it then."""
+    texture, size = surface.texture, surface.size
+    if texture is None or size is None:
+        return
+    values = texture.values.values
+    exchanged = (size[1], size[0])
+    yield f"with size: [{exchanged[0]:g}, {exchanged[1]:g}]", replace(surface, size=exchanged)
+    opposite = replace(texture, values=NestedList(values.max() + values.min() - values))
+    yield "with bright and dark tiles exchanged", replace(surface, texture=opposite)
+    for step in (1, -1):
+        other = (size[0] + step * texture.cell[0], size[1] + step * texture.cell[1])
+        if min(other) > 0:
+            stated = f"with size: [{other[0]:g}, {other[1]:g}], which counts tiles and not corners"
+            yield stated, replace(surface, size=other)
 
 
 def _alike(before: NDArray[np.float32], image: NDArray[np.float32], points: Array) -> bool:

@@ -156,7 +156,8 @@ def poses_of_recording(
                 raise InputError(
                     f"the board '{surface.name}' was found in none of {stations.unseen} frames",
                     file=path,
-                    remedy="the whole board must be in view, its squares 5 px and more; the scene file must "
+                    remedy=stations.described_otherwise()
+                    or "the whole board must be in view, its squares 5 px and more; the scene file must "
                     "describe it as it is",
                 ) from None
             raise error.located(path) from None

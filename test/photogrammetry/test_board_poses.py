@@ -12,6 +12,7 @@ from rim_camera_ros.bags import Recording
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.cli import main
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Pose, Settings
 from rim_camera_ros.photogrammetry.board_detection import find_board
 from rim_camera_ros.photogrammetry.board_stations import BoardStations
@@ -103,6 +104,76 @@ def test_a_board_in_the_hand_has_a_station_wherever_it_rests(
         frames = [replace(one, truth={}, pose_stamps={}) for one in recording.frames()]
     assert len(list(stations.frames(iter(frames)))) == 8 * FRAMES
     assert list(stations.station.values()) == [k for k in range(8) for _ in range(FRAMES)]
+
+
+PLAIN = """
+format: rim_scene/1
+surfaces:
+- name: board
+  type: rectangle
+  pose: truth
+  size: SIZE
+  texture: {cell: [0.03, 0.03], values: [[0.85, 0.06], [0.06, 0.85]]}
+- name: wall
+  type: plane
+  pose: {position: [0.0, 0.0, 1.6]}
+  reflectivity: 0.4
+schedule:
+- {frames: 1, rate: 10.0, integration_time: 16.0, poses: {board: {position: [0.02, -0.03, 0.5]}}}
+- frames: 1
+  rate: 10.0
+  integration_time: 16.0
+  poses: {board: {position: [-0.03, 0.02, 0.6], orientation: [0.1, 0.05, 0.0, 0.99373]}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("true", "told", "opposite", "said"),
+    [
+        (
+            "[0.24, 0.18]",
+            "[0.18, 0.24]",
+            False,
+            "(with size: [0.24, 0.18], or with bright and dark tiles exc",
+        ),
+        (
+            "[0.24, 0.18]",
+            "[0.24, 0.18]",
+            True,
+            "or with bright and dark tiles exchanged, it is found in 2 of 2",
+        ),
+        (
+            "[0.21, 0.15]",
+            "[0.21, 0.15]",
+            True,
+            "or with bright and dark tiles exchanged, it is found in 2 of 2",
+        ),
+        (
+            "[0.24, 0.18]",
+            "[0.27, 0.21]",
+            False,
+            "(with size: [0.24, 0.18], which counts tiles and not corners",
+        ),
+        ("[0.24, 0.18]", "[0.45, 0.33]", False, "the scene file must describe it as it is"),
+    ],
+)
+def test_a_board_that_is_described_wrongly_is_looked_for_as_it_may_be(
+    tmp_path: Path, true: str, told: str, opposite: bool, said: str
+) -> None:
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    (tmp_path / "board.yaml").write_text(PLAIN.replace("SIZE", true))
+    words = ["simulate", str(tmp_path / "board.yaml"), "--camera", str(tmp_path / "camera.yaml"), "--quiet"]
+    assert main([*words, "--out", str(tmp_path / "bag")]) == 0
+    wrong = PLAIN.replace("SIZE", told)
+    if opposite:
+        wrong = wrong.replace("[[0.85, 0.06], [0.06, 0.85]]", "[[0.06, 0.85], [0.85, 0.06]]")
+    (tmp_path / "wrong.yaml").write_text(wrong)
+    camera, scene = load_camera(tmp_path / "camera.yaml"), load_scene(tmp_path / "wrong.yaml")
+    with pytest.raises(InputError, match="the board 'board' was found in none of 2 frames") as error:
+        poses_of_recording(tmp_path / "bag", scene, camera, known=EXACT)
+    assert said in str(error.value)
+    right = poses_of_recording(tmp_path / "bag", load_scene(tmp_path / "board.yaml"), camera, known=EXACT)
+    assert right.placed_frames == 2
 
 
 @pytest.mark.parametrize(
