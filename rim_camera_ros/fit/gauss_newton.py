@@ -55,8 +55,9 @@ _SETTLED_WARM = 1
 _SHAPES_HELD = 2
 _HOLD = 1e9
 #: Damping of a step that makes things worse, as shares of the diagonal, one after the other; in the end no
-#: step. The step after it is damped alike, and so many times less once one is good at its first try.
-_DAMPING = (0.01, 0.1, 1.0, np.inf)
+#: step. The step after it is damped alike, and so many times less once one is good at its first try. Where
+#: objectives bend as they do for light that no file describes, only steps of a hundredth go down.
+_DAMPING = (0.01, 0.1, 1.0, 10.0, 100.0, np.inf)
 _LESS_DAMPED = 10.0
 _NO_SOLUTION = "the adjustment found no finite solution"
 #: Share of the forecast gain of a step by which the objective may become worse once, near the solution.

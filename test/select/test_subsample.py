@@ -266,3 +266,30 @@ def test_a_bend_is_crossed_once_and_a_wrong_way_goes_back_to_its_beginning() -> 
     assert not work.went_too_far(better, 5)
     work.accept(better)
     assert not work.went_too_far(SimpleNamespace(objective=905.0), 6)  # type: ignore[arg-type]
+
+
+def test_steps_are_shortened_until_one_goes_down() -> None:
+    """An objective that bends fifty times as much as the equations say falls for steps below 0.4 sigma only.
+
+    -20 x + 50 x^2 in place of -20 x + x^2, whose step is 10: with a hundred times the diagonal it is 0.099.
+    """
+    nothing: Any = None
+    right, far = np.array([10.0]), np.array([np.inf])
+    begun = Solved(nothing, ["x"], np.eye(1), right, far, 0.0, {}, {})
+    work = GaussNewton.__new__(GaussNewton)
+    places = [float(begun.step[0])]
+    work.__dict__.update(_warm=True, _near=False, _iterations=12, _objective=0.0, _return=None)
+    work.__dict__.update(_tried=0, _damping=0.0, _solved=begun, _exhausted=False)
+    work.__dict__.update(_go=lambda one: places.append(float(one.step[0])), _find_errors=lambda _: None)
+
+    def here() -> Any:
+        return SimpleNamespace(objective=-20 * places[-1] + 50 * places[-1] ** 2)
+
+    count = 1
+    while work.went_too_far(here(), count):
+        work.shorten(final=False)
+        count += 1
+    assert places == pytest.approx([10.0, 10 / 1.01, 10 / 1.1, 5.0, 10 / 11, 10 / 101])
+    assert here().objective == pytest.approx(-1.49, abs=0.01)
+    assert not work._exhausted
+    assert work._damping == 100.0
