@@ -124,6 +124,13 @@ def poses_beyond(fitted: Fit, camera: Camera, errors: Mapping[tuple[int, int], f
 _COMMON = {"common_pose_offset": DEPTH}
 
 
+#: Of one surface alone.
+_OR_THE_CAMERA = (
+    "; one surface cannot tell whether it is that or the camera, whose distances may have an offset or a "
+    "scale that its file lacks (rim calibrate)"
+)
+
+
 def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
     """Return in words that all poses of surfaces err alike by far more than is stated; None: they do not.
 
@@ -143,6 +150,7 @@ def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
                 f"{_COMMON[one.name]}: poses of a surface err alike, by {size} (RMS over surfaces), "
                 f"{one.found / one.stated:.1f} times what is stated, most of all those of {surface}: it "
                 "stands elsewhere than its poses say; measure it anew, or state a larger pose_sigma"
+                + (_OR_THE_CAMERA if len(own) == 1 else "")
             )
     return None
 

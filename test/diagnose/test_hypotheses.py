@@ -253,8 +253,10 @@ def test_what_gains_at_one_pose_most_of_all_is_the_setup_where_nothing_else_can_
 def test_poses_of_a_surface_that_err_alike_are_a_fault(tmp_path: Path) -> None:
     """Of 0.8 mm that are stated: 1.4 mm and -0.9 mm are errors of an instrument, 28 mm are not."""
 
-    def fitted(box: float) -> Fit:
-        labels = {"common_pose.box.offset": box, "common_pose.wall.offset": -0.0009}
+    def fitted(box: float, wall: float | None = -0.0009) -> Fit:
+        labels = {"common_pose.box.offset": box}
+        if wall is not None:
+            labels["common_pose.wall.offset"] = wall
         regressors = [Regressor(label, "pose", 0.0008) for label in labels]
         return cast(
             Fit,
@@ -271,6 +273,9 @@ def test_poses_of_a_surface_that_err_alike_are_a_fault(tmp_path: Path) -> None:
     # the root of the mean square of 28 and 0.9 mm
     assert said.startswith("depth: poses of a surface err alike, by 20 mm (RMS over surfaces), 24.8 times")
     assert "most of all those of box" in said
+    assert "rim calibrate" not in said
+    alone = str(common_pose_beyond(fitted(0.028, None), camera(tmp_path)))
+    assert alone.endswith("whose distances may have an offset or a scale that its file lacks (rim calibrate)")
 
 
 def test_what_poses_that_stand_elsewhere_cost() -> None:
