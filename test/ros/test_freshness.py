@@ -100,7 +100,7 @@ def test_nothing_older_than_the_limit_leaves_the_node(world: World, maximum_age:
     name = "/camera/correction: frames"
     assert world.until(lambda: int(said.values(name).get("dropped_frames", 0)) > 20), process.text
     assert not points.messages
-    assert "maximum_age was over" in process.text
+    assert world.until(lambda: "maximum_age was over" in process.text), process.text
     assert "is a driver running" not in process.text  # there is one: its frames are too old
     assert world.set("correction", maximum_age=0.0) == ""
     assert world.until(lambda: len(points) > 5), process.text
