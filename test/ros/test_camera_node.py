@@ -144,7 +144,8 @@ def test_an_unknown_parameter_is_warned_of_and_one_of_another_node_is_not(world:
     process = world.start("camera_node", scene="wall", minimum_amplitude=90.0, sceen="wall")
     said = world.diagnostics()
     assert world.until(lambda: said.of("/camera/driver: frames")), process.text
-    assert "no parameter 'sceen', it is ignored (did you mean 'scene'?)" in process.text
+    unknown = "no parameter 'sceen', it is ignored (did you mean 'scene'?)"
+    assert world.until(lambda: unknown in process.text), process.text
     assert process.text.count("no parameter") == process.text.count("no parameter 'sceen'")
     assert world.get("correction", "minimum_amplitude") == [90.0]
 

@@ -38,7 +38,8 @@ def test_home_in_parameters_of_driver_and_correction(world: World, home: Path) -
     world.start("correction_node", camera="~/pmd3ks.yaml", folders="~/files")
     assert world.until(lambda: images and points), world.output()
     assert (images.last.width, images.last.height) == (64, 48)
-    assert f"simulation of {home}/pmd3ks.yaml in {home}/mine.yaml" in driver.text
+    source = f"simulation of {home}/pmd3ks.yaml in {home}/mine.yaml"
+    assert world.until(lambda: source in driver.text), world.output()
     # what was given at the start may be named again, in either way, and is the same
     assert world.set("driver", camera=f"{home}/pmd3ks.yaml") == ""
     assert world.set("driver", camera="~/pmd3ks.yaml") == ""
