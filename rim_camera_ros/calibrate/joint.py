@@ -42,7 +42,7 @@ from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.evidence import Scores, folds_of
 from rim_camera_ros.select.exploration import LEAST_THRESHOLD, explore
 from rim_camera_ros.select.search import search
-from rim_camera_ros.select.subsample import SEARCH_PIXELS, at_stations, subsample_of
+from rim_camera_ros.select.subsample import MANY_PIXELS, at_stations, subsample_of
 
 Say = Callable[[str], None]
 Key = tuple[int, int]
@@ -96,12 +96,13 @@ def by_search(
     asked = [name for name in names if name not in camera.effects and name not in problem.geometry]
     # surfaces that do not reflect as Lambert says would lend their light to other effects
     asked += sorted(OF_SURFACES)
-    few = subsample_of(free, seed=seed, hold=SEARCH_PIXELS)
+    few = subsample_of(free, seed=seed, hold=MANY_PIXELS)
     if few is not None and begin is None:
         say(f"{len(few)} of {len(free.dataset.stations)} stations first")
         some = at_stations(free, few)
         begin = search(some, camera, facts, effects=asked, seed=seed, views=views, progress=say)
-        begin.forget()
+        # what it came to is all that is needed of it; its predictions are large
+        begin = replace(begin, explorations=[])
     if begin is not None:
         say("all stations")
     part = begin if part_is_enough else None

@@ -10,10 +10,9 @@ import numpy as np
 from rim_camera_ros.fit.problem import Problem
 
 #: Pixels of all images, which all are predicted whether they can be used or not, above which fits begin with
-#: a few poses, and about how many those hold.
-_MANY_PIXELS, _FEW_PIXELS = 500_000, 200_000
-#: ... and those hold in which effects are looked for before all are.
-SEARCH_PIXELS = 500_000
+#: a few poses, and about how many those hold. Of recordings that are twice as large as the former so many are
+#: searched for effects before all are.
+MANY_PIXELS, _FEW_PIXELS = 500_000, 200_000
 #: Fewer poses than these tell too little, whatever they hold.
 _LEAST_POSES = 8
 #: Nats by which a fit to a few poses must be worse than the best of them, in all folds, to be left alone.
@@ -35,7 +34,7 @@ def subsample_of(problem: Problem, *, seed: int, hold: int | None = None) -> lis
             placed.append((one.recording, one.placed))
     count = sum(len(placed) for placed in poses.values())
     wanted = max(_LEAST_POSES, round(count * (hold or _FEW_PIXELS) / max(pixels, 1)))
-    if pixels < _MANY_PIXELS or 2 * wanted > count:
+    if pixels < MANY_PIXELS or 2 * wanted > count:
         return None
     rng = np.random.default_rng(seed)
     kept = {

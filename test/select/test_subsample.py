@@ -129,7 +129,7 @@ def test_a_few_poses_change_no_answer(spread: tuple[Problem, Any], monkeypatch: 
     assert not any("few" in one for one in said)
     rivals = [one.removeprefix("fitting ").removesuffix(" to all poses") for one in said]
     assert rivals
-    monkeypatch.setattr(subsample, "_MANY_PIXELS", 1000)
+    monkeypatch.setattr(subsample, "MANY_PIXELS", 1000)
     monkeypatch.setattr(subsample, "_FEW_PIXELS", 1000)
     few, said = found(spread, effects)
     assert [one.effect for one in few.found] == [one.effect for one in alone.found] == ["scattering"]
@@ -179,8 +179,8 @@ def test_a_large_calibration_is_searched_by_some_of_its_poses_first(
     spread: tuple[Problem, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem, told = spread
-    monkeypatch.setattr(subsample, "_MANY_PIXELS", 1000)
-    monkeypatch.setattr(joint, "SEARCH_PIXELS", 1000)
+    monkeypatch.setattr(subsample, "MANY_PIXELS", 1000)
+    monkeypatch.setattr(joint, "MANY_PIXELS", 1000)
     monkeypatch.setattr(joint, "OF_SURFACES", frozenset())
     monkeypatch.setattr(joint, "OPTICS", {})
     monkeypatch.setattr(joint, "effects_of", lambda camera: ["cyclic_error", "scattering"])
@@ -209,7 +209,7 @@ def test_a_large_calibration_is_searched_by_some_of_its_poses_first(
 def test_what_follows_time_or_moves_rays_is_fitted_to_all_poses(
     spread: tuple[Problem, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(subsample, "_MANY_PIXELS", 1000)
+    monkeypatch.setattr(subsample, "MANY_PIXELS", 1000)
     monkeypatch.setattr(subsample, "_FEW_PIXELS", 1000)
     _, said = found(spread, ["warm_up_drift", "camera_constant"])
     assert said
