@@ -28,7 +28,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
+from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -297,6 +297,20 @@ class World:
     def publisher(self, kind: Any, topic: str, qos: QoSProfile = RELIABLE) -> Any:
         """Return a publisher; wait for its subscribers with `until`."""
         return self.node.create_publisher(kind, f"{self.namespace}/{topic}", qos)
+
+    def published_by(self, node: str) -> dict[str, str]:
+        """Return the topics that a node publishes, as discovered so far, with their types."""
+        return self._offered(self.node.get_publisher_names_and_types_by_node, node)
+
+    def served_by(self, node: str) -> dict[str, str]:
+        """Return the services that a node offers, as discovered so far, with their types."""
+        return self._offered(self.node.get_service_names_and_types_by_node, node)
+
+    def _offered(self, query: Callable[[str, str], list[tuple[str, list[str]]]], node: str) -> dict[str, str]:
+        try:
+            return {name: kinds[0] for name, kinds in query(node, self.namespace)}
+        except NodeNameNonExistentError:  # messages of a node can arrive before its name is discovered
+            return {}
 
     # --- parameters -----------------------------------------------------------------------------
 

@@ -27,12 +27,7 @@ RAW = ("distance/image_raw", "amplitude/image_raw", "frame_info", "camera_info",
 
 def offered(world: World, nodes: tuple[str, ...]) -> dict[str, dict[str, str]]:
     """Return topics and services of each node with their types."""
-    found: dict[str, dict[str, str]] = {}
-    for node in nodes:
-        published = world.node.get_publisher_names_and_types_by_node(node, world.namespace)
-        served = world.node.get_service_names_and_types_by_node(node, world.namespace)
-        found[node] = {name: kinds[0] for name, kinds in (*published, *served)}
-    return found
+    return {node: world.published_by(node) | world.served_by(node) for node in nodes}
 
 
 def test_topics_services_and_parameters_are_those_of_separate_processes(world: World) -> None:

@@ -106,13 +106,13 @@ def test_topics(nodes: World) -> None:
     def published() -> dict[str, set[str]]:
         found: dict[str, set[str]] = {}
         for node in _SPECS:
-            for name, kinds in nodes.node.get_publisher_names_and_types_by_node(node, "/camera"):
+            for name, kind in nodes.published_by(node).items():
                 if name in _EVERY_TOPIC or name.endswith("/transition_event"):
                     continue
                 short = name.removeprefix("/camera/")
                 short = re.sub(r"^ground_truth/[^/]+/", "ground_truth/<surface>/", short)
                 found.setdefault(short, set()).add(node)
-                types[short] = kinds[0].rpartition("/")[2]
+                types[short] = kind.rpartition("/")[2]
         return found
 
     expected = set(documented) - {"/tf_static"}
@@ -129,9 +129,9 @@ def test_services(nodes: World) -> None:
 
     def offered() -> dict[str, tuple[str, str]]:
         return {
-            name.removeprefix("/camera/"): (kinds[0].replace("/srv", ""), node)
+            name.removeprefix("/camera/"): (kind.replace("/srv", ""), node)
             for node in _SPECS
-            for name, kinds in nodes.node.get_service_names_and_types_by_node(node, "/camera")
+            for name, kind in nodes.served_by(node).items()
             if not re.search(_EVERY_SERVICE, name)
         }
 
