@@ -5,6 +5,7 @@ Source: Brown (1971) as used by Kahlmann 2007, sec. 3.2, in the parametrisation 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -19,6 +20,10 @@ Array = NDArray[np.float64]
 UNDISTORTION_TOLERANCE = 1e-9
 #: Steps from the principal point to a point in which a fold of the lens model is looked for.
 _STEPS = 16
+#: Squared radii at which it is looked for whether there is a fold at all.
+_SAMPLES = 400
+#: Iterations of Newton's method, which converges in five away from folds, and halvings of one of its steps.
+_ITERATIONS, _HALVINGS = 60, 12
 
 
 @dataclass(frozen=True)
@@ -59,40 +64,44 @@ def undistort(xy: Array, d: tuple[float, ...]) -> Array:
         return xy.copy()
     target = xy.reshape(-1, 2)
     solution = target.copy()
-    error, jacobian = _error(solution, target, d)
-    open_ = np.arange(len(target))
-    for _ in range(60):
-        left = np.abs(error).max(axis=-1) >= UNDISTORTION_TOLERANCE / 10
-        open_, error, jacobian = open_[left], error[left], tuple(one[left] for one in jacobian)
-        if not open_.size:
+    for _ in range(_HALVINGS):  # the centre lies before every fold
+        beyond = ~(_jacobian(solution, d)[3] > 0)
+        if not beyond.any():
             break
-        a, b, c, determinant = jacobian
-        step = np.stack(
-            [
-                (c * error[:, 0] - b * error[:, 1]) / determinant,
-                (a * error[:, 1] - b * error[:, 0]) / determinant,
-            ],
-            axis=-1,
-        )
-        share = np.ones(len(open_))
-        for _ in range(12):
-            trial = solution[open_] - share[:, None] * step
-            crossed = ~(_error(trial, target[open_], d)[1][3] > 0)
-            if not crossed.any():
+        solution[beyond] /= 2
+    left = np.arange(len(target))
+    for _ in range(_ITERATIONS):
+        here, wanted = solution[left], target[left]
+        error = distort(here, d) - wanted
+        open_ = np.abs(error).max(axis=-1) >= UNDISTORTION_TOLERANCE / 10
+        if not open_.any():
+            left = left[:0]
+            break
+        left, here, error = left[open_], here[open_], error[open_]
+        a, b, c, determinant = _jacobian(here, d)
+        step = np.stack([c * error[:, 0] - b * error[:, 1], a * error[:, 1] - b * error[:, 0]], axis=-1)
+        step /= determinant[:, None]
+        crossing = np.arange(len(left))
+        for _ in range(_HALVINGS):
+            crossing = crossing[~(_jacobian(here[crossing] - step[crossing], d)[3] > 0)]
+            if not crossing.size:
                 break
-            share[crossed] /= 2
-        solution[open_] = trial
-        error, jacobian = _error(trial, target[open_], d)
-    solution[open_] = np.nan
-    # a solution behind a fold is none: the image must not turn back anywhere on the way from the centre
-    for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:]:
-        a, _, c, determinant = _error(share * solution, target, d)[1]
-        solution[~((determinant > 0) & (a + c > 0))] = np.nan
+            step[crossing] /= 2
+        solution[left] = here - step
+        # where no step, however short, stays before the fold there is no solution
+        solution[left[crossing]] = np.nan
+        left = np.delete(left, crossing)
+    solution[left] = np.nan
+    if not _has_no_fold(d, radius=float(np.sqrt(np.nanmax((solution**2).sum(axis=-1), initial=0.0)))):
+        # a solution behind a fold is none: the image must not turn back anywhere on the way from the centre
+        for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:]:
+            a, _, c, determinant = _jacobian(share * solution, d)
+            solution[~((determinant > 0) & (a + c > 0))] = np.nan
     return solution.reshape(xy.shape)
 
 
-def _error(xy: Array, target: Array, d: tuple[float, ...]) -> tuple[Array, tuple[Array, ...]]:
-    """Return distort(xy) - target and the Jacobian [[a, b], [b, c]] with its determinant."""
+def _jacobian(xy: Array, d: tuple[float, ...]) -> tuple[Array, Array, Array, Array]:
+    """Return the Jacobian [[a, b], [b, c]] of `distort` with its determinant."""
     k1, k2, p1, p2, k3 = d
     x, y = xy[..., 0], xy[..., 1]
     r2 = x * x + y * y
@@ -101,7 +110,24 @@ def _error(xy: Array, target: Array, d: tuple[float, ...]) -> tuple[Array, tuple
     a = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
     b = slope * x * y + 2 * p1 * x + 2 * p2 * y
     c = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
-    return distort(xy, d) - target, (a, b, c, a * c - b * b)
+    return a, b, c, a * c - b * b
+
+
+def _has_no_fold(d: tuple[float, ...], *, radius: float) -> bool:
+    """Whether the Jacobian of `distort` is positive definite within a radius, by a sufficient condition.
+
+    Its radial part has the eigenvalues f = 1 + k1 r^2 + k2 r^4 + k3 r^6 and (r f)'; those of the tangential
+    part are at most 6 (|p1| + |p2|) r.
+    """
+    k1, k2, p1, p2, k3 = d
+    squares = np.linspace(0.0, radius**2, _SAMPLES)
+    least = np.inf
+    for f1, f2, f3 in ((k1, k2, k3), (3 * k1, 5 * k2, 7 * k3)):
+        eigenvalue = 1 + squares * (f1 + squares * (f2 + squares * f3))
+        # between samples it lies below their values by no more than half a step times its steepest slope
+        slope = abs(f1) + squares[-1] * (2 * abs(f2) + 3 * squares[-1] * abs(f3))
+        least = min(least, eigenvalue.min() - slope * squares[1] / 2)
+    return bool(least > 6 * (abs(p1) + abs(p2)) * radius)
 
 
 @lru_cache(maxsize=20)
@@ -128,6 +154,37 @@ def rays_through(optics: Optics, pixels: Array) -> Array:
     ideal = undistort(distorted, optics.d)
     rays = np.concatenate([ideal, np.ones((*ideal.shape[:-1], 1))], axis=-1)
     result: Array = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    return result
+
+
+def ray_derivatives(optics: Optics, rays: Array, paths: Sequence[str]) -> list[Array]:
+    """Return the derivatives (..., 3) of unit rays (..., 3) of fixed pixels by numbers of the optics.
+
+    ``paths`` name them: ``fx``, ``fy``, ``cx``, ``cy`` (per px), ``d.0`` to ``d.4``. From the equation that a
+    ray solves, distort(x, y; d) = ((column - cx) / fx, (row - cy) / fy), differentiated implicitly.
+    """
+    xy = rays[..., :2] / rays[..., 2:]
+    x, y = xy[..., 0], xy[..., 1]
+    distorted = distort(xy, optics.d)
+    r2, zero = x * x + y * y, np.zeros_like(x)
+    right_side = {
+        "fx": (-distorted[..., 0] / optics.fx, zero),
+        "fy": (zero, -distorted[..., 1] / optics.fy),
+        "cx": (np.full_like(x, -1 / optics.fx), zero),
+        "cy": (zero, np.full_like(x, -1 / optics.fy)),
+        "d.0": (-x * r2, -y * r2),
+        "d.1": (-x * r2**2, -y * r2**2),
+        "d.2": (-2 * x * y, -(r2 + 2 * y * y)),
+        "d.3": (-(r2 + 2 * x * x), -2 * x * y),
+        "d.4": (-x * r2**3, -y * r2**3),
+    }
+    a, b, c, determinant = _jacobian(xy, optics.d)
+    result = []
+    for path in paths:
+        along_x, along_y = right_side[path]
+        change = np.stack([c * along_x - b * along_y, a * along_y - b * along_x, zero], axis=-1)
+        change *= (rays[..., 2] / determinant)[..., None]
+        result.append(change - rays * (rays * change).sum(axis=-1, keepdims=True))
     return result
 
 

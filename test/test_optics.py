@@ -10,7 +10,16 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from rim_camera_ros.optics import Optics, distort, pixel_rays, project, rays_through, undistort
+from rim_camera_ros.optics import (
+    Optics,
+    distort,
+    pixel_rays,
+    project,
+    ray_derivatives,
+    rays_through,
+    undistort,
+)
+from rim_camera_ros.parameters import flatten, with_values
 
 SR3000 = Optics(
     fx=199.8875,
@@ -147,3 +156,30 @@ def test_undistortion_inverts_every_lens_without_a_fold(
     assume(determinant.min() > 0.1 and trace.min() > 0.5)
     found = undistort(distort(end[None], d), d)[0]
     np.testing.assert_allclose(found, end, atol=2e-8)
+
+
+# --- derivatives ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("optics", LENSES)
+def test_derivatives_of_rays_equal_opencv(optics: Optics) -> None:
+    """A ray that moves by its derivative is imaged onto the same pixel by the changed lens of OpenCV."""
+    paths = ("fx", "fy", "cx", "cy", "d.0", "d.1", "d.2", "d.3", "d.4")
+    rays = rays_through(optics, PIXELS)
+    for path, derivative in zip(paths, ray_derivatives(optics, rays, paths), strict=True):
+        np.testing.assert_allclose((derivative * rays).sum(axis=-1), 0, atol=1e-15)
+        step = 1e-5 if path.startswith("d") else 1e-3
+        sides = []
+        for sign in (1, -1):
+            changed = with_values(optics, {path: flatten(optics)[path] + sign * step})
+            moved = rays + sign * step * derivative
+            image, _ = cv2.projectPoints(
+                moved, np.zeros(3), np.zeros(3), _matrix(changed), np.array(changed.d)
+            )
+            sides.append(image[:, 0])
+        np.testing.assert_allclose((sides[0] - sides[1]) / step, 0, atol=2e-4, err_msg=path)
+
+
+def test_rays_beyond_a_fold_have_no_derivative() -> None:
+    (found,) = ray_derivatives(SR3000, np.full((2, 3), np.nan), ["fx"])
+    assert np.isnan(found).all()

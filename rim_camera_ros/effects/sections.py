@@ -13,7 +13,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.candidate import Block, Candidate, Coefficients, Column, Facts, Reading, Regressor
 from rim_camera_ros.effects.light_curves import LOBE, LOBE_SIGMA, RIPPLES, SURFACES
 from rim_camera_ros.effects.physics import Physics
-from rim_camera_ros.optics import pixel_rays
+from rim_camera_ros.optics import ray_derivatives
 from rim_camera_ros.parameters import flatten, with_values
 
 Array = NDArray[Any]
@@ -22,8 +22,6 @@ Array = NDArray[Any]
 REFLECTANCE_PRIOR = 0.2
 #: ... and of its ripples over the phase.
 _RIPPLE_PRIOR = 0.03
-#: Step of the derivative by a number of the optics that no section names.
-_STEP = 1e-3
 
 
 class Section(Physics):
@@ -42,21 +40,21 @@ class OpticsSection(Section):
     observable = "a board at known poses that reaches into the corners of the image"
     moves_rays = True
     needs_all_pixels = True
-    #: path under ``optics``, step of the derivative, 1-sigma of the prior
-    numbers: ClassVar[tuple[tuple[str, float, float], ...]]
+    #: path under ``optics`` and 1-sigma of the prior
+    numbers: ClassVar[tuple[tuple[str, float], ...]]
 
     @classmethod
     def block(cls, camera: Camera) -> Block:
         """Return the regressors of the numbers about those of the camera."""
-        regressors = tuple(Regressor(f"optics.{path}", cls.name, prior) for path, _, prior in cls.numbers)
-        return Block(regressors, optics_columns(camera, [path for path, _, _ in cls.numbers]))
+        regressors = tuple(Regressor(f"optics.{path}", cls.name, prior) for path, prior in cls.numbers)
+        return Block(regressors, optics_columns(camera, [path for path, _ in cls.numbers]))
 
     @classmethod
     def of_another(cls, camera: Camera, other: Camera) -> Camera:
         """Return the camera with the numbers that another one has."""
         numbers = flatten(other.optics)
         return replace(
-            camera, optics=with_values(camera.optics, {path: numbers[path] for path, _, _ in cls.numbers})
+            camera, optics=with_values(camera.optics, {path: numbers[path] for path, _ in cls.numbers})
         )
 
     @classmethod
@@ -83,7 +81,7 @@ class CameraConstant(OpticsSection):
     title = "focal length and principal point"
     refuted_by = "residuals that do not grow with the tilt of a surface"
     missing = "camera constant: focal length or principal point differ from the camera file's"
-    numbers = (("fx", 0.1, 5.0), ("fy", 0.1, 5.0), ("cx", 0.1, 3.0), ("cy", 0.1, 3.0))
+    numbers = (("fx", 5.0), ("fy", 5.0), ("cx", 3.0), ("cy", 3.0))
 
 
 class LensDistortion(OpticsSection):
@@ -93,7 +91,7 @@ class LensDistortion(OpticsSection):
     title = "lens distortion"
     refuted_by = "edges of a board that are straight in the undistorted image"
     missing = "lens distortion: the rays bend other than the camera file's distortion says"
-    numbers = (("d.0", 1e-3, 0.1), ("d.1", 1e-3, 0.1), ("d.2", 1e-4, 0.003), ("d.3", 1e-4, 0.003))
+    numbers = (("d.0", 0.1), ("d.1", 0.1), ("d.2", 0.003), ("d.3", 0.003))
 
 
 class NoiseSection(Section):
@@ -138,20 +136,11 @@ SECTIONS: dict[str, type[Section]] = {
 OPTICS: dict[str, type[OpticsSection]] = {one.name: one for one in (CameraConstant, LensDistortion)}
 #: Names that belong to the scene's surfaces.
 OF_SURFACES = frozenset(name for name, one in SECTIONS.items() if one.of_surfaces)
-_STEPS = {path: step for one in OPTICS.values() for path, step, _ in one.numbers}
 
 
 def optics_columns(camera: Camera, paths: Sequence[str]) -> Callable[[Reading], list[Column]]:
     """Return the derivatives of the distances by numbers of the optics (``fx``, ``d.0``)."""
-    changes: list[Array] = []
-    numbers = flatten(camera.optics)
-    for path in paths:
-        step = _STEPS.get(path, _STEP)
-        sides = []
-        for sign in (1.0, -1.0):
-            optics = with_values(camera.optics, {path: numbers[path] + sign * step})
-            sides.append(pixel_rays(optics, width=camera.sensor.width, height=camera.sensor.height))
-        changes.append((sides[0] - sides[1]) / (2 * step))
+    changes = ray_derivatives(camera.optics, camera.rays, paths)
 
     def columns(reading: Reading) -> list[Column]:
         geometry = reading.context.geometry

@@ -72,6 +72,7 @@ class Prediction:
     linear: Sequence[Any] = ()
     _images: dict[str, tuple[Array, Array]] = field(default_factory=dict)
     _changes: dict[str, tuple[Array, Array]] = field(default_factory=dict)
+    _by_light: tuple[Array, Array] | None = None
 
     def light_change(self, after: str | None, change: Array) -> tuple[Array, Array]:
         """Carry a relative change of the complex image through the optics that follow an effect.
@@ -109,9 +110,14 @@ class Prediction:
 
     def reading_change(self, by_distance: Array | float, relative: Array | float) -> tuple[Array, Array]:
         """Return the changes of the readings for changes of delivered distance [m] and log amplitude."""
-        counts = relative * self.delivered.amplitude
-        measured = by_distance * self.slope_distance + counts * self.amplitude_follows * self.slope_amplitude
-        return np.asarray(measured), np.asarray(counts * self.slope_published)
+        if self._by_light is None:
+            light = self.delivered.amplitude
+            slopes = (self.amplitude_follows * self.slope_amplitude, self.slope_published)
+            self._by_light = (light * slopes[0], light * slopes[1])
+        measured, published = (relative * one for one in self._by_light)
+        if isinstance(by_distance, np.ndarray) or by_distance:
+            measured = by_distance * self.slope_distance + measured
+        return np.asarray(measured), np.asarray(published)
 
     def columns(self, effect: Effect) -> dict[str, tuple[Array, Array]]:
         """Return the derivatives of measured distance and published amplitude by an effect's parameters.

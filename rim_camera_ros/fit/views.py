@@ -186,7 +186,7 @@ class Views:
         uncertain = len(there) > 1 or there[0].type != "plane"
         if uncertain:
             for rays in self._rays_around(margins.outline):
-                clean &= surface_seen(self.scene, poses, rays) == geometry.surface
+                clean[clean] = surface_seen(self.scene, poses, rays[clean]) == geometry.surface[clean]
         first = 0
         for i, surface in enumerate(surfaces):
             start, first = first, first + surface.tiles
@@ -195,8 +195,8 @@ class Views:
                 continue
             pose = poses[surfaces[i].name]
             rotation = rotation_matrix(pose.orientation)
-            mine = geometry.surface == i
             for rays in self._rays_around(margins.tile):
+                mine = clean & (geometry.surface == i)
                 length = surfaces[i].lengths(pose, np.zeros(3), rays[mine])
                 met = np.isfinite(length)
                 local = (
@@ -204,7 +204,7 @@ class Views:
                 ) @ rotation
                 local = np.nan_to_num(local)  # beside pixels that have no ray
                 same = start + texture.tile(local[:, 0], local[:, 1]) == geometry.tile[mine]
-                clean[mine] &= same | ~met
+                clean[mine] = same | ~met
         return clean
 
     def _pose_columns(self, view: View) -> list[PoseColumn]:
