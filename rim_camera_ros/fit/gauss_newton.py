@@ -33,6 +33,7 @@ from rim_camera_ros.fit.residuals import amplitude_error, huber
 from rim_camera_ros.fit.steps import (
     Solved,
     bounds_of,
+    by_linear,
     greatest_of,
     in_units,
     longest_steps,
@@ -62,8 +63,8 @@ _LESS_DAMPED = 10.0
 _NO_SOLUTION = "the adjustment found no finite solution"
 #: Share of the forecast gain of a step by which the objective may become worse once, near the solution.
 _OVER_THE_BEND = 0.1
-#: Step of a parameter in units of its sigma, and change of chi-square between two iterations (for that
-#: tolerance), below which the adjustment has converged.
+#: Step of a parameter in units of its sigma, and change of chi-square between two iterations or by the next
+#: one (for that tolerance), below which the adjustment has converged.
 TOLERANCE = 0.05
 _LEVEL = 0.5
 
@@ -220,7 +221,8 @@ class GaussNewton:
             except (linalg.LinAlgError, ValueError):
                 raise RimError(_NO_SOLUTION, remedy="check scene and camera file") from None
             step, covariance = linalg.cho_solve(factor, right), linalg.cho_solve(factor, np.eye(owned))
-        square = float(reduced.square) + float(np.sum((away / prior) ** 2))
+        by_nuisances = by_linear(matrix, right, [one.label for one in regressors])
+        square = float(reduced.square) + float(np.sum((away / prior) ** 2)) - by_nuisances
         return Linearised(
             forward=forward,
             equations=equations,
@@ -233,6 +235,7 @@ class GaussNewton:
             covariance=covariance,
             square=square,
             objective=square + 2 * reduced.log_norm,
+            decrement=float(right @ step) - by_nuisances,
         )
 
     def _held(self, regressors: Sequence[Regressor]) -> list[int]:
@@ -304,11 +307,10 @@ class GaussNewton:
         small = bool(np.all((np.abs(here.step) <= self._tolerance * here.sigma)[stepped]))
         self._converged = small and (count >= _SHAPES_HELD or not self._held(here.regressors))
         # parameters that the data hardly tell apart wander along a valley whose floor is level
-        self._converged |= (
-            self._damping == 0
-            and count >= min(self._settled, _SETTLED)
-            and abs(self._square - here.square) < _LEVEL * (self._tolerance / TOLERANCE) ** 2
-        )
+        level = _LEVEL * (self._tolerance / TOLERANCE) ** 2
+        is_level = self._damping == 0 and abs(self._square - here.square) < level
+        settled = count >= min(self._settled, _SETTLED)
+        self._converged |= settled and (is_level or here.decrement < level)
         self._square = here.square
         try:
             self._go(self._solved)

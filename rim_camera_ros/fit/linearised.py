@@ -21,7 +21,8 @@ class Linearised:
     """The equations where an adjustment stands, and their solution.
 
     ``matrix``, ``right``, ``step`` and ``covariance`` of the ``regressors`` with their ``prior`` (1-sigma).
-    ``square`` is chi-square with the priors' terms, ``objective`` twice the negative log likelihood.
+    ``square`` is chi-square with the priors' terms, linear nuisances where they fit best; ``objective`` twice
+    the negative log likelihood; ``decrement`` by how much an undamped step should lower either.
     """
 
     forward: Forward
@@ -35,6 +36,7 @@ class Linearised:
     covariance: Array
     square: float
     objective: float
+    decrement: float
 
     @property
     def labels(self) -> list[str]:

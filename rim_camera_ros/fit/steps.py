@@ -62,7 +62,8 @@ class Solved:
             return step
         # in units in which the diagonal is 1: parameters differ by many orders of magnitude
         unit = np.sqrt(np.diag(self.matrix))
-        matrix = self.matrix / np.outer(unit, unit) + self.damping * np.eye(len(unit))
+        damping = [0.0 if is_linear(label) else self.damping for label in self.labels]
+        matrix = self.matrix / np.outer(unit, unit) + np.diag(damping)
         free = np.ones(len(step), bool)
         while free.any():
             right = (self.right / unit)[free] - matrix[np.ix_(free, ~free)] @ (step * unit)[~free]
@@ -80,7 +81,8 @@ class Solved:
     @property
     def forecast(self) -> float:
         """By how much the step should lower the objective."""
-        return float(2 * self.right @ self.step - self.step @ self.matrix @ self.step)
+        whole = float(2 * self.right @ self.step - self.step @ self.matrix @ self.step)
+        return whole - by_linear(self.matrix, self.right, self.labels)
 
     @property
     def changes(self) -> dict[str, float]:
@@ -110,6 +112,19 @@ class Solved:
         if flat.size == pattern.size:
             pattern = flat.reshape(pattern.shape)
         return nuisances, gains, pattern, pixels
+
+
+def by_linear(matrix: Array, right: Array, labels: Sequence[str]) -> float:
+    """Return by how much linear nuisances lower chi-square where they fit best, all else at the point.
+
+    Objectives of two points can be compared only with them there (variable projection, Golub & Pereyra 1973):
+    every step moves them too.
+    """
+    linear = [i for i, label in enumerate(labels) if is_linear(label)]
+    if not linear:
+        return 0.0
+    factor = linalg.cho_factor(matrix[np.ix_(linear, linear)])
+    return float(right[linear] @ linalg.cho_solve(factor, right[linear]))
 
 
 def stepped(
