@@ -63,8 +63,8 @@ _LESS_DAMPED = 10.0
 _NO_SOLUTION = "the adjustment found no finite solution"
 #: Share of the forecast gain of a step by which the objective may become worse once, near the solution.
 _OVER_THE_BEND = 0.1
-#: Step of a parameter in units of its sigma, and change of chi-square between two iterations or by the next
-#: one (for that tolerance), below which the adjustment has converged.
+#: Step of a parameter in units of its sigma, or of all together (squared, the decrement), and change of
+#: chi-square between two iterations (for that tolerance), below which the adjustment has converged.
 TOLERANCE = 0.05
 _LEVEL = 0.5
 
@@ -248,6 +248,8 @@ class GaussNewton:
         worse = comparable and here.objective > self._objective + _LEVEL
         if not worse or self._tried >= len(_DAMPING) or count > self._iterations or self._solved is None:
             return False
+        if self._solved.decrement < _LEVEL:
+            return False  # weights that follow the residuals change objectives by more
         if not self._near or self._tried or self._return is not None or count >= self._iterations:
             return True
         # across the bend of a valley the next step may be the good one: short steps would follow the bend
@@ -301,6 +303,7 @@ class GaussNewton:
             dict(self._offsets),
             self._damping,
             self._pixels,
+            here.decrement,
         )
         self._find_errors(self._solved)
         stepped = np.array([not is_linear(label) for label in here.labels], bool)
@@ -310,7 +313,7 @@ class GaussNewton:
         level = _LEVEL * (self._tolerance / TOLERANCE) ** 2
         is_level = self._damping == 0 and abs(self._square - here.square) < level
         settled = count >= min(self._settled, _SETTLED)
-        self._converged |= settled and (is_level or here.decrement < level)
+        self._converged |= settled and (is_level or here.decrement < self._tolerance)
         self._square = here.square
         try:
             self._go(self._solved)

@@ -38,6 +38,7 @@ class Solved:
     powers, offsets and the step.
 
     ``most`` is how far each parameter may go in one step; the others follow those that may not go farther.
+    ``decrement`` is by how much a step without limits and ``damping`` should lower the objective.
     """
 
     reduced: Reduced
@@ -50,6 +51,7 @@ class Solved:
     offsets: Mapping[str, float]
     damping: float = 0.0
     pixels: Array | None = None
+    decrement: float = np.inf
 
     @cached_property
     def step(self) -> Array:

@@ -12,9 +12,12 @@ import pytest
 from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.fit.gauss_newton import GaussNewton
+from rim_camera_ros.fit.linearised import Linearised
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit
-from rim_camera_ros.fit.steps import Solved, longest_steps, stepped
+from rim_camera_ros.fit.steps import Solved, by_linear, longest_steps, stepped
+from rim_camera_ros.frame import Pose
 
 from ..calibrate.helpers import camera, record, scene
 
@@ -73,6 +76,24 @@ def test_damping_adds_a_share_of_the_diagonal(damping: float) -> None:
     step = solved([np.inf] * 3, damping).step
     assert step == pytest.approx(np.linalg.solve(MATRIX + damping * np.diag(np.diag(MATRIX)), RIGHT))
     assert not np.any(replace(solved([np.inf] * 3, damping), damping=np.inf).step)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+def test_linear_nuisances_are_always_where_they_fit_best(damping: float) -> None:
+    """Of a quadratic with its nuisance at its least for every x the step is that of the Schur complement."""
+    nothing: Any = None
+    labels = ["weight", "common_pose.board.offset", "offset"]
+    one = Solved(nothing, labels, MATRIX, RIGHT, np.full(3, np.inf), 0.0, {}, {}, damping)
+    own, nuisance = [0, 2], 1
+    schur = MATRIX[np.ix_(own, own)] - np.outer(MATRIX[own, nuisance], MATRIX[nuisance, own]) / 4.0e6
+    right = RIGHT[own] - MATRIX[own, nuisance] * RIGHT[nuisance] / 4.0e6
+    expected = np.linalg.solve(schur + damping * np.diag([4.0, 9.0]), right)
+    assert one.step[own] == pytest.approx(expected)
+    assert list(one.changes) == ["weight", "offset"]
+    # what the nuisance lowers by itself is there before any step
+    assert by_linear(MATRIX, RIGHT, labels) == pytest.approx(2.0e3**2 / 4.0e6)
+    assert one.forecast == pytest.approx(2 * right @ expected - expected @ schur @ expected)
+    assert by_linear(MATRIX, RIGHT, ["weight", "sigma", "offset"]) == 0.0
 
 
 def test_shapes_go_by_a_quarter_of_where_they_are() -> None:
@@ -147,3 +168,38 @@ def test_a_step_that_goes_too_far_is_tried_again(tmp_path: Path, monkeypatch: py
     assert short.parameters[path] == 0.0
     assert not short.converged
     assert short.notes == ["not converged after 2 iterations: effects.distance_scale.scale still moves"]
+
+
+def test_objectives_fall_by_what_steps_forecast(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also beside errors that all poses share, which every step moves."""
+    truth, board = camera(tmp_path, CyclicError((Harmonic(4, 0.012, 0.6),), (0.0, 0.0))), scene(tmp_path)
+    surface = replace(board.surfaces[0], pose_sigma=(0.003, 0.002), pose_common=0.5)
+    board = replace(board, surfaces=(surface,))
+    data = record(truth, board, poses=10, seed=6)
+    moved = [
+        replace(one, truth={name: _farther(pose, 0.004) for name, pose in one.truth.items()})
+        for one in data.stations
+    ]
+    problem = Problem(replace(data, stations=moved), board, pattern=False)
+    seen: list[tuple[float, float]] = []
+    honest = GaussNewton.advance
+
+    def watched(self: GaussNewton, here: Linearised, count: int) -> None:
+        seen.append((here.objective, here.decrement))
+        honest(self, here, count)
+
+    monkeypatch.setattr(GaussNewton, "advance", watched)
+    start = camera(tmp_path, CyclicError((Harmonic(4, 0.002, 0.2),), (0.0, 0.0)))
+    warm = fit(problem, start, iterations=3)
+    seen.clear()
+    found = fit(problem, start, warm=warm, iterations=12)
+    assert found.converged
+    assert found.nuisances["common_pose.board.offset"] < -0.002
+    objectives, forecasts = np.array(seen).T
+    assert len(seen) > 2
+    assert -np.diff(objectives) == pytest.approx(forecasts[:-1], rel=0.1)
+
+
+def _farther(pose: Pose, shift: float) -> Pose:
+    x, y, z = pose.position
+    return replace(pose, position=(x, y, z + shift))
