@@ -163,9 +163,8 @@ def _require_a_good_one(given: argparse.Namespace, result: Calibration) -> None:
         say(given, result.notes)
         if not given.quiet:
             print(calibration_text(result))
-    require_a_good_one(
-        result, remedy="name fewer --effects, or record more different poses; --force-result writes it"
-    )
+    effects = "name fewer --effects" if given.effects else "name effects with --effects"
+    require_a_good_one(result, remedy=f"{effects}, or record more different poses; --force-result writes it")
 
 
 def _reducer(scheduler: str | None) -> Reducer | None:
