@@ -12,6 +12,7 @@ from scipy.sparse import csr_matrix
 
 from rim_camera_ros.effects.candidate import Column
 from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.residuals import beyond_limit
 
 Array = NDArray[Any]
 
@@ -27,7 +28,7 @@ class Fold:
     the relative gain of the pixel, in both channels (None: gains are known), ``gain_weight`` (P,) and
     ``cross`` (P,) its own and those with the offset; ``rows`` the number of observations, ``expected`` what
     their squares are expected to sum up to (None: as many), ``log_sigma`` the sum of their log standard
-    deviations.
+    deviations; ``robust`` what a robust loss has beyond their squares and these logarithms.
     """
 
     nuisances: list[tuple[str, float, float]]
@@ -40,6 +41,7 @@ class Fold:
     gain_weight: Array | None = None
     cross: Array | None = None
     expected: float | None = None
+    robust: float = 0.0
 
     def errors_beside(self, values: Array, offsets: Array, gains: Array | None) -> dict[str, float]:
         """Return the nuisances for regressors (K,), offsets and gains of pixels (P,) that others found.
@@ -144,6 +146,7 @@ class Share:
     expected: float
     log_sigma: float
     gain: GainShare | None = None
+    robust: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -179,10 +182,14 @@ def share_of(
     nuisances = _nuisances(prediction, gain_sigma, stray_light)
     weight = 1.0 / np.take(prediction.sigma, pixels) ** 2
     weight_a = 1.0 / np.take(prediction.amplitude_sigma, lit) ** 2
-    if factors is not None:
-        weight = weight * np.take(factors[0], pixels)
-        weight_a = weight_a * np.take(factors[1], lit)
     share = np.take(prediction.amplitude_share, lit)
+    robust = 0.0
+    if factors is not None:
+        factor, factor_a = np.take(factors[0], pixels), np.take(factors[1], lit)
+        weight, weight_a = weight * factor, weight_a * factor_a
+        # weights are of a loss, and no other standard deviations
+        robust = beyond_limit(factor) + beyond_limit(factor_a)
+        robust += float(np.log(factor).sum() + (share * np.log(factor_a)).sum())
     size = len(columns) + len(nuisances) + 1
     own = [(i, *one) for i, one in enumerate(columns) if one is not None]
     own += [(len(columns) + i, one[3], one[4]) for i, one in enumerate(nuisances)]
@@ -205,6 +212,7 @@ def share_of(
         expected=len(weight) + float(np.take(prediction.amplitude_freedom, lit).sum()),
         log_sigma=-0.5 * float(np.log(weight).sum() + (share * np.log(weight_a)).sum()),
         gain=_gain_share(prediction, distances, light) if gains else None,
+        robust=robust,
     )
 
 
@@ -257,7 +265,7 @@ class FoldSums:
         self._right = np.zeros(count)
         self._square = 0.0
         self._rows, self._expected = 0, 0.0
-        self._log_sigma = 0.0
+        self._log_sigma = self._robust = 0.0
         self._pixel = _PixelSums(count, pixels, rows) if pattern else None
         self._weight: Array = np.zeros(pixels if pattern else 1)
         self._gain = _PixelSums(count, pixels, rows) if pattern and gains else None
@@ -273,6 +281,7 @@ class FoldSums:
         self._rows += share.rows
         self._expected += share.expected
         self._log_sigma += share.log_sigma
+        self._robust += share.robust
         self._sum(share.gram, share.nuisances)
         if self._pixel is None:
             return
@@ -320,7 +329,14 @@ class FoldSums:
         pixel = np.zeros((1, size)) if self._pixel is None else self._pixel.all(size)
         nuisances = [(name, *self._nuisances[name]) for name in names]
         fold = Fold(
-            nuisances, gram, pixel, self._weight, self._rows, self._log_sigma, expected=self._expected
+            nuisances,
+            gram,
+            pixel,
+            self._weight,
+            self._rows,
+            self._log_sigma,
+            expected=self._expected,
+            robust=self._robust,
         )
         if self._gain is not None:
             fold.gain = self._gain.all(size)

@@ -234,7 +234,7 @@ class GaussNewton:
             step=step,
             covariance=covariance,
             square=square,
-            objective=square + 2 * reduced.log_norm,
+            objective=square + 2 * reduced.log_norm + sum(fold.robust for fold in equations.folds),
             decrement=float(right @ step) - by_nuisances,
         )
 

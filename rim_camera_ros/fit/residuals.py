@@ -36,6 +36,15 @@ def huber(pattern: Array, nuisances: Mapping[str, float]) -> Callable[[Predictio
     return weigh
 
 
+def beyond_limit(factors: Array) -> float:
+    """Return what the loss of Huber (1964) has beyond squares that are weighted by factors, in their units.
+
+    With it the weighted squares are an upper bound of the loss, which touches it where the weights come from:
+    objectives by the weights of two points can be compared.
+    """
+    return float(np.sum(ROBUST_LIMIT**2 * (1.0 / factors - 1.0)))
+
+
 def amplitude_error(forward: Forward, nuisances: Mapping[str, float]) -> float:
     """Return the relative 1-sigma of predicted amplitudes beyond noise and errors of poses (robustly)."""
     pattern = np.zeros(forward.camera.shape)
