@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from rim_camera_ros.effects.candidate import Column
-from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.prediction import Prediction, random_effects
 from rim_camera_ros.fit.residuals import beyond_limit
 
 Array = NDArray[Any]
@@ -179,7 +179,7 @@ def share_of(
     ``factors`` (H, W) on the weights of both channels. ``gains``: the gain of each pixel is not known.
     """
     pixels, lit = (np.flatnonzero(one) for one in (prediction.used, prediction.amplitude_used))
-    nuisances = _nuisances(prediction, gain_sigma, stray_light)
+    nuisances = random_effects(prediction, gain_sigma=gain_sigma, stray_light=stray_light)
     weight = 1.0 / np.take(prediction.sigma, pixels) ** 2
     weight_a = 1.0 / np.take(prediction.amplitude_sigma, lit) ** 2
     share = np.take(prediction.amplitude_share, lit)
@@ -378,32 +378,3 @@ class _PixelSums:
         if size > len(self._sums):
             # nothing else refers to them
             self._sums.resize((size, self._sums.shape[1]), refcheck=False)
-
-
-#: Name, 1-sigma of the prior, value at the linearisation, derivatives of both channels.
-_Nuisance = tuple[str, float, float, Array, Array]
-
-
-def _nuisances(prediction: Prediction, gain_sigma: float, stray_light: float) -> list[_Nuisance]:
-    """Return name, prior, value and both columns of a station's random effects: errors of poses, emitted
-    power.
-    """
-    station = prediction.station
-    key = f"{station.recording}.{station.pose}"
-    result = []
-    for column in prediction.pose_columns:
-        if column.path.startswith("scene."):
-            continue
-        distance, amplitude = prediction.pose_change(column)
-        name = f"{station.recording}.{station.placed}.{column.path}"
-        result.append((name, column.prior, 0.0, distance, amplitude))
-    if gain_sigma > 0:
-        distance, amplitude = prediction.gain_column()
-        at = float(np.log(prediction.gain))
-        result.append((f"{key}.gain", gain_sigma, at, distance, amplitude))
-    if stray_light > 0:
-        for part, (distance, amplitude) in zip(
-            ("real", "imaginary"), prediction.light_columns(), strict=True
-        ):
-            result.append((f"{key}.light.{part}.{station.stamp}", stray_light, 0.0, distance, amplitude))
-    return result

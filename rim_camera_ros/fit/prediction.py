@@ -191,6 +191,34 @@ class Prediction:
         return self._changes[column.path]
 
 
+def random_effects(
+    prediction: Prediction, *, gain_sigma: float, stray_light: float
+) -> list[tuple[str, float, float, Array, Array]]:
+    """Return what may differ between poses: name, 1-sigma, value at the point, derivatives of both channels.
+
+    Errors of poses; with a ``gain_sigma`` (relative) the emitted power, with ``stray_light`` [counts] light
+    that all pixels of the station share.
+    """
+    station = prediction.station
+    key = f"{station.recording}.{station.pose}"
+    result = []
+    for column in prediction.pose_columns:
+        if column.path.startswith("scene."):
+            continue
+        distance, amplitude = prediction.pose_change(column)
+        name = f"{station.recording}.{station.placed}.{column.path}"
+        result.append((name, column.prior, 0.0, distance, amplitude))
+    if gain_sigma > 0:
+        distance, amplitude = prediction.gain_column()
+        at = float(np.log(prediction.gain))
+        result.append((f"{key}.gain", gain_sigma, at, distance, amplitude))
+    if stray_light > 0:
+        parts = zip(("real", "imaginary"), prediction.light_columns(), strict=True)
+        for part, (distance, amplitude) in parts:
+            result.append((f"{key}.light.{part}.{station.stamp}", stray_light, 0.0, distance, amplitude))
+    return result
+
+
 @dataclass(frozen=True)
 class Shift:
     """What another recording of a station measures beyond the predictions (H, W): ``distance`` [m] and
