@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import in_order
 from rim_camera_ros.diagnose.hypotheses import (
     AS_GIVEN,
     LEAST_GAIN,
@@ -24,7 +25,7 @@ from rim_camera_ros.diagnose.hypotheses import (
 )
 from rim_camera_ros.diagnose.setup_likelihood import Difference, SetupPrediction, difference, predicted
 from rim_camera_ros.diagnose.setup_trials import LEAST_LENS, other_boards, refined, trials_of
-from rim_camera_ros.errors import RimError
+from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.decimation import decimated_camera, decimated_dataset
 from rim_camera_ros.fit.views import Views
@@ -70,11 +71,16 @@ def against_physics(
 
     Those that gained nothing over the files alone, and those that are fitted, stay as they are. Of the others
     each is taken with the camera of the file and with that which was found, as both may be wrong. A camera
-    constant that is found to be another lens' is no physics but that set-up.
+    constant that is found to be another lens' is no physics but that set-up, and neither are effects that are
+    possible by its rays alone.
     """
-    if abs(found.optics.fx / camera.optics.fx - 1) > LEAST_LENS:
-        found = replace(found, optics=camera.optics)
-    given = predicted(_coarse(dataset, scene, found))
+    try:
+        if abs(found.optics.fx / camera.optics.fx - 1) > LEAST_LENS:
+            found = in_order(replace(found, optics=camera.optics))
+        given = predicted(_coarse(dataset, scene, found))
+    except InputError:
+        found = camera
+        given = predicted(_coarse(dataset, scene, found))
     again = []
     for one in setups:
         trial = one.trial

@@ -19,6 +19,7 @@ from rim_camera_ros.diagnose.nuisances import common_pose_beyond
 from rim_camera_ros.diagnose.run import diagnose, with_setups
 from rim_camera_ros.effects.candidate import Regressor
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
+from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.problem import Fit
@@ -143,6 +144,23 @@ def test_physics_that_imitates_a_board_of_another_size_is_none_where_it_is_found
     assert "better than any physics of the camera does" in found.reason
     # held against a scene that explains everything it gains nothing
     assert best_setup(against_physics(setups, data, board, given, found=given)) is None
+
+
+def test_effects_of_another_lens_that_are_impossible_by_the_files_are_no_physics(tmp_path: Path) -> None:
+    """A falloff to 0 halfway to the corners, of a lens of three times the focal length."""
+    data, board, given = recorded(tmp_path)
+    wrong = with_texture(board, factor=1.15)
+    setups = compare_setups(data, wrong, given)
+    farthest = float(np.arccos(given.rays[..., 2].min()))
+    lens = replace(given, optics=replace(given.optics, fx=3 * given.optics.fx, fy=3 * given.optics.fy))
+    found = with_effects(lens, {"emission_pattern": EmissionPattern((-4 / farthest**2, 0.0))})
+    best = best_setup(against_physics(setups, data, wrong, given, found=found))
+    assert best is not None
+    assert best.hypothesis == "scale"
+    # as if nothing had been found
+    alone = best_setup(against_physics(setups, data, wrong, given, found=given))
+    assert alone is not None
+    assert (best.gain, best.standard_error) == (alone.gain, alone.standard_error)
 
 
 def test_a_depth_is_left_to_the_fit_of_poses(tmp_path: Path) -> None:
