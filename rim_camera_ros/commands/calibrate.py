@@ -163,8 +163,9 @@ def _require_a_good_one(given: argparse.Namespace, result: Calibration) -> None:
         say(given, result.notes)
         if not given.quiet:
             print(calibration_text(result))
-    effects = "name fewer --effects" if given.effects else "name effects with --effects"
-    require_a_good_one(result, remedy=f"{effects}, or record more different poses; --force-result writes it")
+    require_a_good_one(
+        result, remedy="choose other --effects, or record more different poses; --force-result writes it"
+    )
 
 
 def _reducer(scheduler: str | None) -> Reducer | None:

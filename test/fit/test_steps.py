@@ -12,14 +12,13 @@ import pytest
 from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
-from rim_camera_ros.fit.gauss_newton import GaussNewton
-from rim_camera_ros.fit.linearised import Linearised
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.fit.steps import Solved, by_linear, longest_steps, stepped
 from rim_camera_ros.frame import Pose
 
 from ..calibrate.helpers import camera, record, scene
+from .watched import points
 
 MATRIX = np.array([[4.0, 3.9e3, 0.1], [3.9e3, 4.0e6, 2.0], [0.1, 2.0, 9.0]])
 RIGHT = np.array([1.0, 2.0e3, -3.0])
@@ -181,21 +180,14 @@ def test_objectives_fall_by_what_steps_forecast(tmp_path: Path, monkeypatch: pyt
         for one in data.stations
     ]
     problem = Problem(replace(data, stations=moved), board, pattern=False, robust=False)
-    seen: list[tuple[float, float]] = []
-    honest = GaussNewton.advance
-
-    def watched(self: GaussNewton, here: Linearised, count: int) -> None:
-        seen.append((here.objective, here.decrement))
-        honest(self, here, count)
-
-    monkeypatch.setattr(GaussNewton, "advance", watched)
+    seen = points(monkeypatch)
     start = camera(tmp_path, CyclicError((Harmonic(4, 0.002, 0.2),), (0.0, 0.0)))
     warm = fit(problem, start, iterations=3)
     seen.clear()
     found = fit(problem, start, warm=warm, iterations=12)
     assert found.converged
     assert found.nuisances["common_pose.board.offset"] < -0.002
-    objectives, forecasts = np.array(seen).T
+    objectives, forecasts = np.array([(one.objective, one.decrement) for one in seen]).T
     assert len(seen) > 2
     assert -np.diff(objectives) == pytest.approx(forecasts[:-1], rel=0.1)
 

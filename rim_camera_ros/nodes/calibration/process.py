@@ -51,7 +51,7 @@ def _work(link: Link) -> Mapping[str, Any]:
         command=given["command"],
     )
     result = calibrate(request, progress=link.progress, cancelled=lambda: link.cancelled)
-    require_a_good_one(result, remedy="name fewer effects, or record more different poses")
+    require_a_good_one(result, remedy="choose other effects, or record more different poses")
     link.progress("report")
     page, notes = page_of(result, title=out.name)
     if link.cancelled:
