@@ -220,7 +220,7 @@ def _diagnose(
         physics=[one.effect for one in result.found] if described is None else [CovariateTable.name],
         before=baseline.fit,
     )
-    reason = setup.reason
+    reason, winner = setup.reason, None
     if any(one.is_better for one in setups):
         setups = against_physics(setups, problem.dataset, scene, camera, found=best_fit.camera)
         winner = best_setup(setups)
@@ -254,6 +254,10 @@ def _diagnose(
         result.forget()
         kept = _without(problem.dataset, setup)
         return _diagnose(kept, scene, camera, None, seed, threads, workers, say, spare - len(setup.bad))
+    if winner is not None and reason == winner.reason:
+        # what was fitted to the files as given is no camera
+        result.forget()
+        return with_setups(_of_another_setup(winner, problem, camera, variance, seed), setups)
     by_background = only_background(result, unknown, variance, camera)
     if by_background or only_rectified_noise(result, variance):
         described = None
