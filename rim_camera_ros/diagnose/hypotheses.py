@@ -8,7 +8,7 @@ for.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -148,6 +148,26 @@ def moved_poses(errors: Mapping[tuple[int, int], float]) -> Hypothesis:
     """
     gain = 0.5 * float(np.sum(np.square(list(errors.values()))))
     return Hypothesis(POSE, "", gain, 0.0, float(len(errors)))
+
+
+def leaving_nothing(
+    found: Sequence[Hypothesis], given: Files, left_by_chance: Callable[[Files], float | None]
+) -> list[Hypothesis]:
+    """Return the set-ups by what they gain, the leader with the share that a fit under it shows.
+
+    ``left_by_chance`` returns what an effect would have to gain in nats by the files of a set-up, None where
+    something is missing there as well. Physics of the camera as given can explain no more than all: a set-up
+    that explains all but what chance leaves is not held against it, as no effect imitates so much of
+    another set-up. The search for physics would take minutes there, where every fit is far from its end.
+    """
+    leader = next((one for one in found if one.is_better), None)
+    if leader is None or leader.wins or leader.fitted or leader.change is None:
+        return list(found)
+    left = left_by_chance(leader.change(*given))
+    if left is None:
+        return list(found)
+    share = max(leader.share, share_explained(leader.gain, leader.gain + left))
+    return [replace(one, share=share) if one is leader else one for one in found]
 
 
 def best_setup(found: Sequence[Hypothesis]) -> Hypothesis | None:

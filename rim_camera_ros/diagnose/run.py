@@ -2,32 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.accuracy import accuracy
 from rim_camera_ros.diagnose.codes import missing_codes, note_on_grid
 from rim_camera_ros.diagnose.compare_setups import against_physics, compare_setups
 from rim_camera_ros.diagnose.depth import standing_elsewhere
 from rim_camera_ros.diagnose.described import best_rest, describe, explained_share, is_unknown
 from rim_camera_ros.diagnose.full_grid import on_full_grid
 from rim_camera_ros.diagnose.hypotheses import (
-    AS_GIVEN,
     DEPTH,
-    LEAST_GAIN,
+    Files,
     Hypothesis,
     best_setup,
     by_gain,
+    leaving_nothing,
     moved_poses,
+)
+from rim_camera_ros.diagnose.inconsistent import (
+    hopeless,
+    of_another_setup,
+    with_setups,
+    without_search,
 )
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, only_rectified_noise
 from rim_camera_ros.diagnose.nuisances import (
     common_pose_beyond,
     nuisances_of,
-    offset_beyond,
     optics_beyond,
     poses_beyond,
     reflectivities_beyond,
@@ -36,22 +40,19 @@ from rim_camera_ros.diagnose.pixel_gains import spread_of_gains
 from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.setup import VERY_FEW, Setup, check_setup
 from rim_camera_ros.diagnose.smooth import axes_of, gradient_terms, single_terms
-from rim_camera_ros.diagnose.variance import Variance, examine_variance, moving
+from rim_camera_ros.diagnose.under_setup import left_by_chance
+from rim_camera_ros.diagnose.variance import examine_variance, moving
 from rim_camera_ros.diagnose.verdict import Findings, verdict_of
-from rim_camera_ros.diagnose.where import of_residuals
 from rim_camera_ros.effects import OF_SURFACES, CovariateTable, without_poses
 from rim_camera_ros.effects.base import response_of
 from rim_camera_ros.effects.candidate import Facts
-from rim_camera_ros.errors import InputError, RimError
+from rim_camera_ros.errors import RimError
 from rim_camera_ros.fit.data import Dataset, with_stated_errors
 from rim_camera_ros.fit.decimation import decimated_camera, decimated_dataset, decimation_of
 from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.scene import Scene
-from rim_camera_ros.select.compare import Result
-from rim_camera_ros.select.evidence import folds_of
-from rim_camera_ros.select.exploration import explore
 from rim_camera_ros.select.search import MOST_EFFECTS, search
 from rim_camera_ros.select.trials import Workers
 
@@ -135,6 +136,12 @@ def _diagnose(
         shifts = Forward(dataset, scene, camera).shifts_to(against)
     if setups is None:
         setups = [] if against is not None else compare_setups(dataset, scene, camera)
+
+        def left(files: Files) -> float | None:
+            say("as if the set-up were another")
+            return left_by_chance(files, seed=seed, threads=threads)
+
+        setups = leaving_nothing(setups, (dataset, scene, camera), left)
     other = best_setup(setups)
     say("looking at the covariates")
     forward = Forward(dataset, scene, camera)
@@ -142,12 +149,12 @@ def _diagnose(
     variance = examine_variance(forward)
     if variance.moves and against is None:
         problem = Problem(dataset, scene, threads=threads)
-        return with_setups(_hopeless(problem, camera, variance, seed, reason=moving(variance)), setups)
+        return with_setups(hopeless(problem, camera, variance, seed, reason=moving(variance)), setups)
     light = _COMMON_LIGHT * facts.amplitude if variance.pixels_vary_together else 0.0
     light = max(light, scene.stray_light)
     problem = Problem(dataset, scene, shifts=shifts, stray_light=light, threads=threads)
     if other is not None:
-        return with_setups(_of_another_setup(other, problem, camera, variance, seed), setups)
+        return with_setups(of_another_setup(other, problem, camera, variance, seed), setups)
     samples = axes_of(forward, seed=seed)
     smooth = [*single_terms(samples), *gradient_terms(samples)]
     # the light of a second camera has a pattern and a phase of its own, which many effects can imitate
@@ -174,7 +181,7 @@ def _diagnose(
             progress=say,
         )
     except (RimError, np.linalg.LinAlgError):
-        return with_setups(_without_search(setups, problem, camera, variance, seed), setups)
+        return with_setups(without_search(setups, problem, camera, variance, seed), setups)
     baseline, final = result.explorations[0], result.explorations[-1]
     # physics that is missing moves the optics too: they are held against the file beside what was found
     beyond_stated = _other_lens(final.fit, camera)
@@ -212,7 +219,7 @@ def _diagnose(
             try:
                 described = describe(unknown, baseline, result, seed)
             except (RimError, np.linalg.LinAlgError):
-                return with_setups(_hopeless(problem, camera, variance, seed), setups)
+                return with_setups(hopeless(problem, camera, variance, seed), setups)
     best_fit = final.fit if described is None else described.fit
     setup = check_setup(
         best_fit,
@@ -257,7 +264,7 @@ def _diagnose(
     if winner is not None and reason == winner.reason:
         # what was fitted to the files as given is no camera
         result.forget()
-        return with_setups(_of_another_setup(winner, problem, camera, variance, seed), setups)
+        return with_setups(of_another_setup(winner, problem, camera, variance, seed), setups)
     by_background = only_background(result, unknown, variance, camera)
     if by_background or only_rectified_noise(result, variance):
         described = None
@@ -280,7 +287,7 @@ def _diagnose(
     )
     diagnosis = verdict_of(findings, say)
     if diagnosis.accuracy.hopeless:
-        diagnosis = _hopeless(problem, camera, variance, seed)
+        diagnosis = hopeless(problem, camera, variance, seed)
     return with_setups(replace(diagnosis, nuisances=nuisances_of(result.fit, camera, gains)), setups)
 
 
@@ -289,108 +296,10 @@ def _other_lens(fitted: Fit, camera: Camera) -> str | None:
     return None if camera.covariance is None else optics_beyond(fitted)
 
 
-def with_setups(diagnosis: Diagnosis, setups: list[Hypothesis]) -> Diagnosis:
-    """Return the diagnosis with the set-ups, the best first; a reason not to trust the set-up names it.
-
-    Where the set-up is trusted the files as given come first: whatever gained more did not gain enough.
-    """
-    reason = diagnosis.reason
-    if reason is None:
-        setups = sorted(setups, key=lambda one: one.hypothesis != AS_GIVEN)
-    if diagnosis.verdict == "consistent" and setups:
-        # offsets of the pixels took it up
-        said = offset_beyond(setups[0].value, diagnosis.nuisances)
-        diagnosis = replace(diagnosis, notes=[*diagnosis.notes, *([] if said is None else [said])])
-    best = setups[0] if setups else None
-    if (
-        reason is not None
-        and best is not None
-        and best.is_better
-        and not reason.startswith(f"{best.hypothesis}:")
-    ):
-        reason = f"{reason}; of the set-ups tried {best.hypothesis} fits best: {best.sentence}"
-    return replace(diagnosis, setups=setups, reason=reason)
-
-
 def _without(dataset: Dataset, setup: Setup) -> Dataset:
     """Return the recording without its bad poses, which a note tells."""
     kept = dataset.without({*setup.bad})
     return replace(kept, notes=[*kept.notes, f"{setup.fault}; left out"])
-
-
-def _without_search(
-    setups: Sequence[Hypothesis], problem: Problem, camera: Camera, variance: Variance, seed: int
-) -> Diagnosis:
-    """Return the diagnosis of a recording to which nothing can be fitted.
-
-    Where the files as given describe not one pixel that can be used, there is no fit to hold set-ups against:
-    the one that gains most is it, however its gain scatters over the poses.
-
-    Raises `InputError` where none gains enough either.
-    """
-    try:
-        return _hopeless(problem, camera, variance, seed)
-    except InputError:
-        leader = next(iter(setups), None)
-        if leader is None or leader.gain <= LEAST_GAIN:
-            raise
-        return _of_another_setup(leader, problem, camera, variance, seed)
-
-
-def _of_another_setup(
-    other: Hypothesis, problem: Problem, camera: Camera, variance: Variance, seed: int
-) -> Diagnosis:
-    """Return the diagnosis of a recording of another set-up, compared with the files as they are given.
-
-    Where these describe not one pixel, it is compared with the other set-up.
-    """
-    try:
-        return _hopeless(problem, camera, variance, seed, reason=other.reason)
-    except InputError:
-        assert other.change is not None
-        dataset, scene, changed = other.change(problem.dataset, problem.scene, camera)
-        there = replace(problem, dataset=dataset, scene=scene)
-        return replace(_hopeless(there, changed, variance, seed, reason=other.reason), camera=camera)
-
-
-def _hopeless(
-    problem: Problem, camera: Camera, variance: Variance, seed: int, *, reason: str | None = None
-) -> Diagnosis:
-    """Return the diagnosis of a recording for which no parameters can be found: the setup is another.
-
-    Raises `InputError` where not one pixel can be compared.
-    """
-    frozen = replace(problem, effects=(), gain=False, robust=False)
-    folds = folds_of(problem.dataset)
-    step = explore(frozen, camera, [], folds, replicates=0, iterations=0, seed=seed)
-    setup = check_setup(step.fit)
-    reason = (
-        reason
-        or setup.reason
-        or (
-            "no parameters of the camera bring recording and scene together: another scene, a board swapped "
-            "or turned, or poses of another recording"
-        )
-    )
-    likelihood = step.scores.log_likelihood()
-    result = Result(camera, [], [step], likelihood, likelihood, frozen, folds)
-    return Diagnosis(
-        verdict="inconsistent_setup",
-        missing=[],
-        adjusted=[],
-        ranking=[],
-        indistinguishable=[],
-        where=of_residuals(step.fit),
-        accuracy=accuracy(camera, camera, result),
-        variance=variance,
-        camera=camera,
-        baseline=step,
-        final=step,
-        found=[],
-        next_recording=None,
-        reason=reason,
-        notes=list(problem.dataset.notes),
-    )
 
 
 def _silent(text: str) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
@@ -59,6 +60,9 @@ def trials_of(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[Trial]
         if surface.pose == "truth":
             for axis in (0, 1):
                 turned = to_poses(surface.name, partial(_flipped, axis=axis))
+                yield Trial("pose", surface.name, float(axis), turned)
+            for axis in (0, 1, 2):
+                turned = to_poses(surface.name, partial(_other_sign, axis=axis))
                 yield Trial("pose", surface.name, float(axis), turned)
     yield from _as_measured(dataset, scene, camera)
     yield from _of_camera()
@@ -284,3 +288,10 @@ def _flipped(pose: Pose, *, axis: int) -> Pose:
     back = np.eye(3)
     back[axis, axis] = -1.0
     return Pose(pose.position, quaternion(mirror @ rotation @ back))
+
+
+def _other_sign(pose: Pose, *, axis: int) -> Pose:
+    """Return the pose with the opposite sign of a component of its rotation vector."""
+    vector = cv2.Rodrigues(rotation_matrix(pose.orientation))[0].ravel()
+    vector[axis] = -vector[axis]
+    return Pose(pose.position, quaternion(np.asarray(cv2.Rodrigues(vector)[0], float)))

@@ -55,14 +55,24 @@ def scene(tmp_path: Path) -> Scene:
 
 
 def record(
-    truth: Camera, board: Scene, *, poses: int = 24, frames: int = 4, seed: int = 0, wrong: float = 1.0
+    truth: Camera,
+    board: Scene,
+    *,
+    poses: int = 24,
+    frames: int = 4,
+    seed: int = 0,
+    wrong: float = 1.0,
+    roll: float = 0.0,
 ) -> Dataset:
-    """Stations of a simulated recording; poses are told wrongly by ``wrong`` times the instrument's sigma."""
+    """Stations of a simulated recording; poses are told wrongly by ``wrong`` times the instrument's sigma.
+
+    Boards are rolled by up to ``roll`` degrees either way.
+    """
     rng = np.random.default_rng([seed, 11])
     simulation = Simulation(truth, board, seed=seed)
     recorded: list[RawFrame] = []
     for station in range(poses):
-        told, true = _poses(rng, wrong)
+        told, true = _poses(rng, wrong, roll)
         settings = Settings(
             integration_time=(16.0, 60.0, 100.0)[station % 3],
             modulation_frequency=20e6,
@@ -83,11 +93,12 @@ def record(
     return Dataset(stations, ["simulated"], [], len(recorded))
 
 
-def _poses(rng: np.random.Generator, wrong: float) -> tuple[Pose, Pose]:
+def _poses(rng: np.random.Generator, wrong: float, roll: float) -> tuple[Pose, Pose]:
     """A pose as told, and as it is."""
     turn = np.radians(rng.uniform(-35, 35, 2))
     half = turn / 2
-    orientation = (float(np.sin(half[0])), float(np.sin(half[1])), 0.0, 1.0)
+    about_axis = float(np.sin(np.radians(rng.uniform(-roll, roll)) / 2)) if roll else 0.0
+    orientation = (float(np.sin(half[0])), float(np.sin(half[1])), about_axis, 1.0)
     rotation = rotation_matrix(orientation)
     position = np.array([rng.uniform(-0.2, 0.2), rng.uniform(-0.2, 0.2), rng.uniform(0.6, 4.5)])
     error = wrong * rng.standard_normal(3) * np.array([POSE_SIGMA[0], POSE_SIGMA[1], POSE_SIGMA[1]])

@@ -15,8 +15,9 @@ from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.diagnose import compare_setups as setups
 from rim_camera_ros.diagnose.compare_setups import against_physics, compare_setups
 from rim_camera_ros.diagnose.hypotheses import Hypothesis, best_setup, moved_poses
+from rim_camera_ros.diagnose.inconsistent import with_setups
 from rim_camera_ros.diagnose.nuisances import common_pose_beyond
-from rim_camera_ros.diagnose.run import diagnose, with_setups
+from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.effects.candidate import Regressor
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.emission_pattern import EmissionPattern

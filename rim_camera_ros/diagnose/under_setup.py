@@ -1,0 +1,49 @@
+"""Whether anything is missing under another set-up: one fit of the recording by its files."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rim_camera_ros.diagnose.hypotheses import Files
+from rim_camera_ros.diagnose.nuisances import common_pose_beyond, optics_beyond, reflectivities_beyond
+from rim_camera_ros.diagnose.setup import check_setup
+from rim_camera_ros.diagnose.smooth import axes_of, gradient_terms, single_terms
+from rim_camera_ros.effects.candidate import Facts
+from rim_camera_ros.errors import RimError
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.select.search import search
+
+
+def left_by_chance(files: Files, *, seed: int, threads: int) -> float | None:
+    """Return what an effect or a smooth term would have to gain in nats by the files of a set-up.
+
+    None where one gains that much, or where the fit shows errors of poses, reflectivities or optics that
+    these files do not state: then something else is missing as well.
+    """
+    dataset, scene, camera = files
+    facts = Facts.of(dataset, moves=scene.camera_motion.moves, surfaces=len(scene.surfaces), camera=camera)
+    forward = Forward(dataset, scene, camera)
+    samples = axes_of(forward, seed=seed)
+    try:
+        forward.estimate_amplitudes()
+        step = search(
+            Problem(dataset, scene, stray_light=scene.stray_light, threads=threads),
+            camera,
+            facts,
+            most=0,
+            further=[*single_terms(samples), *gradient_terms(samples)],
+            seed=seed,
+            views=forward.views,
+        ).explorations[0]
+        beyond = (
+            check_setup(step.fit).reason
+            or reflectivities_beyond(step.fit, scene)
+            or common_pose_beyond(step.fit, camera)
+            or (None if camera.covariance is None else optics_beyond(step.fit))
+        )
+    except (RimError, np.linalg.LinAlgError):
+        return None
+    if beyond is not None or bool(np.any(step.gains > step.thresholds)):
+        return None
+    return float(step.thresholds.max())
