@@ -17,7 +17,7 @@ from rim_camera_ros.fit.design import GAIN
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit
-from rim_camera_ros.select.compare import LEAST_SIZE, PAIRED_ERRORS, Result, paired_error
+from rim_camera_ros.select.compare import LEAST_SIZE, Result, entry_gain
 from rim_camera_ros.select.effect_sizes import contribution
 from rim_camera_ros.select.evidence import folds_of
 from rim_camera_ros.select.exploration import explore
@@ -133,7 +133,7 @@ def _varying(
 def parameters_matter(camera: Camera, result: Result, adjusted: Sequence[Adjusted]) -> bool:
     """Return whether freeing the known terms that moved gains on held-out poses, conditional on the others.
 
-    As much as an effect must gain to enter, and two standard errors paired over the folds of poses, where
+    As much as an effect must gain to enter beside others, where
     all terms together move distances by `LEAST_TOTAL`.
 
     A wrong radiometric gain matters by itself: fits of poses take up a power that is wrong in all of them, so
@@ -153,5 +153,4 @@ def parameters_matter(camera: Camera, result: Result, adjusted: Sequence[Adjuste
     folds = folds_of(result.problem.dataset)
     step = explore(frozen, stated, [], folds, replicates=0, views=result.fit.forward.views, iterations=2)
     after, before = (one.scores.log_likelihoods() for one in (result.explorations[-1], step))
-    threshold = result.explorations[0].threshold
-    return sum(after) - sum(before) > max(threshold, PAIRED_ERRORS * paired_error(after, before))
+    return sum(after) - sum(before) > entry_gain(after, before, result.explorations[0].threshold)

@@ -39,6 +39,7 @@ from rim_camera_ros.fit.steps import (
     longest_steps,
     moved_from,
     moved_scene,
+    of_phasors,
     of_shape,
     power_factor,
     stepped,
@@ -201,12 +202,17 @@ class GaussNewton:
                 "no pixel can be used: nothing of the recording agrees with scene and camera file",
                 remedy="check that the scene file describes the recording (rim info BAG lists its poses)",
             )
-        reduced = equations.reduced()
         regressors = equations.regressors[:owned]
+        offsets = [self._offsets.get(one.label, 0.0) for one in regressors]
+        away = np.array([self._from_origin.get(one.label, 0.0) for one in regressors]) + offsets
+        at = {
+            one.label: self._numbers.get(one.label, 0.0) + offset
+            for one, offset in zip(regressors, offsets, strict=True)
+        }
+        regressors, away = of_phasors(regressors, away, at)
+        equations.regressors[:owned], equations.away = regressors, away
+        reduced = equations.reduced()
         prior = priors_of(regressors)
-        away = np.array([self._from_origin.get(one.label, 0.0) for one in regressors])
-        away += [self._offsets.get(one.label, 0.0) for one in regressors]
-        equations.away = away
         own = slice(0, owned)
         matrix = reduced.gram[own, own] + np.diag(prior**-2)
         if count < _SHAPES_HELD:

@@ -14,6 +14,7 @@ from scipy import linalg
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
 from rim_camera_ros.effects import Effect, known_effects
+from rim_camera_ros.effects.candidate import Regressor
 from rim_camera_ros.effects.light_curves import TILES, LightCurves, of_light, tile_labels
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.covariate_table import LABEL, with_empirical_changes
@@ -28,6 +29,8 @@ Array = NDArray[Any]
 
 #: Relative change of a width or a lag in one step.
 _SHAPE_STEP = 0.25
+#: Amplitude [m] below which that of a sinusoid counts as so large: the phase of none has no derivative.
+_LEAST_PHASOR = 1e-8
 #: Share of a station's values below whose amplitude a pole of a term may lie.
 _DARKEST = 0.01
 
@@ -163,6 +166,30 @@ def stepped(
             share /= 2
             if share < 1e-3:
                 raise
+
+
+def of_phasors(
+    regressors: Sequence[Regressor], away: Array, values: Mapping[str, float]
+) -> tuple[list[Regressor], Array]:
+    """Return regressors and how far they are ``away`` from their priors, of sinusoids by their phasors.
+
+    A sinusoid's phasor is known as well in all directions, by the prior of its amplitude: of a small one the
+    phase may be any. In amplitude and phase, whose ``values`` are given by label, that prior stays diagonal.
+    One of the phase itself would cost a turn by pi where an amplitude goes through 0.
+    """
+    number = {one.label: i for i, one in enumerate(regressors)}
+    found, moved = list(regressors), away.copy()
+    for path, i in number.items():
+        phase = path.removesuffix("amplitude") + "phase"
+        if path == phase or phase not in number:
+            continue
+        j = number[phase]
+        size = float(np.copysign(max(abs(values[path]), _LEAST_PHASOR), values[path]))
+        begun, turn = values[path] - away[i], away[j]
+        found[j] = replace(regressors[j], prior=regressors[i].prior / abs(size))
+        moved[i] = size - begun * np.cos(turn)
+        moved[j] = begun * np.sin(turn) / size
+    return found, moved
 
 
 def longest_steps(

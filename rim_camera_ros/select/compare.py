@@ -22,6 +22,8 @@ from rim_camera_ros.select.exploration import LEAST_THRESHOLD, Exploration
 #: Paired standard errors over poses that an effect must gain beside those found before it. The null
 #: replicates give the threshold of the first; what forms leave that are not quite true is not in them.
 PAIRED_ERRORS = 2.0
+#: ... or the chance that every fold gains where none does on average (sign test), at most.
+SIGN_CHANCE = 0.05
 #: An effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
 LEAST_SIZE = 0.0005
 
@@ -48,6 +50,19 @@ def paired_error(after: Sequence[float], before: Sequence[float]) -> float:
     """
     gains = np.asarray(after, float) - np.asarray(before, float)
     return float(np.sqrt(len(gains)) * np.std(gains, ddof=1)) if len(gains) > 1 else 0.0
+
+
+def entry_gain(after: Sequence[float], before: Sequence[float], threshold: float) -> float:
+    """Return what an effect must gain in all [nats]: the threshold, and more than poses disagree about.
+
+    `PAIRED_ERRORS` of its gain, where folds do not all speak for it. What acts on oblique surfaces, or near
+    ones, gains by a few poses most of all: the standard error of such a gain is large, and no evidence
+    against it.
+    """
+    gains = np.asarray(after, float) - np.asarray(before, float)
+    if gains.size and gains.min() > 0 and 0.5**gains.size <= SIGN_CHANCE:
+        return threshold
+    return max(threshold, PAIRED_ERRORS * paired_error(after, before))
 
 
 def curve_of_forms(step: Exploration, found: Sequence[Found]) -> tuple[float, int] | None:

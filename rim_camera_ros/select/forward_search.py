@@ -20,13 +20,12 @@ from rim_camera_ros.select.compare import (
     NOT_IN_QUIET_PIXELS,
     NOT_IN_TIME,
     ONCE_FITTED,
-    PAIRED_ERRORS,
     Found,
     Trial,
     discrepancy,
+    entry_gain,
     leaders,
     leading_variants,
-    paired_error,
     tied,
 )
 from rim_camera_ros.select.confounding import follows_time_in_quiet_pixels, shows_in_quiet_pixels
@@ -211,8 +210,7 @@ class Search:
         """Return what an effect must gain [nats]: beside others more than poses disagree about."""
         if not self.found:
             return threshold
-        by_fold = (one.scores.log_likelihoods() for one in (after, before))
-        return max(threshold, PAIRED_ERRORS * paired_error(*by_fold))
+        return entry_gain(after.scores.log_likelihoods(), before.scores.log_likelihoods(), threshold)
 
     def _enter(self, curve: Candidate) -> None:
         """Score all that follows beside a curve of what an effect found depends on."""

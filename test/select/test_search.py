@@ -38,6 +38,7 @@ from rim_camera_ros.select.compare import (
     as_good,
     curve_of_forms,
     discrepancy,
+    entry_gain,
     paired_error,
     refused,
     smooth_says_more,
@@ -159,6 +160,22 @@ def test_the_standard_error_of_a_gain_is_paired_over_folds_of_poses() -> None:
     assert paired_error(after, before) == pytest.approx(np.sqrt(5 * 250.0))
     assert paired_error(after, [one - 3.0 for one in after]) == pytest.approx(0.0)
     assert paired_error([5.0], [1.0]) == 0.0
+
+
+def test_what_a_gain_must_exceed_where_poses_differ() -> None:
+    """Folds that all gain speak for an effect, however much they differ; one that loses does not."""
+    nothing = [0.0] * 5
+    uneven = [4.0, 10.0, 6.0, 49.0, 10.0]
+    assert 2 * paired_error(uneven, nothing) > sum(uneven)
+    assert entry_gain(uneven, nothing, 16.0) == 16.0
+    one_loses = [-4.0, *uneven[1:]]
+    assert entry_gain(one_loses, nothing, 16.0) == pytest.approx(2 * paired_error(one_loses, nothing))
+    # of four folds all gain by chance once in sixteen times
+    assert entry_gain(uneven[:4], nothing[:4], 16.0) == pytest.approx(
+        2 * np.sqrt(4 * np.var(uneven[:4], ddof=1))
+    )
+    assert entry_gain([1.0] * 5, nothing, 16.0) == 16.0
+    assert entry_gain([5.0], [1.0], 9.0) == 9.0
 
 
 def curves(gains: dict[str, float], named: list[float]) -> Any:
