@@ -18,7 +18,7 @@ from rim_camera_ros.calibrate.acceptance import beyond_form, refusals
 from rim_camera_ros.calibrate.effect_status import EffectStatus
 from rim_camera_ros.calibrate.held_out import Accuracy, evaluate
 from rim_camera_ros.calibrate.integral import IntegralFit
-from rim_camera_ros.calibrate.joint import Outcome, by_search, exactly
+from rim_camera_ros.calibrate.joint import Outcome, by_search, checked_names, exactly
 from rim_camera_ros.calibrate.large_sensor import LargeSensor
 from rim_camera_ros.calibrate.provenance import Source, checksum, provenance
 from rim_camera_ros.calibrate.recordings import Progress, Reducer, Watch, joined, placed_by_schedule
@@ -134,6 +134,11 @@ def calibrate(
     camera = request.camera
     if not request.recordings:
         raise InputError("no recording is given", remedy="give one recording or more")
+    only_integral = request.effects is not None and tuple(request.effects) == (_INTEGRAL,)
+    words = () if only_integral else request.effects
+    if words is not None:
+        words = tuple(word for word in words if word != REFERENCE)
+        checked_names(words)  # before recordings are read, which takes minutes
     recordings = [checks.examine(path, camera, request.topics) for path in request.recordings]
     notes = checks.agree(recordings)
     scenes = checks.scenes_of(recordings, request.scene)
@@ -181,10 +186,6 @@ def calibrate(
         tick=watch.tick,
         threads=request.threads,
     )
-    only_integral = request.effects is not None and tuple(request.effects) == (_INTEGRAL,)
-    words = () if only_integral else request.effects
-    if words is not None:
-        words = tuple(word for word in words if word != REFERENCE)
     forward = Forward(dataset, scene, camera)
     forward.tick = watch.tick
     forward.estimate_amplitudes()

@@ -263,6 +263,9 @@ def test_names_that_are_wrong(
 ) -> None:
     with pytest.raises(InputError, match=match):
         calibrate(Request((bag,), given, scene(folder), effects=words))
+    # said before a recording is read
+    with pytest.raises(InputError, match=match):
+        calibrate(Request((folder / "absent",), given, scene(folder), effects=words))
 
 
 def test_cancelled_between_frames_and_between_steps(folder: Path, bag: Path, given: Camera) -> None:
