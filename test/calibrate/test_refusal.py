@@ -12,6 +12,7 @@ import pytest
 from rim_camera_ros.calibrate.acceptance import refusals
 from rim_camera_ros.calibrate.held_out import Accuracy
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
+from rim_camera_ros.effects.candidate import Regressor
 from rim_camera_ros.fit.variance_components import WiderSurface
 from rim_camera_ros.scene import Scene, load_scene
 
@@ -41,7 +42,12 @@ def a_scene(tmp_path: Path) -> Scene:
 
 def fitted(scene: Scene, **moving: float) -> Any:
     """What of a fit decides."""
-    return SimpleNamespace(scene=scene, moving={name.replace("__", "."): v for name, v in moving.items()})
+    return SimpleNamespace(
+        scene=scene,
+        moving={name.replace("__", "."): v for name, v in moving.items()},
+        parameters={},
+        equations=SimpleNamespace(regressors=[]),
+    )
 
 
 def test_distances_that_came_to_differ_from_the_scene(tmp_path: Path) -> None:
@@ -95,6 +101,27 @@ def test_poses_that_err_tenfold(tmp_path: Path) -> None:
     own = replace(scene, surfaces=(WiderSurface(**values, factors=(1.0, 12.5)),))
     (reason,) = refusals(fitted(own), good, scene)
     assert "err 12 times" in reason
+
+
+def test_poses_that_all_err_alike(tmp_path: Path) -> None:
+    """What an SR4000 over a floor showed, whose poses are alike: 39 mrad, 3 mrad stated of which half in common."""
+    scene, good = a_scene(tmp_path), replace(SEEN, after=0.0101)
+    labels = {"common_pose.floor.offset": (-0.0291, 0.00354), "common_pose.floor.tilt_x": (-0.0389, 0.00212)}
+    found = fitted(scene)
+    found.parameters = {name: value for name, (value, _) in labels.items()} | {"radiometry.gain": 8000.0}
+    regressors = [Regressor(name, "pose", sigma) for name, (_, sigma) in labels.items()]
+    found.equations = SimpleNamespace(
+        regressors=[*regressors, Regressor("radiometry.gain", "radiometry", 1.0)]
+    )
+    (reason,) = refusals(found, good, scene)
+    assert reason.startswith(
+        "it takes all poses of 'floor' to err alike, by 39 mrad, 18 times as much as stated"
+    )
+    found.parameters["common_pose.floor.tilt_x"] = 0.0205
+    assert refusals(found, good, scene) == []
+    found.parameters["common_pose.floor.offset"] = 0.0361
+    (reason,) = refusals(found, good, scene)
+    assert "by 36 mm, 10 times as much as stated" in reason
 
 
 def test_the_command_writes_nothing_unless_it_is_forced(
