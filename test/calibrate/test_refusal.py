@@ -104,7 +104,7 @@ def test_poses_that_err_tenfold(tmp_path: Path) -> None:
 
 
 def test_poses_that_all_err_alike(tmp_path: Path) -> None:
-    """What an SR4000 over a floor showed, whose poses are alike: 39 mrad, 3 mrad stated of which half in common."""
+    """What an SR4000 over a floor showed, whose poses are alike: 39 mrad, where 2.1 mrad are stated."""
     scene, good = a_scene(tmp_path), replace(SEEN, after=0.0101)
     labels = {"common_pose.floor.offset": (-0.0291, 0.00354), "common_pose.floor.tilt_x": (-0.0389, 0.00212)}
     found = fitted(scene)
