@@ -1,8 +1,9 @@
 """Which effects the data speak for: marginal likelihood of held-out poses, from reduced normal equations.
 
-With all nuisances eliminated, a set of regressors is scored by the logarithm of the probability of every fold
-of poses given the others: log p(all) - log p(all but the fold), summed over the folds. Everything comes
-from (K, K) matrices, so that thousands of sets cost a second.
+With all nuisances eliminated, a set of regressors is scored by the logarithm of the probability of every
+fold of poses given the others: log p(all) - log p(all but the fold), summed over the folds. What the files
+state of errors that poses share is one more such observation, given all poses. Everything comes from (K, K)
+matrices, so that thousands of sets cost a second.
 """
 
 from __future__ import annotations
@@ -16,11 +17,15 @@ from scipy import linalg
 
 from rim_camera_ros.effects.candidate import priors_of
 from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.design import COMMON_POSE
 from rim_camera_ros.fit.normal_equations import NormalEquations, Reduced
 from rim_camera_ros.threads import in_order
 
 Array = NDArray[Any]
 Key = tuple[int, int]
+
+#: Factor on the stated 1-sigma of errors that poses share where what is stated is held out: hardly known.
+UNSTATED = 10.0
 
 
 def folds_of(dataset: Dataset, count: int = 5) -> dict[Key, int]:
@@ -60,16 +65,21 @@ class Scores:
         """Return the indices of base and extra regressors."""
         return np.array(sorted({*self.base.tolist(), *extra}), int)
 
-    def _scaled(self, reduced: Reduced, columns: Array) -> tuple[Array, Array]:
-        """Return the equations in units of the priors, which keeps them well conditioned."""
+    def _scaled(self, reduced: Reduced, columns: Array, unstated: Array | None = None) -> tuple[Array, Array]:
+        """Return the equations in units of the priors, which keeps them well conditioned.
+
+        Priors of ``unstated`` columns are wide.
+        """
         scale = self.prior[columns]
+        if unstated is not None:
+            scale = np.where(np.isin(columns, unstated), UNSTATED * scale, scale)
         matrix = reduced.gram[np.ix_(columns, columns)] * scale[:, None] * scale[None, :] / self.temper
         matrix[np.diag_indices_from(matrix)] += 1.0
         right = reduced.right[columns]
         return matrix, ((right.T * scale) / self.temper - self.away[columns] / scale).T
 
-    def _evidence(self, reduced: Reduced, columns: Array) -> Any:
-        matrix, right = self._scaled(reduced, columns)
+    def _evidence(self, reduced: Reduced, columns: Array, unstated: Array | None = None) -> Any:
+        matrix, right = self._scaled(reduced, columns, unstated)
         if not len(columns):  # scipy 1.11 solves no empty equations
             return np.zeros(right.shape[1:])
         factor = linalg.cholesky(matrix, lower=True, check_finite=False)
@@ -82,7 +92,20 @@ class Scores:
         everything = self._evidence(self.full, columns)
         if not self.trained:
             return everything
-        return sum(everything - self._evidence(one, columns) for one in self.trained)
+        of_folds = sum(everything - self._evidence(one, columns) for one in self.trained)
+        return of_folds + everything - self._evidence(self.full, columns, self._shared())
+
+    def _shared(self) -> Array:
+        """Return the columns of errors that all poses of a surface share."""
+        return np.array([i for i in self.base if self.regressors[i].label.startswith(COMMON_POSE)], int)
+
+    def stated(self, extra: Iterable[int] = ()) -> float:
+        """Return the log density of what is stated of errors that poses share, given all poses.
+
+        An effect that these errors imitate gains here, and a fit that strains them loses.
+        """
+        columns = self.columns(extra)
+        return float(self._evidence(self.full, columns) - self._evidence(self.full, columns, self._shared()))
 
     def log_likelihood(self, extra: Iterable[int] = ()) -> float:
         """Return the held-out log likelihood in nats with all its constants but the number of values.
@@ -91,7 +114,7 @@ class Scores:
         """
         if not self.trained:
             return float(self.held_out(extra))
-        return sum(self.log_likelihoods(extra))
+        return sum(self.log_likelihoods(extra)) + self.stated(extra)
 
     def log_likelihoods(self, extra: Iterable[int] = ()) -> list[float]:
         """Return what each fold adds to `log_likelihood`, given the others."""

@@ -1,0 +1,95 @@
+"""Evidence of held-out poses, and of what the files state, against linear regression in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal, norm
+
+from rim_camera_ros.effects.candidate import Regressor
+from rim_camera_ros.fit.fold_sums import Fold
+from rim_camera_ros.fit.normal_equations import NormalEquations
+from rim_camera_ros.select.evidence import Scores
+
+SHARED, OTHER, CANDIDATE = "common_pose.floor.offset", "radiometry.gain", "effects.distance_scale.scale"
+#: 1-sigma of an error that poses share, of a number that may be any, and of a candidate.
+PRIORS = {SHARED: 0.7, OTHER: 40.0, CANDIDATE: 5.0}
+
+
+def folds_of(design: np.ndarray, observed: np.ndarray, *, count: int = 5) -> list[Fold]:
+    """Folds of plain regression: unit weights, no pattern, no errors of poses."""
+    everything = np.column_stack([design, observed])
+    parts = np.array_split(everything, count)
+    size = everything.shape[1]
+    return [Fold([], one.T @ one, np.zeros((1, size)), np.zeros(1), rows=len(one)) for one in parts]
+
+
+def scores_of(labels: list[str], design: np.ndarray, observed: np.ndarray) -> Scores:
+    regressors = [Regressor(one, "any", PRIORS[one]) for one in labels]
+    return Scores(NormalEquations(regressors, folds_of(design, observed)), range(2))
+
+
+def log_density(design: np.ndarray, observed: np.ndarray, sigmas: list[float]) -> float:
+    """Of observations with noise 1, their coefficients integrated out."""
+    covariance = np.eye(len(observed)) + (design * np.square(sigmas)) @ design.T
+    return float(multivariate_normal(cov=covariance).logpdf(observed))
+
+
+@pytest.fixture
+def regression() -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(8)
+    design = rng.normal(size=(60, 3))
+    # what the candidate does looks like an error that poses share, all but 3 % of it
+    design[:, 2] = design[:, 0] + 0.03 * rng.normal(size=60)
+    return design, design @ [0.0, 9.0, 6.0] + rng.normal(size=60)
+
+
+def test_the_density_of_every_fold_given_the_others(regression: tuple[np.ndarray, np.ndarray]) -> None:
+    design, observed = regression
+    scores = scores_of([SHARED, OTHER, CANDIDATE], design, observed)
+    sigmas = [PRIORS[one] for one in (SHARED, OTHER)]
+    base = design[:, :2]
+    by_fold = []
+    for own in np.array_split(np.arange(60), 5):
+        rest = np.setdiff1d(np.arange(60), own)
+        by_fold.append(log_density(base, observed, sigmas) - log_density(base[rest], observed[rest], sigmas))
+    constant = -0.5 * 12 * np.log(2 * np.pi)
+    assert scores.log_likelihoods() == pytest.approx([one - constant for one in by_fold], abs=1e-6)
+
+
+def test_the_density_of_what_is_stated_of_shared_errors(
+    regression: tuple[np.ndarray, np.ndarray],
+) -> None:
+    """Stated is 0: as likely as the data make it, the error held to ten times what is stated."""
+    design, observed = regression
+    scores = scores_of([SHARED, OTHER, CANDIDATE], design, observed)
+    for extra in ([], [2]):
+        own = [0, 1, *extra]
+        labels = [[SHARED, OTHER, CANDIDATE][i] for i in own]
+        narrow = log_density(design[:, own], observed, [PRIORS[one] for one in labels])
+        wide = log_density(design[:, own], observed, [10 * PRIORS[SHARED], *(PRIORS[x] for x in labels[1:])])
+        assert scores.stated(extra) == pytest.approx(narrow - wide, abs=1e-6)
+    assert scores.log_likelihood() == pytest.approx(sum(scores.log_likelihoods()) + scores.stated())
+    assert scores.gain([2]) == pytest.approx(scores.log_likelihood([2]) - scores.log_likelihood())
+
+
+def test_an_effect_that_shared_errors_imitate_gains_by_what_is_stated(
+    regression: tuple[np.ndarray, np.ndarray],
+) -> None:
+    """Held-out poses alone hardly tell them apart: an error of 6, 8.6 times what is stated, fits as well."""
+    design, observed = regression
+    scores = scores_of([SHARED, OTHER, CANDIDATE], design, observed)
+    of_poses = sum(scores.log_likelihoods([2])) - sum(scores.log_likelihoods())
+    of_statement = scores.stated([2]) - scores.stated()
+    assert of_poses < 8 < of_statement
+    # where the data tell the error, the density is the normal one at its estimate
+    alone = scores_of([SHARED, OTHER], design[:, :2], observed)
+    error = np.sqrt(np.linalg.inv(design[:, :2].T @ design[:, :2])[0, 0])
+    estimate = np.linalg.lstsq(design[:, :2], observed, rcond=None)[0][0]
+    expected = [norm(scale=np.hypot(k * 0.7, error)).logpdf(estimate) for k in (1, 10)]
+    assert alone.stated() == pytest.approx(expected[0] - expected[1], abs=0.05)
+
+
+def test_without_shared_errors_nothing_is_stated(regression: tuple[np.ndarray, np.ndarray]) -> None:
+    design, observed = regression
+    assert scores_of([OTHER, CANDIDATE], design[:, 1:], observed).stated() == 0.0
