@@ -10,7 +10,7 @@ from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.covariate_table import empirical_block, empirical_start
-from rim_camera_ros.fit.design import COMMON_POSE
+from rim_camera_ros.fit.design import COMMON_POSE, common_pose_block
 from rim_camera_ros.fit.problem import Fit, Problem, freed
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.fit.variance_components import widening_of_poses
@@ -34,7 +34,7 @@ def refusals(fitted: Fit, accuracy: Accuracy, stated: Scene) -> list[str]:
 
     ``accuracy`` of the poses that it was not fitted to, ``stated`` the scene as its file describes it.
     """
-    return [*_unsettled(fitted), *_worse(accuracy), *_widened(fitted, stated), *_err_alike(fitted)]
+    return [*_unsettled(fitted), *_worse(accuracy), *_widened(fitted, stated), *_err_alike(fitted, stated)]
 
 
 def _unsettled(fitted: Fit) -> list[str]:
@@ -79,15 +79,15 @@ def _widened(fitted: Fit, stated: Scene) -> list[str]:
     return result
 
 
-def _err_alike(fitted: Fit) -> list[str]:
+def _err_alike(fitted: Fit, stated: Scene) -> list[str]:
     """Return which surfaces' poses all err alike by far more than stated: poses that are alike allow that."""
-    stated = {one.label: one.prior for one in fitted.equations.regressors}
+    sizes = {one.label: one.prior for one in common_pose_block(stated).regressors}
     worst: dict[str, tuple[float, str]] = {}
     for label, value in fitted.parameters.items():
-        if label.startswith(COMMON_POSE):
+        if label in sizes:
             surface, _, kind = label.removeprefix(COMMON_POSE).rpartition(".")
             size = f"{abs(value) * 1e3:.2g} {'mm' if kind == 'offset' else 'mrad'}"
-            worst[surface] = max(worst.get(surface, (0.0, "")), (abs(value) / stated[label], size))
+            worst[surface] = max(worst.get(surface, (0.0, "")), (abs(value) / sizes[label], size))
     return [
         f"it takes all poses of '{surface}' to err alike, by {size}, {ratio:.0f} times as much as stated: "
         "poses that are alike do not tell that from offsets of the pixels; record other distances and tilts"

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.errors import RimError
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.scene import Scene
 
@@ -163,7 +164,10 @@ def leaving_nothing(
     leader = next((one for one in found if one.is_better), None)
     if leader is None or leader.wins or leader.fitted or leader.change is None:
         return list(found)
-    left = left_by_chance(leader.change(*given))
+    try:
+        left = left_by_chance(leader.change(*given))
+    except RimError:
+        left = None  # some poses make no set-up of that kind
     if left is None:
         return list(found)
     share = max(leader.share, share_explained(leader.gain, leader.gain + left))

@@ -1,4 +1,4 @@
-"""Diagnoses of recordings whose set-up is another: the files as given are compared, and nothing is fitted."""
+"""What set-ups make of a diagnosis: where another wins, the files as given are compared, unfitted."""
 
 from __future__ import annotations
 

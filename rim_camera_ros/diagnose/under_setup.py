@@ -24,9 +24,9 @@ def left_by_chance(files: Files, *, seed: int, threads: int) -> float | None:
     dataset, scene, camera = files
     facts = Facts.of(dataset, moves=scene.camera_motion.moves, surfaces=len(scene.surfaces), camera=camera)
     forward = Forward(dataset, scene, camera)
-    samples = axes_of(forward, seed=seed)
     try:
         forward.estimate_amplitudes()
+        samples = axes_of(forward, seed=seed)
         step = search(
             Problem(dataset, scene, stray_light=scene.stray_light, threads=threads),
             camera,

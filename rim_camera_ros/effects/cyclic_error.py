@@ -110,7 +110,7 @@ class CyclicError(DistanceTerm):
         result: dict[str, float] = {}
         for i, harmonic in enumerate(self.harmonics):
             result[f"harmonics.{i}.amplitude"] = max(abs(harmonic.amplitude), 0.005)
-            result[f"harmonics.{i}.phase"] = 1.0
+            result[f"harmonics.{i}.phase"] = 1.0  # a fit takes the phasor's, which `steps.of_phasors` makes
         return result | {"gradient.0": 0.005, "gradient.1": 0.005}
 
     @classmethod

@@ -174,14 +174,15 @@ def of_phasors(
     """Return regressors and how far they are ``away`` from their priors, of sinusoids by their phasors.
 
     A sinusoid's phasor is known as well in all directions, by the prior of its amplitude: of a small one the
-    phase may be any. In amplitude and phase, whose ``values`` are given by label, that prior stays diagonal.
-    One of the phase itself would cost a turn by pi where an amplitude goes through 0.
+    phase may be any. ``values`` are those of amplitudes [m] and phases [rad] by label; turned into these
+    coordinates, which are orthogonal, that prior stays diagonal, exact in value, slope and Gauss-Newton
+    curvature. One of the phase itself would cost a turn by pi where an amplitude goes through 0.
     """
     number = {one.label: i for i, one in enumerate(regressors)}
     found, moved = list(regressors), away.copy()
     for path, i in number.items():
         phase = path.removesuffix("amplitude") + "phase"
-        if path == phase or phase not in number:
+        if phase not in number:
             continue
         j = number[phase]
         size = float(np.copysign(max(abs(values[path]), _LEAST_PHASOR), values[path]))

@@ -93,19 +93,18 @@ class Scores:
         if not self.trained:
             return everything
         of_folds = sum(everything - self._evidence(one, columns) for one in self.trained)
-        return of_folds + everything - self._evidence(self.full, columns, self._shared())
+        return of_folds + self.stated(extra)
 
-    def _shared(self) -> Array:
-        """Return the columns of errors that all poses of a surface share."""
-        return np.array([i for i in self.base if self.regressors[i].label.startswith(COMMON_POSE)], int)
+    def stated(self, extra: Iterable[int] = ()) -> Any:
+        """Return the log density of what is stated of errors that poses share, given all poses [nats].
 
-    def stated(self, extra: Iterable[int] = ()) -> float:
-        """Return the log density of what is stated of errors that poses share, given all poses.
-
-        An effect that these errors imitate gains here, and a fit that strains them loses.
+        Up to a constant; (R,) for replicates. An effect that these errors imitate gains here, and a fit that
+        strains them loses.
         """
         columns = self.columns(extra)
-        return float(self._evidence(self.full, columns) - self._evidence(self.full, columns, self._shared()))
+        shared = [i for i in self.base if self.regressors[i].label.startswith(COMMON_POSE)]
+        without = self._evidence(self.full, columns, np.array(shared, int))
+        return self._evidence(self.full, columns) - without
 
     def log_likelihood(self, extra: Iterable[int] = ()) -> float:
         """Return the held-out log likelihood in nats with all its constants but the number of values.
@@ -114,7 +113,7 @@ class Scores:
         """
         if not self.trained:
             return float(self.held_out(extra))
-        return sum(self.log_likelihoods(extra)) + self.stated(extra)
+        return sum(self.log_likelihoods(extra)) + float(self.stated(extra))
 
     def log_likelihoods(self, extra: Iterable[int] = ()) -> list[float]:
         """Return what each fold adds to `log_likelihood`, given the others."""

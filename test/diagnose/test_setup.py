@@ -94,13 +94,18 @@ def test_poses_without_a_pixel_stop_no_fit_whichever_they_are(tmp_path: Path) ->
 
 
 def test_few_poses_are_said_to_be_few(tmp_path: Path) -> None:
-    """Of 23 such recordings of five poses one is an alarm by chance, that of seed 7 (10.3 of 8.4 nats)."""
     truth, board = camera(tmp_path), scene(tmp_path)
     for poses, notes in ((2, 1), (5, 1), (6, 0)):
-        result = diagnose(record(truth, board, poses=poses, seed=20), board, truth)
-        assert result.verdict == "consistent"
+        result = diagnose(record(truth, board, poses=poses, seed=7), board, truth)
         said = [one for one in result.notes if one.startswith(f"only {poses} poses: ")]
         assert len(said) == notes
+
+
+def test_few_poses_of_which_nothing_is_missing_are_consistent(tmp_path: Path) -> None:
+    """A threshold is a quantile of nulls: of ten recordings one may exceed it by chance (seed 7 does)."""
+    truth, board = camera(tmp_path), scene(tmp_path)
+    said = [diagnose(record(truth, board, poses=5, seed=seed), board, truth).verdict for seed in range(7, 17)]
+    assert said.count("consistent") >= 9
 
 
 def test_a_dataset_without_poses_counts_its_own_frames(tmp_path: Path) -> None:
