@@ -48,6 +48,8 @@ _MOST_OPEN = 2
 def calibration_page(result: Calibration, *, title: str) -> str:
     """Return the report of a calibration as one HTML page."""
     one = stated(result)
+    # a page of a refused result is made where it is forced
+    notes = [*(f"written as asked, though {reason}" for reason in result.refused), *result.notes]
     return render(
         "calibration",
         title=f"Calibration {title}",
@@ -58,7 +60,7 @@ def calibration_page(result: Calibration, *, title: str) -> str:
         first=first_sentence(result),
         mood="good" if one.after < one.before else "warn",
         cards=_cards(result),
-        notes=[Bullets(result.notes)] if result.notes else [],
+        notes=[Bullets(notes)] if notes else [],
         errors=_errors(result),
         uncertainty=_uncertainty(result),
         effects=_effects(result),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -142,8 +143,11 @@ def test_the_command_writes_nothing_unless_it_is_forced(
     assert "--force-result writes it" in error
     # the table shows why
     assert "beside offset and tilts of each pose" in printed
-    status, _, error = run(capsys, *words, "--force-result")
+    status, _, error = run(capsys, *words[:-1], "--force-result")
     assert status == 0
     assert out.exists()
     assert "written as asked, though it takes poses of 'floor' to err" in error
     assert "--force-result" in out.read_text()
+    # the page says it as well, to whom it is sent
+    page = html.unescape((tmp_path / "out.report.html").read_text())
+    assert "written as asked, though it takes poses of 'floor' to err" in page
