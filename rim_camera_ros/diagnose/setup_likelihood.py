@@ -34,6 +34,8 @@ _MOST = 9.0
 _NEIGHBOURS = [(v, u) for v in (-1, 0, 1) for u in (-1, 0, 1) if (v, u) != (0, 0)]
 #: 1-sigma of reflectivities that the scene file calls known.
 _EXACT = 1e-3
+#: Rounds of weights by the loss of Huber.
+_ROUNDS = 20
 
 
 @dataclass(frozen=True)
@@ -207,34 +209,61 @@ def _losses(
         np.concatenate(nothing + [getattr(look, name)[pixels] for look, pixels, _ in parts])
         for name in ("ratio", "variance", "tile")
     )
-    weight = np.concatenate(nothing + [np.full(int(pixels.sum()), each) for _, pixels, each in parts])
-    errors, cost = _reflectivities(tile.astype(int), ratio, variance, weight, setup.sigma)
+    counts = [int(pixels.sum()) for _, pixels, _ in parts]
+    weight = np.repeat([each for _, _, each in parts], counts)
+    pose = np.repeat(np.arange(len(parts)), counts)
+    light = _light(pose, tile.astype(int), ratio, variance, weight, sigma=setup.sigma, poses=len(parts))
     losses = []
-    for (look, pixels, each), region in zip(parts, regions.values(), strict=True):
-        rest = look.ratio[pixels] - errors[look.tile[pixels]]
-        light = np.minimum(rest**2 / look.variance[pixels], _MOST)
+    for k, ((look, pixels, each), region) in enumerate(zip(parts, regions.values(), strict=True)):
+        rest = look.ratio[pixels] - light.power[k] - light.errors[look.tile[pixels]]
+        bounded = np.minimum(rest**2 / look.variance[pixels], _MOST)
         missed = int(region.sum() - pixels.sum())
-        losses.append(each * (float(look.distance[pixels].sum() + light.sum()) + 2 * _MOST * missed))
-    return np.array(losses), cost, errors
+        losses.append(each * (float(look.distance[pixels].sum() + bounded.sum()) + 2 * _MOST * missed))
+    return np.array(losses), light.cost, light.errors
 
 
-def _reflectivities(
-    tile: Array, ratio: Array, variance: Array, weight: Array, sigma: Array
-) -> tuple[Array, float]:
-    """Return the log error of the reflectivity of each tile (T,), and what they cost together as a loss.
+@dataclass(frozen=True)
+class _Light:
+    """Log errors of the power of each pose (P,) and of the reflectivity of each tile (T,).
 
-    Of pixels (N,). An error is the same in all poses: nuisance parameters with normal priors of 1-``sigma``
-    (T,), integrated out by Laplace's method (Kass & Raftery 1995, eq. 5).
+    ``cost``: what the errors of the reflectivities cost together, as a loss.
     """
-    found, cost = np.zeros_like(sigma), 0.0
-    known = np.isfinite(ratio)
-    for number in np.unique(tile[known]):
-        own = known & (tile == number)
-        precision, prior = float(np.sum(weight[own] / variance[own])), float(sigma[number] ** 2)
-        error = float(np.median(ratio[own])) * precision * prior / (1 + precision * prior)
-        change = np.minimum((ratio[own] - error) ** 2 / variance[own], _MOST)
-        change = change - np.minimum(ratio[own] ** 2 / variance[own], _MOST)
-        if float(weight[own] @ change) + error**2 / prior < 0:
-            found[number] = error
-        cost += float(found[number] ** 2 / prior + np.log1p(precision * prior))
-    return found, cost
+
+    power: Array
+    errors: Array
+    cost: float
+
+
+def _light(
+    pose: Array, tile: Array, ratio: Array, variance: Array, weight: Array, *, sigma: Array, poses: int
+) -> _Light:
+    """Return what pixels (N,) of so many ``poses`` say of their powers and of the reflectivities of tiles.
+
+    Both together: the power of a pose that sees one tile most of all is that tile's error otherwise. Powers
+    are free; an error of a tile is the same in all poses, with a normal prior of 1-``sigma`` (T,), and is
+    integrated out by Laplace's method (Kass & Raftery 1995, eq. 5). Medians of the pixels of a tile in a pose
+    are adjusted with the loss of Huber (1964), so that a pattern that is not there moves no power.
+    """
+    known = np.isfinite(ratio) & (weight > 0)
+    tiles = sigma.size
+    cells, cell = np.unique(pose[known] * tiles + tile[known], return_inverse=True)
+    seen, column = np.unique(cells // tiles, return_inverse=True)
+    median = np.array([np.median(ratio[known][cell == k]) for k in range(cells.size)])
+    precision = np.bincount(cell, (weight / variance)[known], minlength=cells.size)
+    scale = np.sqrt(np.bincount(cell, weight[known], minlength=cells.size) / precision)
+    design = np.zeros((cells.size, seen.size + tiles))
+    design[np.arange(cells.size), column] = 1.0
+    design[np.arange(cells.size), seen.size + cells % tiles] = 1.0
+    prior = np.diag(np.r_[np.zeros(seen.size), sigma**-2.0])
+    found = np.zeros(seen.size + tiles)
+    for _ in range(_ROUNDS):
+        weights = precision / np.maximum(1.0, np.abs(median - design @ found) / scale)
+        found = np.linalg.solve(design.T @ (weights[:, None] * design) + prior, design.T @ (weights * median))
+    normal = design.T @ (precision[:, None] * design) + prior
+    errors = found[seen.size :]
+    # without the powers: the Schur complement
+    log_determinant = np.linalg.slogdet(normal)[1] - np.sum(np.log(np.diag(normal)[: seen.size]))
+    power = np.zeros(poses)
+    power[seen] = found[: seen.size]
+    cost = np.sum(errors**2 / sigma**2) + log_determinant + 2 * np.sum(np.log(sigma))
+    return _Light(power, errors, float(cost))
