@@ -14,6 +14,7 @@ from rim_camera_ros.effects import registry
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.residuals import after_nuisances
+from rim_camera_ros.fit.variance_components import WILD
 from rim_camera_ros.select.effect_sizes import change_by
 
 Array = NDArray[Any]
@@ -113,7 +114,8 @@ def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:
         if not one.used.any():
             continue
         rest_image, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
-        z = rest_image[one.used] / one.sigma[one.used]
+        # a handful of pixels, as those that some frames see beyond the ambiguity range, is no other pose
+        z = np.clip(rest_image[one.used] / one.sigma[one.used], -WILD, WILD)
         moved = _moved(one, physics)[one.used]
         acting = np.abs(moved) > _ACTS
         # a few saturated pixels may act on every row, though not in other poses
