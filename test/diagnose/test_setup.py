@@ -70,6 +70,20 @@ def test_every_station_of_a_pose_counts(tmp_path: Path, bent: int) -> None:
     assert worst.chi_square > 4 * np.median([one.chi_square for one in check_poses(fitted)])
 
 
+@pytest.mark.parametrize(("pixels", "bad"), [(6, ()), (120, ((0, 5),))])
+def test_a_handful_of_wild_pixels_is_no_other_pose(tmp_path: Path, pixels: int, bad: tuple[Any, ...]) -> None:
+    """As those that some frames of a station see beyond the ambiguity range."""
+    truth, board = camera(tmp_path), scene(tmp_path)
+    data = record(truth, board, poses=12, seed=9)
+    one = data.stations[5]
+    distance = one.distance.copy()
+    distance.ravel()[np.random.default_rng(1).choice(distance.size, pixels, replace=False)] += 1.4
+    stations = [*data.stations[:5], replace(one, distance=distance), *data.stations[6:]]
+    # offsets of pixels would take their share, and bend the other poses
+    problem = Problem(replace(data, stations=stations), board, pattern=False)
+    assert check_setup(fit(problem, truth)).bad == bad
+
+
 @pytest.mark.parametrize(("count", "found"), [(2, 0), (3, 0), (4, 1), (5, 1), (40, 1)])
 def test_a_pose_stands_out_from_the_others(count: int, found: int) -> None:
     """By four fifths of the others, itself not among them; of three none is the one that is wrong."""
