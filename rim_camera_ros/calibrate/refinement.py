@@ -13,7 +13,9 @@ from rim_camera_ros.fit.pixels import Beside, beside_in_view, without_edges
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.fit.variance_components import (
+    discrepancy_note,
     first_pattern_prior,
+    likely_discrepancy,
     likely_pattern_prior,
     pattern_prior_note,
     pose_variance_factors,
@@ -71,6 +73,7 @@ class Refinement:
                 scene=problem.scene,
                 variance_factors=problem.variance_factors,
                 pattern_prior=problem.pattern_prior,
+                discrepancy=problem.discrepancy,
             )
             fitted = fit(solved, fitted.camera, views=views, warm=fitted)
             found = problem, fitted
@@ -84,14 +87,21 @@ class Refinement:
             self.edges = False
             self._edges_note.append(note)
             return replace(problem, masks=masks), "fewer pixels"
+        if not problem.discrepancy:
+            size = likely_discrepancy(problem, fitted)
+            if size is not None:
+                return replace(problem, discrepancy=size), "errors that neighbours share"
+        else:
+            weighed = self._weighed(problem, fitted)
+            if weighed is not None:
+                return weighed
         wider = settled_poses(problem, fitted) if problem.scene is self._stated else None
         if wider is not None:
             return replace(problem, scene=wider), "wider errors of poses"
         # where pixels have many looks, weights would hide from chi-square an effect that is missing
-        uneven = self._first_size != PATTERN_PRIOR and not problem.variance_factors
-        factors = pose_variance_factors(problem, fitted) if uneven else None
-        if factors is not None:
-            return replace(problem, variance_factors=factors), "weights of poses"
+        weighed = self._weighed(problem, fitted) if self._first_size != PATTERN_PRIOR else None
+        if weighed is not None:
+            return weighed
         if self._unsized:
             self._unsized = False
             size = likely_pattern_prior(fitted)
@@ -99,11 +109,19 @@ class Refinement:
                 return replace(problem, pattern_prior=size), "other offsets of pixels"
         return None
 
-    def notes(self, problem: Problem) -> list[str]:
-        """Return what was given up on the way to a problem, in words."""
+    def _weighed(self, problem: Problem, fitted: Fit) -> tuple[Problem, str] | None:
+        if problem.variance_factors:
+            return None
+        factors = pose_variance_factors(problem, fitted)
+        return None if factors is None else (replace(problem, variance_factors=factors), "weights of poses")
+
+    def notes(self, problem: Problem, fitted: Fit) -> list[str]:
+        """Return what was given up on the way to a problem, whose solution is ``fitted``, in words."""
         result = list(self._edges_note)
         if problem.pattern_prior != PATTERN_PRIOR:
             result.append(pattern_prior_note(problem.pattern_prior))
+        if problem.discrepancy:
+            result.append(discrepancy_note(fitted))
         if problem.variance_factors:
             result.append(pose_variance_note(problem.variance_factors))
         if problem.scene is not self._stated:

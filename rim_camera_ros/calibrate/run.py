@@ -226,7 +226,7 @@ def calibrate(
         if settled[0].scene is not problem.scene:
             forward = Forward(dataset, settled[0].scene, camera)
         problem, begin = settled[0], settled[1].camera
-    notes += refinement.notes(problem)
+    notes += refinement.notes(problem, outcome.solution.fit)
     notes += [*outcome.notes, *outcome.solution.notes]
     watch.say("hyperbola or curve")
     beyond = beyond_form(problem, outcome.solution) if words is not None else None

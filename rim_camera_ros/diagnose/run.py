@@ -52,6 +52,7 @@ from rim_camera_ros.fit.decimation import decimated_camera, decimated_dataset, d
 from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Fit, Problem
+from rim_camera_ros.fit.variance_components import discrepancy_note, likely_discrepancy
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.search import MOST_EFFECTS, search
 from rim_camera_ros.select.trials import Workers
@@ -128,6 +129,7 @@ def _diagnose(
     say: Callable[[str], None],
     spare: int | None = None,
     setups: list[Hypothesis] | None = None,
+    discrepancy: float = 0.0,
 ) -> Diagnosis:
     moves = scene.camera_motion.moves
     facts = Facts.of(dataset, moves=moves, surfaces=len(scene.surfaces), camera=camera)
@@ -142,6 +144,7 @@ def _diagnose(
             return left_by_chance(files, seed=seed, threads=threads)
 
         setups = leaving_nothing(setups, (dataset, scene, camera), left)
+    tried = setups
     other = best_setup(setups)
     say("looking at the covariates")
     forward = Forward(dataset, scene, camera)
@@ -152,7 +155,9 @@ def _diagnose(
         return with_setups(hopeless(problem, camera, variance, seed, reason=moving(variance)), setups)
     light = _COMMON_LIGHT * facts.amplitude if variance.pixels_vary_together else 0.0
     light = max(light, scene.stray_light)
-    problem = Problem(dataset, scene, shifts=shifts, stray_light=light, threads=threads)
+    problem = Problem(
+        dataset, scene, shifts=shifts, stray_light=light, discrepancy=discrepancy, threads=threads
+    )
     if other is not None:
         return with_setups(of_another_setup(other, problem, camera, variance, seed), setups)
     samples = axes_of(forward, seed=seed)
@@ -261,6 +266,15 @@ def _diagnose(
         result.forget()
         kept = _without(problem.dataset, setup)
         return _diagnose(kept, scene, camera, None, seed, threads, workers, say, spare - len(setup.bad))
+    if reason is not None and winner is None and against is None and not discrepancy:
+        size = likely_discrepancy(problem, best_fit)
+        if size is not None:
+            # thousands of pixels that err alike move poses by many times what is stated of them
+            result.forget()
+            say("once more with errors that neighbours share")
+            return _diagnose(
+                dataset, scene, camera, None, seed, threads, workers, say, spare, tried, discrepancy=size
+            )
     if winner is not None and reason == winner.reason:
         # what was fitted to the files as given is no camera
         result.forget()
@@ -269,6 +283,8 @@ def _diagnose(
     if by_background or only_rectified_noise(result, variance):
         described = None
         result = result.withdrawn()
+    if discrepancy:
+        dataset = replace(dataset, notes=[*dataset.notes, discrepancy_note(result.fit)])
     say("held-out poses before and after")
     gains = spread_of_gains(result.fit)
     findings = Findings(

@@ -19,32 +19,51 @@ Array = NDArray[Any]
 
 #: How the random effects are named in what is eliminated.
 FIELD = "discrepancy."
-#: Half waves across what a pose shows, at most: shorter ones are for the robust loss.
-MOST_HALF_WAVES = 8
+#: Numbers of half waves across what a pose shows, at most and at least.
+MOST_HALF_WAVES = 6
+LEAST_HALF_WAVES = 3
+#: Waves of all poses together, of which each takes memory for every pixel.
+_MOST_WAVES = 1000
 
 
-def discrepancy_columns(view: View, size: float) -> list[PoseColumn]:
+def half_waves_of(poses: int) -> int:
+    """Return how many half waves across a pose there are in a recording of so many poses."""
+    return int(np.clip(np.sqrt(_MOST_WAVES / max(poses, 1) + 1), LEAST_HALF_WAVES, MOST_HALF_WAVES))
+
+
+def discrepancy_columns(view: View, size: float, *, half_waves: int = MOST_HALF_WAVES) -> list[PoseColumn]:
     """Return the waves of which the discrepancy of a pose consists, with a 1-sigma of ``size`` [m] in all.
 
-    Cosines over the rows and columns that the surfaces of the pose cover, whose mean squares are 1.
+    Cosines over the rows and columns that the surfaces of the pose cover, whose mean squares are 1, of fewer
+    than so many ``half_waves`` each way, with the sizes of `shares_of`.
     """
     hit = view.geometry.hit
     if not hit.any():
         return []
-    rows, columns = (_waves(hit.any(axis=axis)) for axis in (1, 0))
+    rows, columns = (_waves(hit.any(axis=axis), half_waves) for axis in (1, 0))
     numbers = [(i, j) for i in range(len(rows)) for j in range(len(columns)) if (i, j) != (0, 0)]
-    prior = size / np.sqrt(len(numbers))
+    sizes = size * shares_of(half_waves)
     dark = np.zeros(hit.shape)
     return [
-        PoseColumn(f"{FIELD}{i}.{j}", prior, np.outer(rows[i], columns[j]), dark, is_smooth=True)
+        PoseColumn(f"{FIELD}{i}.{j}", sizes[i, j], np.outer(rows[i], columns[j]), dark, is_smooth=True)
         for i, j in numbers
     ]
 
 
-def _waves(covered: Array) -> Array:
-    """Return cosines (K, N) of 0, 1, ... half waves from the first to the last pixel that is covered."""
+def shares_of(half_waves: int) -> Array:
+    """Return the 1-sigma of each wave (K, K) over that of all: as one over the square of its wave number.
+
+    That is the prior of a thin-plate spline (Wahba 1990, sec. 2.4): surfaces bend as little as they must.
+    """
+    squares = np.add.outer(np.arange(half_waves) ** 2.0, np.arange(half_waves) ** 2.0)
+    shares = np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 0)
+    return np.asarray(shares / np.sqrt(np.sum(shares**2)))
+
+
+def _waves(covered: Array, count: int) -> Array:
+    """Return cosines (``count``, N) of 0, 1, ... half waves from the first to the last pixel covered."""
     first, last = np.flatnonzero(covered)[[0, -1]]
     along = (np.arange(covered.size) - first + 0.5) / (last - first + 1)
-    waves = np.cos(np.pi * np.arange(MOST_HALF_WAVES)[:, None] * np.clip(along, 0.0, 1.0))
+    waves = np.cos(np.pi * np.arange(count)[:, None] * np.clip(along, 0.0, 1.0))
     waves[1:] *= np.sqrt(2.0)
     return np.asarray(waves)

@@ -185,7 +185,7 @@ class Prediction:
             wave = 2 * np.pi / self.context.ambiguity
             self._changes[column.path] = (
                 self.light_change(None, column.amplitude + 1j * wave * column.distance)
-                if self.spread
+                if self.spread and not column.is_smooth
                 else self.reading_change(column.distance, column.amplitude)
             )
         return self._changes[column.path]

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from rim_camera_ros.effects.candidate import priors_of
+from rim_camera_ros.fit.discrepancy import FIELD
+from rim_camera_ros.fit.fold_sums import Fold
 from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR, reduce_folds
 from rim_camera_ros.fit.problem import Fit, Problem, freed
 from rim_camera_ros.fit.residuals import after_nuisances
@@ -32,6 +34,7 @@ FEW_LOOKS = 5.0
 FIRST_SIZE = 0.001
 #: Sizes that are tried, 1-sigma of a pixel's offset [m].
 SIZES = (0.0003, 0.0005, 0.001, 0.002, 0.004, 0.008, 0.015, 0.03, 0.06, PATTERN_PRIOR)
+_NOTHING = 1e-6
 
 
 def first_pattern_prior(masks: Sequence[tuple[Array, Array]]) -> float:
@@ -44,14 +47,20 @@ def first_pattern_prior(masks: Sequence[tuple[Array, Array]]) -> float:
     return FIRST_SIZE if looks < FEW_LOOKS else PATTERN_PRIOR
 
 
-def log_evidence(fitted: Fit, size: float) -> float:
-    """Return the log likelihood of a fit's data, up to a constant, for pixels' offsets of a ``size`` [m].
+def log_evidence(fitted: Fit, *, offsets: float | None = None, discrepancy: float | None = None) -> float:
+    """Return the log likelihood of a fit's data, up to a constant, by sizes of random effects.
 
-    ``size`` is their 1-sigma. Parameters, errors of poses and the offsets themselves are integrated out.
+    ``offsets`` of pixels and ``discrepancy`` of poses are 1-sigma [m] (None: that of the fit). Parameters,
+    errors of poses and these effects themselves are integrated out.
     """
     count = len(fitted.parameters)
-    pixels = replace(fitted.equations.pixels, offset=size)
-    reduced = reduce_folds(fitted.equations.folds, priors_of(fitted.equations.regressors), pixels)
+    pixels, folds = fitted.equations.pixels, fitted.equations.folds
+    if offsets is not None:
+        pixels = replace(pixels, offset=offsets)
+    if discrepancy is not None:
+        own = fitted.forward.discrepancy
+        folds = [_with_discrepancy(one, before=own, size=discrepancy) for one in folds]
+    reduced = reduce_folds(folds, priors_of(fitted.equations.regressors), pixels)
     matrix = reduced.gram[:count, :count] + np.diag(fitted.priors**-2)
     factor = linalg.cholesky(matrix, lower=True)
     solved = linalg.solve_triangular(factor, reduced.right[:count], lower=True)
@@ -59,9 +68,20 @@ def log_evidence(fitted: Fit, size: float) -> float:
     return -0.5 * rest - reduced.log_norm - float(np.sum(np.log(np.diag(factor))))
 
 
+def _with_discrepancy(fold: Fold, *, before: float, size: float) -> Fold:
+    """Return the sums of a fold whose poses have discrepancies of another ``size`` [m, 1 sigma]."""
+    return replace(
+        fold,
+        nuisances=[
+            (name, prior * size / before if name.split(".", 2)[-1].startswith(FIELD) else prior, at)
+            for name, prior, at in fold.nuisances
+        ],
+    )
+
+
 def likely_pattern_prior(fitted: Fit) -> float:
     """Return the likeliest 1-sigma of pixels' offsets [m] of `SIZES`."""
-    return max(SIZES, key=lambda size: log_evidence(fitted, size))
+    return max(SIZES, key=lambda size: log_evidence(fitted, offsets=size))
 
 
 def pattern_prior_note(size: float) -> str:
@@ -233,20 +253,55 @@ def pose_chi_squares(fitted: Fit) -> dict[Key, float]:
     return {key: float(parts.mean()) for key, parts in joined.items() if len(parts) >= LEAST_PATCHES}
 
 
+def likely_discrepancy(problem: Problem, fitted: Fit) -> float | None:
+    """Return the likeliest 1-sigma of what distances err by smoothly in each pose [m]; None: there is none.
+
+    It is looked for where means of neighbours err `WIDER` times as much as independent pixels would.
+    """
+    found = pose_chi_squares(fitted)
+    if len(found) < LEAST_POSES or _level(found) < WIDER**2:
+        return None
+    free = replace(freed(problem, fitted), discrepancy=FIRST_SIZE)
+    again = fit(free, fitted.camera, iterations=0, warm=fitted)
+    size = max((_NOTHING, *SIZES[:-1]), key=lambda size: log_evidence(again, discrepancy=size))
+    return size if size > _NOTHING else None
+
+
+def discrepancy_note(fitted: Fit) -> str:
+    """Return in words by how much poses of a fit err smoothly, beside what may be a tilt of theirs."""
+    squares: dict[str, float] = {}
+    for name, value in fitted.nuisances.items():
+        recording, placed, kind = name.split(".", 2)
+        if kind.startswith(FIELD) and sum(int(one) for one in kind.removeprefix(FIELD).split(".")) > 1:
+            key = f"{recording}.{placed}"
+            squares[key] = squares.get(key, 0.0) + value**2
+    found = float(np.sqrt(np.mean(list(squares.values())))) if squares else 0.0
+    return (
+        f"distances of every pose err smoothly over the image, by {found * 1e3:.1f} mm (RMS) beside tilts and "
+        "all that is fitted, by light or shapes that the scene file does not describe: neighbours share it, and "
+        "count for less than independent pixels would"
+    )
+
+
 def pose_variance_factors(problem: Problem, fitted: Fit) -> dict[Key, float] | None:
     """Return the factors on the variances of poses with which they agree with the fit; None: poses are even.
 
-    Factors change the fit and it them, so that it takes some rounds.
+    Where poses have a discrepancy, so that they agree with the noise. Factors change the fit and it them, so
+    that it takes some rounds.
     """
     found = pose_chi_squares(fitted)
-    if len(found) < LEAST_POSES or max(found.values()) < UNEVEN * _level(found):
+    if len(found) < LEAST_POSES:
+        return None
+    # beside waves of each pose, what all disagree with are shorter ones, which no effect is
+    alone = problem.discrepancy > 0
+    if max(found.values()) < UNEVEN * _level(found) and not (alone and _level(found) >= WIDER**2):
         return None
     free = freed(problem, fitted)
     factors: dict[Key, float] = {}
     for _ in range(_ROUNDS):
         before = factors
         whole = {key: chi * before.get(key, 1.0) for key, chi in found.items()}
-        level = _level(whole)
+        level = 1.0 if alone else _level(whole)
         factors = {key: float(np.clip(chi / level, 1.0, MOST)) for key, chi in whole.items()}
         ratios = [one / before.get(key, 1.0) for key, one in factors.items()]
         if max(max(ratios), 1.0 / min(ratios)) < _SETTLED:
@@ -265,6 +320,12 @@ def pose_variance_note(factors: Mapping[Key, float]) -> str:
     """Return in words which poses weigh less, the worst by name."""
     worst = sorted(factors, key=lambda key: -factors[key])[:_NAMED]
     parts = [f"pose {pose} ({factors[recording, pose]:.0f} times)" for recording, pose in worst]
+    if min(factors.values()) > 1.0:
+        median = np.median(list(factors.values()))
+        return (
+            f"distances of all poses weigh less, by {median:.1f} times their variance (median), most of all "
+            f"those of {', '.join(parts)}: neighbours share more than what is smooth over the image"
+        )
     return (
         "poses weigh less whose distances agree less with the model than those of the median pose, by their "
         f"variance: {', '.join(parts)}; the scene file does not describe all light, or these poses are wrong"

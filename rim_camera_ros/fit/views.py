@@ -73,12 +73,14 @@ class PoseColumn:
     ``path`` names it: ``pose.SURFACE.offset|tilt_x|tilt_y`` with the 1-sigma ``prior`` of the reference
     instrument, or ``scene.SURFACE.AXIS`` of a free pose. ``distance`` (H, W) in m per m or per rad;
     ``amplitude`` (H, W) the relative change of the light, by the distance and by the angle of incidence.
+    ``is_smooth``: over the array, so that optics which spread light leave it as it is.
     """
 
     path: str
     prior: float
     distance: Array
     amplitude: Array
+    is_smooth: bool = False
 
 
 class Views:
