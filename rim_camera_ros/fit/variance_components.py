@@ -277,9 +277,9 @@ def discrepancy_note(fitted: Fit) -> str:
             squares[key] = squares.get(key, 0.0) + value**2
     found = float(np.sqrt(np.mean(list(squares.values())))) if squares else 0.0
     return (
-        f"distances of every pose err smoothly over the image, by {found * 1e3:.1f} mm (RMS) beside tilts and "
-        "all that is fitted, by light or shapes that the scene file does not describe: neighbours share it, and "
-        "count for less than independent pixels would"
+        f"distances of every pose err smoothly over the image, by {found * 1e3:.1f} mm (RMS) beside tilts "
+        "and all that is fitted, by light or shapes that the scene file does not describe: neighbours share "
+        "it, and count for less than independent pixels would"
     )
 
 
