@@ -7,6 +7,9 @@ table to DIR/summary.md.
 
 The smallest visible size of an effect is that at which it adds as much to chi-square, beside offsets of
 pixels and offset and tilts of each pose, as stays unexplained without it; effects are put in at 1.5 times it.
+Where that is more than any camera has, the recording does not show the effect, which is said and not judged.
+Counts are whole numbers already: those of the changed distances are rounded with a dither of half a count, or
+codes would be missing where an effect stretches distances.
 """
 
 from __future__ import annotations
@@ -58,14 +61,16 @@ def _scattered(size: float, camera: Camera, level: float) -> Effect:
     return Scattering((Kernel(min(size, 0.9), (width, width)),))
 
 
-#: By name: the effect at a size (m, or relative), for a median amplitude [counts]; and a small size.
-EFFECTS: Mapping[str, tuple[Callable[[float, Camera, float], Effect], float]] = {
-    "amplitude_offset": (_amplitude, 0.001),
-    "cyclic_error": (lambda size, camera, level: CyclicError((Harmonic(4, size, 0.7),)), 0.001),
-    "scattering": (_scattered, 0.01),
-    "emitter_offset": (lambda size, camera, level: EmitterOffset((size, -0.6 * size, 0.0)), 0.01),
-    "distance_scale": (lambda size, camera, level: DistanceScale(size), 0.001),
+#: By name: the effect at a size (m, or relative), for a median amplitude [counts]; a small size, and the
+#: largest that a camera may have.
+EFFECTS: Mapping[str, tuple[Callable[[float, Camera, float], Effect], float, float]] = {
+    "amplitude_offset": (_amplitude, 0.001, 0.1),
+    "cyclic_error": (lambda size, camera, level: CyclicError((Harmonic(4, size, 0.7),)), 0.001, 0.1),
+    "scattering": (_scattered, 0.01, 0.9),
+    "emitter_offset": (lambda size, camera, level: EmitterOffset((size, -0.6 * size, 0.0)), 0.01, 0.3),
+    "distance_scale": (lambda size, camera, level: DistanceScale(size), 0.001, 0.05),
 }
+_DITHER = 20261126
 
 
 def half_of(folder: Path, half: int, step: int, every: int) -> Iterator[RawFrame]:
@@ -87,7 +92,8 @@ def planted(frame: RawFrame, effect: Effect, camera: Camera) -> RawFrame:
     seen, light = _signal(frame, camera)
     after = effect.simulate(light, _context(frame, camera))
     with np.errstate(invalid="ignore"):
-        distance = np.round(after.measured / camera.sensor.lsb)
+        dither = np.random.default_rng([_DITHER, frame.stamp]).uniform(-0.5, 0.5, seen.shape)
+        distance = np.round(after.measured / camera.sensor.lsb + dither)
         amplitude = np.round(after.published_amplitude)
         usable = seen & (distance >= 1) & (distance <= 65535) & (amplitude >= 1)
     return replace(
@@ -109,7 +115,7 @@ def _context(frame: RawFrame, camera: Camera) -> Context:
 
 def visible(frames: Sequence[RawFrame], name: str, camera: Camera) -> float:
     """Return the mean square of an effect at its small size, in sigmas, beside offsets and tilts."""
-    make, small = EFFECTS[name]
+    make, small, _ = EFFECTS[name]
     effect = make(small, camera, level_of(frames))
     parts = []
     for frame in frames:
@@ -164,22 +170,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         shown = frames
         if name != "null":
             rest = max(done[0]["fit"]["chi2_after"] - 1.0, _LEAST)
-            make, small = EFFECTS[name]
+            make, small, largest = EFFECTS[name]
             line["size"] = MULTIPLE * small * float(np.sqrt(rest / visible(frames, name, camera)))
+            if line["size"] > largest:
+                line |= {"verdict": "not visible", "missing": [], "adjusted": [], "tied": []}
+                _keep(done, line, results)
+                continue
             effect = make(line["size"], camera, level_of(frames))
             shown = [planted(one, effect, camera) for one in frames]
         line |= _said(given.out / name, shown, scene)
-        done.append(line)
-        with results.open("a") as file:
-            file.write(json.dumps(line) + "\n")
-        print(
-            f"{name:18s} {'+'.join(line['missing']) or line['verdict']}  {line['cpu_seconds']:.0f} s",
-            flush=True,
-        )
+        _keep(done, line, results)
     table = summary(done)
     (given.out / SUMMARY).write_text(table)
     print(table)
     return 0
+
+
+def _keep(done: list[dict[str, Any]], line: dict[str, Any], results: Path) -> None:
+    done.append(line)
+    with results.open("a") as file:
+        file.write(json.dumps(line) + "\n")
+    said = "+".join(line["missing"]) or line["verdict"]
+    print(f"{line['name']:18s} {said}  {line.get('cpu_seconds', 0.0):.0f} s", flush=True)
 
 
 def _calibrated(given: argparse.Namespace, scene: Path) -> Camera:
@@ -264,13 +276,15 @@ def summary(lines: Sequence[Mapping[str, Any]]) -> str:
     ]
     right = wrong = 0
     for one in [null, *cases]:
-        how, others = ("", []) if one is null else judged(one, null)
+        judge = one is not null and one["verdict"] != "not visible"
+        how, others = judged(one, null) if judge else ("", [])
         right, wrong = right + (how in ("named", "tied")), wrong + bool(others)
         said = "+".join(one["missing"]) or one["verdict"]
         size = f"{one['size']:.3g}" if "size" in one else ""
         square = f"{one['fit']['chi2_after']:.2f}" if "fit" in one else ""
         text.append(f"| {one['name']} | {size} | {said} | {how} | {', '.join(others)} | {square} |")
-    return "\n".join([*text, "", f"named {right} of {len(cases)}, wrong names beside in {wrong}", ""])
+    count = sum(one["verdict"] != "not visible" for one in cases)
+    return "\n".join([*text, "", f"named {right} of {count}, wrong names beside in {wrong}", ""])
 
 
 if __name__ == "__main__":
