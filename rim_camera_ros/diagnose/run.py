@@ -48,7 +48,12 @@ from rim_camera_ros.effects.base import response_of
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.fit.data import Dataset, with_stated_errors
-from rim_camera_ros.fit.decimation import decimated_camera, decimated_dataset, decimation_of
+from rim_camera_ros.fit.decimation import (
+    correlated_decimation,
+    decimated_camera,
+    decimated_dataset,
+    decimation_of,
+)
 from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Fit, Problem
@@ -272,9 +277,14 @@ def _diagnose(
             # thousands of pixels that err alike move poses by many times what is stated of them
             result.forget()
             say("once more with errors that neighbours share")
-            return _diagnose(
-                dataset, scene, camera, None, seed, threads, workers, say, spare, tried, discrepancy=size
+            coarse = correlated_decimation(camera, dataset)
+            few, small = dataset, camera
+            if coarse > 1:
+                few, small = decimated_dataset(dataset, coarse), decimated_camera(camera, coarse)
+            again = _diagnose(
+                few, scene, small, None, seed, threads, workers, say, spare, tried, discrepancy=size
             )
+            return again if coarse == 1 else on_full_grid(again, camera, coarse)
     if winner is not None and reason == winner.reason:
         # what was fitted to the files as given is no camera
         result.forget()

@@ -24,6 +24,8 @@ Array = NDArray[Any]
 
 #: How many pixels a coarser grid has at most.
 _COARSE_PIXELS = 30_000
+#: ... and how many tell as much as all where neighbours share their errors.
+_CORRELATED_PIXELS = 5_000
 
 
 def decimation_of(camera: Camera) -> int:
@@ -32,6 +34,17 @@ def decimation_of(camera: Camera) -> int:
     if pixels <= MANY_PIXELS or any(one.stated_by_pixels for one in camera.effects.values()):
         return 1
     return int(np.ceil(np.sqrt(pixels / _COARSE_PIXELS)))
+
+
+def correlated_decimation(camera: Camera, dataset: Dataset) -> int:
+    """Return the step of a coarser grid in pixels on which errors that neighbours share are looked at.
+
+    1 for small sensors, where effects are stated by pixels, and where a grid is a coarser one already.
+    """
+    pixels = camera.sensor.width * camera.sensor.height
+    if dataset.decimation > 1 or any(one.stated_by_pixels for one in camera.effects.values()):
+        return 1
+    return max(1, int(np.sqrt(pixels / _CORRELATED_PIXELS)))
 
 
 def decimation_for(camera: Camera, words: Sequence[str]) -> int:
