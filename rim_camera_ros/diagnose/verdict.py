@@ -135,7 +135,8 @@ def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
     unknown = found.unknown if draft.verdict == "unknown_physics" else None
     measure = accuracy(found.camera, draft.model, found.result, None if unknown is None else unknown.fit)
     left = min(measure.chi2_before, found.left_over)
-    if draft.verdict == "consistent" and measure.held_out and left > _UNEXPLAINED:
+    disagree = measure.held_out and left > _UNEXPLAINED
+    if draft.verdict == "consistent" and (disagree or found.fitted.forward.discrepancy):
         # neither an effect nor a smooth function: it is said all the same
         draft.verdict = "unknown_physics"
         missing, draft.where = unexplained(found.fitted, measure.chi2_before)

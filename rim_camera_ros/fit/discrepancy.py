@@ -8,12 +8,16 @@ of each pose (Kennedy & O'Hagan 2001, sec. 4), integrated out as errors of poses
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.fit.views import PoseColumn, View
+
+if TYPE_CHECKING:
+    from rim_camera_ros.fit.prediction import Prediction
 
 Array = NDArray[Any]
 
@@ -41,7 +45,7 @@ def discrepancy_columns(view: View, size: float, *, half_waves: int = MOST_HALF_
     if not hit.any():
         return []
     rows, columns = (_waves(hit.any(axis=axis), half_waves) for axis in (1, 0))
-    numbers = [(i, j) for i in range(len(rows)) for j in range(len(columns)) if (i, j) != (0, 0)]
+    numbers = [(i, j) for i in range(len(rows)) for j in range(len(columns))]
     sizes = size * shares_of(half_waves)
     dark = np.zeros(hit.shape)
     return [
@@ -50,13 +54,26 @@ def discrepancy_columns(view: View, size: float, *, half_waves: int = MOST_HALF_
     ]
 
 
+def discrepancy_of(prediction: Prediction, nuisances: Mapping[str, float]) -> Array:
+    """Return what was found of the discrepancy of a pose beside tilts and offset of it, (H, W) m."""
+    station = prediction.station
+    total = np.zeros(prediction.distance.shape)
+    for column in prediction.pose_columns:
+        if column.path.startswith(FIELD) and sum(map(int, column.path.removeprefix(FIELD).split("."))) > 1:
+            found = nuisances.get(f"{station.recording}.{station.placed}.{column.path}", 0.0)
+            total = total + found * column.distance
+    return np.where(prediction.used, total, 0.0)
+
+
 def shares_of(half_waves: int) -> Array:
     """Return the 1-sigma of each wave (K, K) over that of all: as one over the square of its wave number.
 
-    That is the prior of a thin-plate spline (Wahba 1990, sec. 2.4): surfaces bend as little as they must.
+    That is the prior of a thin-plate spline (Wahba 1990, sec. 2.4): it bends as little as it must. Its
+    mean, of which that prior says nothing, is as large as the longest wave: what is shared by all pixels of a
+    pose would be a drift or a cyclic error otherwise.
     """
     squares = np.add.outer(np.arange(half_waves) ** 2.0, np.arange(half_waves) ** 2.0)
-    shares = np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 0)
+    shares = 1.0 / np.maximum(squares, 1.0)
     return np.asarray(shares / np.sqrt(np.sum(shares**2)))
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from rim_camera_ros.effects.candidate import priors_of
-from rim_camera_ros.fit.discrepancy import FIELD
+from rim_camera_ros.fit.discrepancy import FIELD, discrepancy_of
 from rim_camera_ros.fit.fold_sums import Fold
 from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR, reduce_folds
 from rim_camera_ros.fit.problem import Fit, Problem, freed
@@ -267,15 +267,18 @@ def likely_discrepancy(problem: Problem, fitted: Fit) -> float | None:
     return size if size > _NOTHING else None
 
 
+def discrepancy_rms(fitted: Fit) -> float:
+    """Return by how much poses of a fit err smoothly [m, RMS], beside what may be an error of the poses."""
+    squares = [
+        discrepancy_of(one, fitted.nuisances)[one.used] ** 2
+        for one in fitted.forward.predictions(slopes=False)
+    ]
+    return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
 def discrepancy_note(fitted: Fit) -> str:
-    """Return in words by how much poses of a fit err smoothly, beside what may be a tilt of theirs."""
-    squares: dict[str, float] = {}
-    for name, value in fitted.nuisances.items():
-        recording, placed, kind = name.split(".", 2)
-        if kind.startswith(FIELD) and sum(int(one) for one in kind.removeprefix(FIELD).split(".")) > 1:
-            key = f"{recording}.{placed}"
-            squares[key] = squares.get(key, 0.0) + value**2
-    found = float(np.sqrt(np.mean(list(squares.values())))) if squares else 0.0
+    """Return in words by how much poses of a fit err smoothly."""
+    found = discrepancy_rms(fitted)
     return (
         f"distances of every pose err smoothly over the image, by {found * 1e3:.1f} mm (RMS) beside tilts "
         "and all that is fitted, by light or shapes that the scene file does not describe: neighbours share "

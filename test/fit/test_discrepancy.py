@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.camera_file import camera_numbers
+from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.design import COMMON_POSE
@@ -72,6 +73,18 @@ def test_smooth_errors_are_found_by_their_size_and_move_poses_no_more(tmp_path: 
     chi = [float(np.median(list(pose_chi_squares(one).values()))) for one in (plain, known)]
     assert chi[0] > 2.25
     assert chi[1] < 1.2
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_smooth_errors_of_poses_are_no_set_up_and_no_physics_by_name(tmp_path: Path, seed: int) -> None:
+    """Independent pixels would make them a depth, or a drift and a cyclic error."""
+    truth, board = camera(tmp_path, HYPERBOLA), scene(tmp_path)
+    found = diagnose(bent(record(truth, board), seed=seed), board, truth)
+    assert found.verdict == "unknown_physics"
+    assert [one.effect for one in found.missing] == ["unknown"]
+    assert "distances of every pose err smoothly over the image" in found.missing[0].sentence
+    assert 0.5 * SIZE < found.missing[0].magnitude < SIZE
+    assert found.where.pixels.min() > 0.0
 
 
 def test_waves_have_mean_squares_of_one_and_are_independent(tmp_path: Path) -> None:
