@@ -271,10 +271,11 @@ def _diagnose(
         result.forget()
         kept = _without(problem.dataset, setup)
         return _diagnose(kept, scene, camera, None, seed, threads, workers, say, spare - len(setup.bad))
-    if reason is not None and winner is None and against is None and not discrepancy:
+    by_name = bool(result.found) and described is None and not alone
+    if (reason is not None or by_name) and winner is None and against is None and not discrepancy:
         size = likely_discrepancy(problem, best_fit)
         if size is not None:
-            # thousands of pixels that err alike move poses by many times what is stated of them
+            # thousands of pixels that err alike speak for effects, and move poses, by far more than they know
             result.forget()
             say("once more with errors that neighbours share")
             coarse = correlated_decimation(camera, dataset)
