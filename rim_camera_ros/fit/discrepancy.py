@@ -27,7 +27,7 @@ FIELD = "discrepancy."
 MOST_HALF_WAVES = 6
 LEAST_HALF_WAVES = 3
 #: Waves of all poses together, of which each takes memory for every pixel.
-_MOST_WAVES = 500
+_MOST_WAVES = 1000
 
 
 def half_waves_of(poses: int) -> int:
