@@ -226,11 +226,11 @@ _ROUNDS = 8
 _NAMED = 5
 
 
-def pose_chi_squares(fitted: Fit) -> dict[Key, float]:
+def pose_chi_squares(fitted: Fit, *, patch: int = PATCH) -> dict[Key, float]:
     """Return chi-square per patch of each pose, by recording and placement.
 
-    A patch is a cell of `PATCH` by `PATCH` pixels of one surface and one reflectivity; its chi-square is that
-    of the mean of its residuals after pattern and errors of poses, which is 1 where they are independent.
+    A patch is a cell of ``patch`` by ``patch`` pixels of one surface and one reflectivity; its chi-square is
+    that of the mean of its residuals after pattern and errors of poses: 1 where they are independent.
     Residuals count no more than `WILD` sigma. Poses of few patches are not among them.
     """
     totals: dict[Key, list[Array]] = {}
@@ -241,14 +241,14 @@ def pose_chi_squares(fitted: Fit) -> dict[Key, float]:
         geometry = one.view.geometry
         rows, columns = np.nonzero(used)
         kinds = np.stack(
-            [rows // PATCH, columns // PATCH, geometry.surface[used], geometry.reflectivity[used]]
+            [rows // patch, columns // patch, geometry.surface[used], geometry.reflectivity[used]]
         )
-        _, patch = np.unique(kinds, axis=1, return_inverse=True)
-        patch = np.ravel(patch)
+        _, number = np.unique(kinds, axis=1, return_inverse=True)
+        number = np.ravel(number)
         precise = 1.0 / one.sigma[used]
-        total = np.bincount(patch, precise * z)
+        total = np.bincount(number, precise * z)
         key = (one.station.recording, one.station.placed)
-        totals.setdefault(key, []).append(total**2 / np.bincount(patch, precise**2))
+        totals.setdefault(key, []).append(total**2 / np.bincount(number, precise**2))
     joined = {key: np.concatenate(parts) for key, parts in totals.items()}
     return {key: float(parts.mean()) for key, parts in joined.items() if len(parts) >= LEAST_PATCHES}
 
@@ -256,10 +256,13 @@ def pose_chi_squares(fitted: Fit) -> dict[Key, float]:
 def likely_discrepancy(problem: Problem, fitted: Fit) -> float | None:
     """Return the likeliest 1-sigma of what distances err by smoothly in each pose [m]; None: there is none.
 
-    It is looked for where means of neighbours err `WIDER` times as much as independent pixels would.
+    It is looked for where means of neighbours err `WIDER` times as much as independent pixels would, and
+    their variance is `WIDER` times that of pixels which scatter as these do: no neighbour shares mere noise,
+    however much more there is of it than the file states.
     """
-    found = pose_chi_squares(fitted)
-    if len(found) < LEAST_POSES or _level(found) < WIDER**2:
+    found, alone = pose_chi_squares(fitted), pose_chi_squares(fitted, patch=1)
+    level = _level(found)
+    if len(found) < LEAST_POSES or level < max(WIDER**2, WIDER * _level(alone)):
         return None
     free = replace(freed(problem, fitted), discrepancy=FIRST_SIZE)
     again = fit(free, fitted.camera, iterations=0, warm=fitted)

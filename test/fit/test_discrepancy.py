@@ -46,9 +46,12 @@ def pulls(fitted: Fit) -> np.ndarray:
     return np.array([v / priors[k] for k, v in fitted.parameters.items() if k.startswith(COMMON_POSE)])
 
 
-def test_independent_pixels_have_no_discrepancy(tmp_path: Path) -> None:
+@pytest.mark.parametrize("noise", [1.0, 3.0])
+def test_independent_pixels_have_no_discrepancy(tmp_path: Path, noise: float) -> None:
+    """However much they scatter."""
     truth, board = camera(tmp_path, HYPERBOLA), scene(tmp_path)
-    problem = Problem(record(truth, board), board)
+    loud = replace(truth, noise=replace(truth.noise, amplitude=noise * truth.noise.amplitude))
+    problem = Problem(record(loud, board), board)
     assert likely_discrepancy(problem, fit(problem, truth)) is None
 
 
