@@ -94,6 +94,7 @@ class LargeSensor:
         field = any(name.startswith(PATTERN_FIELD) for name in fitted.nuisances)
         forward.linear = linear_blocks(replace(camera, covariance=None), fitted.scene, pattern_field=field)
         forward.variance_factors = fitted.forward.variance_factors
+        forward.correlated_error = fitted.forward.correlated_error
         forward.tick = tick
         masks, _ = usable_pixels(forward)
         total, weight = np.zeros(camera.shape), np.zeros(camera.shape)

@@ -8,14 +8,14 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR
+from rim_camera_ros.fit.pixel_elimination import PATTERN_PRIOR
 from rim_camera_ros.fit.pixels import Beside, beside_in_view, without_edges
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.fit.variance_components import (
-    discrepancy_note,
+    correlated_error_note,
     first_pattern_prior,
-    likely_discrepancy,
+    likely_correlated_error,
     likely_pattern_prior,
     pattern_prior_note,
     pose_variance_factors,
@@ -73,7 +73,7 @@ class Refinement:
                 scene=problem.scene,
                 variance_factors=problem.variance_factors,
                 pattern_prior=problem.pattern_prior,
-                discrepancy=problem.discrepancy,
+                correlated_error=problem.correlated_error,
             )
             fitted = fit(solved, fitted.camera, views=views, warm=fitted)
             found = problem, fitted
@@ -87,10 +87,10 @@ class Refinement:
             self.edges = False
             self._edges_note.append(note)
             return replace(problem, masks=masks), "fewer pixels"
-        if not problem.discrepancy:
-            size = likely_discrepancy(problem, fitted)
+        if not problem.correlated_error:
+            size = likely_correlated_error(problem, fitted)
             if size is not None:
-                return replace(problem, discrepancy=size), "errors that neighbours share"
+                return replace(problem, correlated_error=size), "errors that neighbours share"
         else:
             weighed = self._weighed(problem, fitted)
             if weighed is not None:
@@ -99,7 +99,8 @@ class Refinement:
         if wider is not None:
             return replace(problem, scene=wider), "wider errors of poses"
         # where pixels have many looks, weights would hide from chi-square an effect that is missing
-        weighed = self._weighed(problem, fitted) if self._first_size != PATTERN_PRIOR else None
+        few_looks = self._first_size != PATTERN_PRIOR and not problem.correlated_error
+        weighed = self._weighed(problem, fitted) if few_looks else None
         if weighed is not None:
             return weighed
         if self._unsized:
@@ -120,8 +121,8 @@ class Refinement:
         result = list(self._edges_note)
         if problem.pattern_prior != PATTERN_PRIOR:
             result.append(pattern_prior_note(problem.pattern_prior))
-        if problem.discrepancy:
-            result.append(discrepancy_note(fitted))
+        if problem.correlated_error:
+            result.append(correlated_error_note(fitted))
         if problem.variance_factors:
             result.append(pose_variance_note(problem.variance_factors))
         if problem.scene is not self._stated:

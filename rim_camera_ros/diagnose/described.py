@@ -25,9 +25,9 @@ from rim_camera_ros.diagnose.unknown import (
 from rim_camera_ros.diagnose.where import Where, of_residuals, of_terms, of_values
 from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.effects.base import effect_of
-from rim_camera_ros.fit.discrepancy import discrepancy_of
+from rim_camera_ros.fit.correlated_errors import correlated_error_of
 from rim_camera_ros.fit.problem import Fit
-from rim_camera_ros.fit.variance_components import discrepancy_note, discrepancy_rms
+from rim_camera_ros.fit.variance_components import correlated_error_note, correlated_error_rms
 from rim_camera_ros.select.compare import Result, curve_of_forms
 from rim_camera_ros.select.exploration import Exploration, explore
 
@@ -187,10 +187,7 @@ def describe(unknown: Rest, baseline: Exploration, result: Result, seed: int) ->
 
 
 def unexplained(fitted: Fit, chi_square: float) -> tuple[Missing, Where]:
-    """Return what is said of a mismatch that no effect and no smooth function explains, and where it is.
-
-    That is the discrepancy of poses, where there is one.
-    """
+    """Return what is said of a mismatch that no effect and no smooth function explains, and where it is."""
     where = of_residuals(fitted)
     names = tuple(name for name, _ in where.covariates)
     most = f"; they vary most over {' and '.join(names)}" if names else ""
@@ -199,10 +196,14 @@ def unexplained(fitted: Fit, chi_square: float) -> tuple[Missing, Where]:
         f"of poses explain; neither an effect of the vocabulary nor a smooth function describes it{most}"
     )
     size = float(np.sqrt(max(chi_square - 1, 0.0) * np.mean(_variances(fitted))))
-    if fitted.forward.discrepancy:
-        where = of_values(fitted, lambda one: discrepancy_of(one, fitted.nuisances))
-        sentence, size = f"unknown physics: {discrepancy_note(fitted)}", discrepancy_rms(fitted)
     return Missing(UNKNOWN, 1.0, {}, {}, sentence, covariates=names, magnitude=size), where
+
+
+def of_correlated_errors(fitted: Fit) -> tuple[Missing, Where]:
+    """Return what is said of errors that neighbours share in a fit, in each pose anew, and where they are."""
+    where = of_values(fitted, lambda one: correlated_error_of(one, fitted.nuisances))
+    sentence = f"unknown physics: {correlated_error_note(fitted)}"
+    return Missing(UNKNOWN, 1.0, {}, {}, sentence, magnitude=correlated_error_rms(fitted)), where
 
 
 def _variances(fitted: Fit) -> Array:

@@ -57,7 +57,7 @@ from rim_camera_ros.fit.decimation import (
 from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Fit, Problem
-from rim_camera_ros.fit.variance_components import discrepancy_note, likely_discrepancy
+from rim_camera_ros.fit.variance_components import likely_correlated_error
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.search import MOST_EFFECTS, search
 from rim_camera_ros.select.trials import Workers
@@ -134,7 +134,7 @@ def _diagnose(
     say: Callable[[str], None],
     spare: int | None = None,
     setups: list[Hypothesis] | None = None,
-    discrepancy: float = 0.0,
+    correlated_error: float = 0.0,
 ) -> Diagnosis:
     moves = scene.camera_motion.moves
     facts = Facts.of(dataset, moves=moves, surfaces=len(scene.surfaces), camera=camera)
@@ -161,7 +161,7 @@ def _diagnose(
     light = _COMMON_LIGHT * facts.amplitude if variance.pixels_vary_together else 0.0
     light = max(light, scene.stray_light)
     problem = Problem(
-        dataset, scene, shifts=shifts, stray_light=light, discrepancy=discrepancy, threads=threads
+        dataset, scene, shifts=shifts, stray_light=light, correlated_error=correlated_error, threads=threads
     )
     if other is not None:
         return with_setups(of_another_setup(other, problem, camera, variance, seed), setups)
@@ -201,7 +201,9 @@ def _diagnose(
         say("once more without the stated covariance of the optics")
         free = replace(camera, covariance=camera.covariance.without(["optics."]))
         noted = replace(dataset, notes=[*dataset.notes, beyond_stated])
-        return _diagnose(noted, scene, free, against, seed, threads, workers, say, spare, setups)
+        return _diagnose(
+            noted, scene, free, against, seed, threads, workers, say, spare, setups, correlated_error
+        )
     if alone:
         dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
     say("looking for what no named effect explains")
@@ -270,10 +272,13 @@ def _diagnose(
         say("once more without what does not agree")
         result.forget()
         kept = _without(problem.dataset, setup)
-        return _diagnose(kept, scene, camera, None, seed, threads, workers, say, spare - len(setup.bad))
+        fewer = spare - len(setup.bad)
+        return _diagnose(
+            kept, scene, camera, None, seed, threads, workers, say, fewer, correlated_error=correlated_error
+        )
     by_name = bool(result.found) and described is None and not alone
-    if (reason is not None or by_name) and winner is None and against is None and not discrepancy:
-        size = likely_discrepancy(problem, best_fit)
+    if (reason is not None or by_name) and winner is None and against is None and not correlated_error:
+        size = likely_correlated_error(problem, best_fit)
         if size is not None:
             # thousands of pixels that err alike speak for effects, and move poses, by far more than they know
             result.forget()
@@ -283,7 +288,7 @@ def _diagnose(
             if coarse > 1:
                 few, small = decimated_dataset(dataset, coarse), decimated_camera(camera, coarse)
             again = _diagnose(
-                few, scene, small, None, seed, threads, workers, say, spare, tried, discrepancy=size
+                few, scene, small, None, seed, threads, workers, say, spare, tried, correlated_error=size
             )
             return again if coarse == 1 else on_full_grid(again, camera, coarse)
     if winner is not None and reason == winner.reason:
@@ -294,8 +299,6 @@ def _diagnose(
     if by_background or only_rectified_noise(result, variance):
         described = None
         result = result.withdrawn()
-    if discrepancy:
-        dataset = replace(dataset, notes=[*dataset.notes, discrepancy_note(result.fit)])
     say("held-out poses before and after")
     gains = spread_of_gains(result.fit)
     findings = Findings(

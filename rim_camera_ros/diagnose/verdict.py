@@ -12,7 +12,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import Accuracy, accuracy
 from rim_camera_ros.diagnose.adjusted import Adjusted, adjusted_terms, parameters_matter
 from rim_camera_ros.diagnose.codes import MissingCodes
-from rim_camera_ros.diagnose.described import Described, Rest, unexplained
+from rim_camera_ros.diagnose.described import Described, Rest, of_correlated_errors, unexplained
 from rim_camera_ros.diagnose.intervals import intervals_of
 from rim_camera_ros.diagnose.menu import recommended, told_apart
 from rim_camera_ros.diagnose.naming import (
@@ -46,6 +46,7 @@ from rim_camera_ros.diagnose.where import (
 from rim_camera_ros.effects import vocabulary
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.fit.variance_components import correlated_error_note
 from rim_camera_ros.select.candidates import change_of_forms
 from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.exploration import Exploration
@@ -135,8 +136,14 @@ def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
     unknown = found.unknown if draft.verdict == "unknown_physics" else None
     measure = accuracy(found.camera, draft.model, found.result, None if unknown is None else unknown.fit)
     left = min(measure.chi2_before, found.left_over)
-    disagree = measure.held_out and left > _UNEXPLAINED
-    if draft.verdict == "consistent" and (disagree or found.fitted.forward.discrepancy):
+    correlated = found.fitted.forward.correlated_error > 0
+    if draft.verdict == "consistent" and correlated:
+        draft.verdict = "unknown_physics"
+        missing, draft.where = of_correlated_errors(found.fitted)
+        draft.missing = [missing]
+    elif correlated:
+        draft.notes.append(correlated_error_note(found.fitted))
+    if draft.verdict == "consistent" and measure.held_out and left > _UNEXPLAINED:
         # neither an effect nor a smooth function: it is said all the same
         draft.verdict = "unknown_physics"
         missing, draft.where = unexplained(found.fitted, measure.chi2_before)

@@ -18,8 +18,8 @@ from rim_camera_ros.effects.light_curves import LightCurves
 from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.amplitudes import AmplitudeModel, gains_and_error
+from rim_camera_ros.fit.correlated_errors import correlated_columns, half_waves_of
 from rim_camera_ros.fit.data import Dataset, Station
-from rim_camera_ros.fit.discrepancy import discrepancy_columns, half_waves_of
 from rim_camera_ros.fit.prediction import Prediction, Shift
 from rim_camera_ros.fit.views import NEAR, Margins, PoseColumn, View, Views
 from rim_camera_ros.frame import Settings
@@ -49,7 +49,7 @@ class Forward:
     ``patches`` (H, W) of each recording and placement: how many pixels share a pixel's error of the predicted
     amplitude, as `Views.alike` of one geometry; None: of the own. Likelihoods of geometries that are compared
     state the same errors by it.
-    ``discrepancy`` [m] is the 1-sigma of what distances err by smoothly, in each pose anew.
+    ``correlated_error`` [m] is the 1-sigma of errors that neighbours share, in each pose anew (0: none).
     ``margins`` of another kind take in pixels beside edges, where no masks are given.
     ``tick`` is called for each station and may raise to end the work; what is computed of every prediction
     may take so many ``threads``.
@@ -69,7 +69,7 @@ class Forward:
         self.light_curves: LightCurves | None = None
         self.linear: Sequence[Any] = ()
         self.camera_of_noise: Camera | None = None
-        self.discrepancy = 0.0
+        self.correlated_error = 0.0
         self.tick: Callable[[], None] | None = None
         self.threads = 1
         # the last is that of a ray that meets nothing, which has the number -1
@@ -308,7 +308,7 @@ class Forward:
             slope_distance=1.0 + terms.by_distance,
             slope_amplitude=terms.by_amplitude,
             slope_published=slope_published,
-            pose_columns=[*view.pose_columns, *self._discrepancy_columns(view)],
+            pose_columns=[*view.pose_columns, *self._correlated_columns(view)],
             model_amplitude=safe,
             model_reading=model_reading,
             gain=gain,
@@ -318,10 +318,10 @@ class Forward:
             linear=self.linear,
         )
 
-    def _discrepancy_columns(self, view: View) -> list[PoseColumn]:
-        if not self.discrepancy:
+    def _correlated_columns(self, view: View) -> list[PoseColumn]:
+        if not self.correlated_error:
             return []
-        return discrepancy_columns(view, self.discrepancy, half_waves=half_waves_of(self.dataset.poses))
+        return correlated_columns(view, self.correlated_error, half_waves=half_waves_of(self.dataset.poses))
 
     def _noise_amplitude(self, station: Station, predicted: Array) -> Array:
         """Return the light [counts] at which noise is evaluated: as measured, whatever a camera predicts.

@@ -26,7 +26,8 @@ from rim_camera_ros.fit.design import (
     present_blocks,
 )
 from rim_camera_ros.fit.forward import Forward
-from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR, NormalEquations, Reduced
+from rim_camera_ros.fit.normal_equations import NormalEquations, Reduced
+from rim_camera_ros.fit.pixel_elimination import PATTERN_PRIOR
 from rim_camera_ros.fit.prediction import Shift
 from rim_camera_ros.fit.steps import moved_light
 from rim_camera_ros.fit.views import Views
@@ -46,8 +47,8 @@ class Problem:
     stand for another simulation (all as in `Forward`);
     ``stray_light`` [counts] as in `accumulate`; ``reflectance`` estimates how surfaces reflect beside
     Lambert's law, ``response`` [counts] what the effect on the response leaves, relative to that level.
-    ``pattern_prior`` [m] is the 1-sigma of an offset per pixel, ``discrepancy`` [m] that of what distances
-    err by smoothly in each pose (0: nothing; `discrepancy_columns`). ``variance_factors`` as in `Forward`.
+    ``pattern_prior`` [m] is the 1-sigma of an offset per pixel. ``correlated_error`` and
+    ``variance_factors`` as in `Forward`.
     The table over covariates is fitted only where ``effects`` names it. ``imperfections`` estimates what no
     scene and no camera file states exactly (`imperfections`), within its stated sizes. ``amplitude_error`` is
     the relative 1-sigma of predicted amplitudes, the same in likelihoods that are compared (None: estimated).
@@ -72,7 +73,7 @@ class Problem:
     reflectance: bool = False
     response: float | None = None
     pattern_prior: float = PATTERN_PRIOR
-    discrepancy: float = 0.0
+    correlated_error: float = 0.0
     variance_factors: Mapping[tuple[int, int], float] = field(default_factory=dict)
     imperfections: bool = True
     amplitude_error: float | None = None
@@ -159,7 +160,7 @@ def forward_of(
     forward.shifts, forward.tick = problem.shifts, problem.tick
     forward.variance_factors, forward.threads = problem.variance_factors, problem.threads
     forward.camera_of_noise = problem.origin
-    forward.discrepancy = problem.discrepancy
+    forward.correlated_error = problem.correlated_error
     forward.light_curves = moved_light(offsets, problem.response, scene)
     if problem.imperfections:
         forward.linear = linear_blocks(camera, scene, pattern_field=problem.has_pattern_field)

@@ -1,4 +1,5 @@
-"""Sizes of random effects that the recordings tell: offsets of pixels, errors of poses, weights of poses.
+"""Sizes of random effects that the recordings tell: offsets of pixels, errors and weights of poses, errors
+that neighbours share.
 
 An offset per pixel that may be anything takes all that a pixel tells which one pose sees: what a small board,
 held here and there, shows within a pose is lost then, and only differences between poses are left, with
@@ -17,9 +18,10 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from rim_camera_ros.effects.candidate import priors_of
-from rim_camera_ros.fit.discrepancy import FIELD, discrepancy_of
+from rim_camera_ros.fit.correlated_errors import CORRELATED, correlated_error_of
 from rim_camera_ros.fit.fold_sums import Fold
-from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR, reduce_folds
+from rim_camera_ros.fit.normal_equations import Reduced, reduce_folds, reduce_further
+from rim_camera_ros.fit.pixel_elimination import PATTERN_PRIOR, without_pixels
 from rim_camera_ros.fit.problem import Fit, Problem, freed
 from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.solver import fit
@@ -34,7 +36,6 @@ FEW_LOOKS = 5.0
 FIRST_SIZE = 0.001
 #: Sizes that are tried, 1-sigma of a pixel's offset [m].
 SIZES = (0.0003, 0.0005, 0.001, 0.002, 0.004, 0.008, 0.015, 0.03, 0.06, PATTERN_PRIOR)
-_NOTHING = 1e-6
 
 
 def first_pattern_prior(masks: Sequence[tuple[Array, Array]]) -> float:
@@ -47,20 +48,31 @@ def first_pattern_prior(masks: Sequence[tuple[Array, Array]]) -> float:
     return FIRST_SIZE if looks < FEW_LOOKS else PATTERN_PRIOR
 
 
-def log_evidence(fitted: Fit, *, offsets: float | None = None, discrepancy: float | None = None) -> float:
-    """Return the log likelihood of a fit's data, up to a constant, by sizes of random effects.
+def offsets_evidence(fitted: Fit, size: float) -> float:
+    """Return the log likelihood of a fit's data for offsets of pixels of a ``size`` [m, 1 sigma].
 
-    ``offsets`` of pixels and ``discrepancy`` of poses are 1-sigma [m] (None: that of the fit). Parameters,
-    errors of poses and these effects themselves are integrated out.
+    Up to a constant; parameters, errors of poses and the offsets themselves are integrated out.
     """
+    pixels = replace(fitted.equations.pixels, offset=size)
+    return _log_evidence(
+        fitted, reduce_folds(fitted.equations.folds, priors_of(fitted.equations.regressors), pixels)
+    )
+
+
+def correlated_evidences(fitted: Fit, sizes: Sequence[float]) -> list[float]:
+    """Return the log likelihood of a fit's data for correlated errors of each of ``sizes`` [m, 1 sigma].
+
+    As `offsets_evidence`. The fit has such errors of some size; pixels are eliminated once for all of them.
+    """
+    folds, priors = fitted.equations.folds, priors_of(fitted.equations.regressors)
+    sums = without_pixels(folds, len(priors), fitted.equations.pixels)
+    factors = [size / fitted.forward.correlated_error for size in sizes]
+    scaled = ([_scaled(one, factor) for one in folds] for factor in factors)
+    return [_log_evidence(fitted, reduce_further(own, priors, sums)) for own in scaled]
+
+
+def _log_evidence(fitted: Fit, reduced: Reduced) -> float:
     count = len(fitted.parameters)
-    pixels, folds = fitted.equations.pixels, fitted.equations.folds
-    if offsets is not None:
-        pixels = replace(pixels, offset=offsets)
-    if discrepancy is not None:
-        own = fitted.forward.discrepancy
-        folds = [_with_discrepancy(one, before=own, size=discrepancy) for one in folds]
-    reduced = reduce_folds(folds, priors_of(fitted.equations.regressors), pixels)
     matrix = reduced.gram[:count, :count] + np.diag(fitted.priors**-2)
     factor = linalg.cholesky(matrix, lower=True)
     solved = linalg.solve_triangular(factor, reduced.right[:count], lower=True)
@@ -68,12 +80,12 @@ def log_evidence(fitted: Fit, *, offsets: float | None = None, discrepancy: floa
     return -0.5 * rest - reduced.log_norm - float(np.sum(np.log(np.diag(factor))))
 
 
-def _with_discrepancy(fold: Fold, *, before: float, size: float) -> Fold:
-    """Return the sums of a fold whose poses have discrepancies of another ``size`` [m, 1 sigma]."""
+def _scaled(fold: Fold, factor: float) -> Fold:
+    """Return the sums of a fold with correlated errors that are larger by a factor."""
     return replace(
         fold,
         nuisances=[
-            (name, prior * size / before if name.split(".", 2)[-1].startswith(FIELD) else prior, at)
+            (name, factor * prior if name.split(".", 2)[-1].startswith(CORRELATED) else prior, at)
             for name, prior, at in fold.nuisances
         ],
     )
@@ -81,7 +93,7 @@ def _with_discrepancy(fold: Fold, *, before: float, size: float) -> Fold:
 
 def likely_pattern_prior(fitted: Fit) -> float:
     """Return the likeliest 1-sigma of pixels' offsets [m] of `SIZES`."""
-    return max(SIZES, key=lambda size: log_evidence(fitted, offsets=size))
+    return max(SIZES, key=lambda size: offsets_evidence(fitted, size))
 
 
 def pattern_prior_note(size: float) -> str:
@@ -253,35 +265,38 @@ def pose_chi_squares(fitted: Fit, *, patch: int = PATCH) -> dict[Key, float]:
     return {key: float(parts.mean()) for key, parts in joined.items() if len(parts) >= LEAST_PATCHES}
 
 
-def likely_discrepancy(problem: Problem, fitted: Fit) -> float | None:
+def likely_correlated_error(problem: Problem, fitted: Fit) -> float | None:
     """Return the likeliest 1-sigma of what distances err by smoothly in each pose [m]; None: there is none.
 
     It is looked for where means of neighbours err `WIDER` times as much as independent pixels would, and
     their variance is `WIDER` times that of pixels which scatter as these do: no neighbour shares mere noise,
     however much more there is of it than the file states.
     """
-    found, alone = pose_chi_squares(fitted), pose_chi_squares(fitted, patch=1)
-    level = _level(found)
-    if len(found) < LEAST_POSES or level < max(WIDER**2, WIDER * _level(alone)):
+    patches = pose_chi_squares(fitted)
+    if len(patches) < LEAST_POSES:
         return None
-    free = replace(freed(problem, fitted), discrepancy=FIRST_SIZE)
+    level = _level(patches)
+    if level < WIDER**2 or level < WIDER * _level(pose_chi_squares(fitted, patch=1)):
+        return None
+    free = replace(freed(problem, fitted), correlated_error=FIRST_SIZE)
     again = fit(free, fitted.camera, iterations=0, warm=fitted)
-    size = max((_NOTHING, *SIZES[:-1]), key=lambda size: log_evidence(again, discrepancy=size))
-    return size if size > _NOTHING else None
+    sizes = SIZES[:-1]
+    best = int(np.argmax(correlated_evidences(again, sizes)))
+    return sizes[best] if best else None  # the smallest of all is none
 
 
-def discrepancy_rms(fitted: Fit) -> float:
+def correlated_error_rms(fitted: Fit) -> float:
     """Return by how much poses of a fit err smoothly [m, RMS], beside what may be an error of the poses."""
     squares = [
-        discrepancy_of(one, fitted.nuisances)[one.used] ** 2
+        correlated_error_of(one, fitted.nuisances)[one.used] ** 2
         for one in fitted.forward.predictions(slopes=False)
     ]
     return float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
-def discrepancy_note(fitted: Fit) -> str:
+def correlated_error_note(fitted: Fit) -> str:
     """Return in words by how much poses of a fit err smoothly."""
-    found = discrepancy_rms(fitted)
+    found = correlated_error_rms(fitted)
     return (
         f"distances of every pose err smoothly over the image, by {found * 1e3:.1f} mm (RMS) beside tilts "
         "and all that is fitted, by light or shapes that the scene file does not describe: neighbours share "
@@ -292,22 +307,22 @@ def discrepancy_note(fitted: Fit) -> str:
 def pose_variance_factors(problem: Problem, fitted: Fit) -> dict[Key, float] | None:
     """Return the factors on the variances of poses with which they agree with the fit; None: poses are even.
 
-    Where poses have a discrepancy, so that they agree with the noise. Factors change the fit and it them, so
-    that it takes some rounds.
+    Where they have correlated errors, so that they agree with the noise. Factors change the fit and it them,
+    so that it takes some rounds.
     """
     found = pose_chi_squares(fitted)
     if len(found) < LEAST_POSES:
         return None
     # beside waves of each pose, what all disagree with are shorter ones, which no effect is
-    alone = problem.discrepancy > 0
-    if max(found.values()) < UNEVEN * _level(found) and not (alone and _level(found) >= WIDER**2):
+    absolute = problem.correlated_error > 0
+    if max(found.values()) < UNEVEN * _level(found) and not (absolute and _level(found) >= WIDER**2):
         return None
     free = freed(problem, fitted)
     factors: dict[Key, float] = {}
     for _ in range(_ROUNDS):
         before = factors
         whole = {key: chi * before.get(key, 1.0) for key, chi in found.items()}
-        level = 1.0 if alone else _level(whole)
+        level = 1.0 if absolute else _level(whole)
         factors = {key: float(np.clip(chi / level, 1.0, MOST)) for key, chi in whole.items()}
         ratios = [one / before.get(key, 1.0) for key, one in factors.items()]
         if max(max(ratios), 1.0 / min(ratios)) < _SETTLED:

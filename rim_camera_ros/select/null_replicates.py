@@ -16,12 +16,8 @@ from scipy import linalg
 
 from rim_camera_ros.effects.candidate import priors_of
 from rim_camera_ros.fit.fold_sums import Fold
-from rim_camera_ros.fit.normal_equations import (
-    NormalEquations,
-    PixelElimination,
-    PixelPriors,
-    stacked_sides,
-)
+from rim_camera_ros.fit.normal_equations import NormalEquations
+from rim_camera_ros.fit.pixel_elimination import PixelElimination, PixelPriors, stacked_sides
 from rim_camera_ros.select.evidence import Scores
 from rim_camera_ros.threads import in_order
 

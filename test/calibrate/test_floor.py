@@ -13,7 +13,8 @@ from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.fit.amplitudes import AmplitudeModel
 from rim_camera_ros.fit.fold_sums import Fold
 from rim_camera_ros.fit.forward import Forward
-from rim_camera_ros.fit.normal_equations import PixelPriors, reduce_folds
+from rim_camera_ros.fit.normal_equations import reduce_folds
+from rim_camera_ros.fit.pixel_elimination import PixelPriors
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.reduction import reduce_recording
 from rim_camera_ros.fit.solver import fit

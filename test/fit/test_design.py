@@ -15,7 +15,8 @@ from rim_camera_ros.fit import normal_equations
 from rim_camera_ros.fit.design import common_pose_block, known_optics, reflectivity_block
 from rim_camera_ros.fit.fold_sums import Fold
 from rim_camera_ros.fit.forward import Forward
-from rim_camera_ros.fit.normal_equations import PixelPriors, reduce_folds
+from rim_camera_ros.fit.normal_equations import reduce_folds
+from rim_camera_ros.fit.pixel_elimination import PixelPriors
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.optics import pixel_rays

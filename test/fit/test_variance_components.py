@@ -18,7 +18,7 @@ from rim_camera_ros.effects.empirical import Empirical
 from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.forward import Forward
-from rim_camera_ros.fit.normal_equations import PATTERN_PRIOR
+from rim_camera_ros.fit.pixel_elimination import PATTERN_PRIOR
 from rim_camera_ros.fit.pixels import usable_pixels
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit

@@ -5,22 +5,28 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
+from rim_camera_ros.calibrate.large_sensor import LargeSensor
 from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
+from rim_camera_ros.fit.correlated_errors import correlated_columns, half_waves_of
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.design import COMMON_POSE
-from rim_camera_ros.fit.discrepancy import discrepancy_columns
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.solver import fit
-from rim_camera_ros.fit.variance_components import discrepancy_note, likely_discrepancy, pose_chi_squares
+from rim_camera_ros.fit.variance_components import (
+    correlated_error_note,
+    correlated_evidences,
+    likely_correlated_error,
+    pose_chi_squares,
+)
 
 from ..calibrate.helpers import camera, record, scene
 
@@ -47,12 +53,12 @@ def pulls(fitted: Fit) -> np.ndarray:
 
 
 @pytest.mark.parametrize("noise", [1.0, 3.0])
-def test_independent_pixels_have_no_discrepancy(tmp_path: Path, noise: float) -> None:
+def test_independent_pixels_have_no_correlated_error(tmp_path: Path, noise: float) -> None:
     """However much they scatter."""
     truth, board = camera(tmp_path, HYPERBOLA), scene(tmp_path)
     loud = replace(truth, noise=replace(truth.noise, amplitude=noise * truth.noise.amplitude))
     problem = Problem(record(loud, board), board)
-    assert likely_discrepancy(problem, fit(problem, truth)) is None
+    assert likely_correlated_error(problem, fit(problem, truth)) is None
 
 
 @pytest.mark.parametrize("seed", [3, 4])
@@ -60,16 +66,16 @@ def test_smooth_errors_are_found_by_their_size_and_move_poses_no_more(tmp_path: 
     truth, board = camera(tmp_path, HYPERBOLA), scene(tmp_path)
     problem = Problem(bent(record(truth, board), seed=seed), board)
     plain = fit(problem, truth)
-    size = likely_discrepancy(problem, plain)
+    size = likely_correlated_error(problem, plain)
     assert size is not None
     assert 0.5 * SIZE <= size <= 2 * SIZE
-    known = fit(replace(problem, discrepancy=size), truth)
+    known = fit(replace(problem, correlated_error=size), truth)
     # errors that poses share are 0 in truth: independent pixels would have moved them for certain
     assert np.abs(pulls(plain)).max() > 5.0
     assert np.abs(pulls(known)).max() < 3.0
     path = "effects.amplitude_offset.hyperbola.60.a"
     assert abs(camera_numbers(known.camera)[path] - 21.0) < 3 * known.sigma[path]
-    said = re.search(r"err smoothly over the image, by (\d+\.\d) mm \(RMS\)", discrepancy_note(known))
+    said = re.search(r"err smoothly over the image, by (\d+\.\d) mm \(RMS\)", correlated_error_note(known))
     assert said is not None
     # tilts of the fields are those of the poses, and what is drawn to 0 is smaller
     assert 0.6 * SIZE < 1e-3 * float(said[1]) <= SIZE
@@ -90,11 +96,46 @@ def test_smooth_errors_of_poses_are_no_set_up_and_no_physics_by_name(tmp_path: P
     assert found.where.pixels.min() > 0.0
 
 
+@pytest.mark.parametrize(("poses", "expected"), [(5, 6), (27, 6), (53, 4), (1000, 1)])
+def test_many_poses_have_fewer_waves_each(poses: int, expected: int) -> None:
+    assert half_waves_of(poses) == expected
+    assert poses * half_waves_of(poses) ** 2 <= 1000
+
+
+def test_offsets_of_all_pixels_of_a_large_sensor_are_without_them(tmp_path: Path) -> None:
+    """The pixels that were not fitted have the errors of those that were."""
+    truth, board = camera(tmp_path, HYPERBOLA), scene(tmp_path)
+    large = LargeSensor(truth, bent(record(truth, board), seed=3), board, 2)
+    small, few = large.coarse
+    known = fit(Problem(few, board, correlated_error=SIZE), small)
+    apart = []
+    for size in (SIZE, 0.0):
+        known.forward.correlated_error = size
+        found, _ = large.finished(SimpleNamespace(fit=known, factor=1.0), edges_within=0, tick=lambda: None)
+        offsets = found.effects["fixed_pattern_offset"].map.values
+        apart.append(float(np.median(np.abs(offsets[1::2, 1::2] - known.pattern))))
+    # where pixels were fitted they are the offsets of the fit, less their noise
+    assert apart[0] < 0.001
+    assert apart[1] > 0.002
+
+
+def test_the_evidence_of_a_size_is_that_of_a_fit_with_it(tmp_path: Path) -> None:
+    """Pixels are eliminated once for all sizes; an adjustment with another eliminates them anew."""
+    truth, board = camera(tmp_path, HYPERBOLA), scene(tmp_path)
+    problem = Problem(bent(record(truth, board, poses=10), seed=3), board, robust=False)
+    first, other = (
+        fit(replace(problem, correlated_error=size), truth, iterations=0) for size in (0.001, 0.008)
+    )
+    scaled, own = correlated_evidences(first, [0.008])[0], correlated_evidences(other, [0.008])[0]
+    assert scaled == pytest.approx(own, rel=1e-9)
+    assert own > correlated_evidences(first, [0.001])[0]
+
+
 def test_waves_have_mean_squares_of_one_and_are_independent(tmp_path: Path) -> None:
     truth, board = camera(tmp_path), scene(tmp_path)
     forward = Forward(record(truth, board), board, truth)
     view = next(iter(forward.predictions(slopes=False))).view
-    columns = discrepancy_columns(view, 0.005)
+    columns = correlated_columns(view, 0.005, half_waves=6)
     waves = np.stack([one.distance[view.geometry.hit] for one in columns])
     assert sum(one.prior**2 for one in columns) == pytest.approx(0.005**2)
     assert view.geometry.hit.all()

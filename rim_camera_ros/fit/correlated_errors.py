@@ -1,42 +1,41 @@
-"""What distances of a pose err by, smoothly over its surfaces, in each pose anew: the model's discrepancy.
+"""Errors of distances that neighbouring pixels share, in each pose anew: smooth over its surfaces.
 
 Light that comes by way of the room, a floor that is not flat, or a gloss act on neighbours alike and differ
 from pose to pose. Where that is more than noise, pixels are no independent observations: taken for some,
 thousands of them move poses and parameters by many times what is stated of them. Here it is a random effect
-of each pose (Kennedy & O'Hagan 2001, sec. 4), integrated out as errors of poses are.
+of each pose, a discrepancy of the model (Kennedy & O'Hagan 2001, sec. 4) that is integrated out as errors of
+poses are. `variance_components` says how large it is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.views import PoseColumn, View
-
-if TYPE_CHECKING:
-    from rim_camera_ros.fit.prediction import Prediction
 
 Array = NDArray[Any]
 
 #: How the random effects are named in what is eliminated.
-FIELD = "discrepancy."
-#: Numbers of half waves across what a pose shows, at most and at least.
-MOST_HALF_WAVES = 6
-LEAST_HALF_WAVES = 3
-#: Waves of all poses together, of which each takes memory for every pixel.
+CORRELATED = "correlated."
+#: Half waves across what a pose shows, from 0 on, at most; waves of all poses together, of which each takes
+#: memory for every pixel and time with the square of their number. With half of them poses of a SwissRanger
+#: over a floor still seemed to err alike, by 15 times what is stated.
+_MOST_HALF_WAVES = 6
 _MOST_WAVES = 1000
 
 
 def half_waves_of(poses: int) -> int:
     """Return how many half waves across a pose there are in a recording of so many poses."""
-    return int(np.clip(np.sqrt(_MOST_WAVES / max(poses, 1) + 1), LEAST_HALF_WAVES, MOST_HALF_WAVES))
+    return int(np.clip(np.sqrt(_MOST_WAVES / max(poses, 1)), 1, _MOST_HALF_WAVES))
 
 
-def discrepancy_columns(view: View, size: float, *, half_waves: int = MOST_HALF_WAVES) -> list[PoseColumn]:
-    """Return the waves of which the discrepancy of a pose consists, with a 1-sigma of ``size`` [m] in all.
+def correlated_columns(view: View, size: float, *, half_waves: int) -> list[PoseColumn]:
+    """Return the waves of which correlated errors of a pose consist, with a 1-sigma of ``size`` [m] in all.
 
     Cosines over the rows and columns that the surfaces of the pose cover, whose mean squares are 1, of fewer
     than so many ``half_waves`` each way, with the sizes of `shares_of`.
@@ -49,17 +48,19 @@ def discrepancy_columns(view: View, size: float, *, half_waves: int = MOST_HALF_
     sizes = size * shares_of(half_waves)
     dark = np.zeros(hit.shape)
     return [
-        PoseColumn(f"{FIELD}{i}.{j}", sizes[i, j], np.outer(rows[i], columns[j]), dark, is_smooth=True)
+        PoseColumn(f"{CORRELATED}{i}.{j}", sizes[i, j], np.outer(rows[i], columns[j]), dark, is_smooth=True)
         for i, j in numbers
     ]
 
 
-def discrepancy_of(prediction: Prediction, nuisances: Mapping[str, float]) -> Array:
-    """Return what was found of the discrepancy of a pose beside tilts and offset of it, (H, W) m."""
+def correlated_error_of(prediction: Prediction, nuisances: Mapping[str, float]) -> Array:
+    """Return the correlated errors found of a station beside tilts and offset of its pose, (H, W) m."""
     station = prediction.station
     total = np.zeros(prediction.distance.shape)
     for column in prediction.pose_columns:
-        if column.path.startswith(FIELD) and sum(map(int, column.path.removeprefix(FIELD).split("."))) > 1:
+        if not column.path.startswith(CORRELATED):
+            continue
+        if sum(int(one) for one in column.path.removeprefix(CORRELATED).split(".")) > 1:
             found = nuisances.get(f"{station.recording}.{station.placed}.{column.path}", 0.0)
             total = total + found * column.distance
     return np.where(prediction.used, total, 0.0)
