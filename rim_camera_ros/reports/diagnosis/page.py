@@ -88,7 +88,9 @@ def _cards(result: Diagnosis) -> list[Card]:
         left, mood = noise_words(fit.chi2_before)
         before = f"chi-square per value {words.chi(fit.chi2_before)}"
         rms, label = f"{fit.rms_before * 1e3:.2f} mm", f"RMS difference of {whose}; {noise}"
-    cards = [Card(rms, label), Card(left, f"unexplained at {whose} ({before})", mood)]
+    smooth = result.final.fit.forward.correlated_error > 0
+    beside = "beside what is smooth in each pose; " if smooth else ""
+    cards = [Card(rms, label), Card(left, f"unexplained at {whose} ({beside}{before})", mood)]
     sizes = [
         one.magnitude
         for one in result.missing
