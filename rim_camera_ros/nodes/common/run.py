@@ -20,10 +20,14 @@ from rclpy.utilities import get_rmw_implementation_identifier, remove_ros_args
 
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.files import share_folder
+from rim_camera_ros.nodes.common.ending import end_within
 from rim_camera_ros.nodes.common.executor import SteadyExecutor
 
 #: Seconds between two warnings of a kind.
 _QUIET = 5.0
+#: Seconds that the middleware may take to let go of nodes: 0.05 to 0.2 s are usual, and ``ros2 launch`` kills
+#: after ten.
+_ENDING = 5.0
 #: Parameters of mallopt (malloc.h), and the bytes up to which memory is kept: the greatest that it takes.
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 _KEPT_SIZE = 32 << 20
@@ -86,11 +90,13 @@ def _run(name: str, make: Callable[[], Iterable[Service]], signals: _Signals) ->
                 if signals.came:
                     break
         except RimError as error:
-            _close(services)
-            return _failed(name, str(error), error.exit_status)
+            status = _failed(name, str(error), error.exit_status)
+            _close(services, status=status)
+            return status
         except RuntimeError as error:  # of rcl: the middleware refuses (security, domain, memory)
-            _close(services)
-            return _failed(name, str(error).partition(", at /")[0], 1)
+            status = _failed(name, str(error).partition(", at /")[0], 1)
+            _close(services, status=status)
+            return status
         services[0].node.get_logger().info(used)
         return _spin(services, signals)
     finally:
@@ -103,23 +109,31 @@ def _spin(services: Sequence[Service], signals: _Signals) -> int:
         executor.add_node(one.node)
     # a guard condition of a node counts as work: only work makes spin_once return
     signals.wake = services[0].node.create_guard_condition(lambda: None).trigger
+    status = 1  # of an exception, which Python reports
     try:
         while not signals.came and all(one.status is None for one in services):
             executor.spin_once()
+        status = max(one.status or 0 for one in services)
     finally:
         signals.wake = None
-        _close(services, executor)
-    return max(one.status or 0 for one in services)
+        _close(services, executor, status=status)
+    return status
 
 
-def _close(services: Sequence[Service], executor: SteadyExecutor | None = None) -> None:
-    """End the nodes, those that were made last (and give to the others) first."""
+def _close(services: Sequence[Service], executor: SteadyExecutor | None = None, *, status: int) -> None:
+    """End the nodes, those that were made last (and give to the others) first.
+
+    The process ends with that status `_ENDING` later at the latest.
+    """
     for one in reversed(services):
         one.close()
         if executor is not None:
             executor.remove_node(one.node)
     if executor is not None:
         executor.shutdown(timeout_sec=0)
+    for output in (sys.stdout, sys.stderr):
+        output.flush()
+    end_within(_ENDING, status=status)
     for one in services:
         one.node.destroy_node()
 
