@@ -31,8 +31,9 @@ class Refinement:
     """The assumptions of a calibration, each given up at most once, where a fit shows it to be wrong.
 
     ``masks`` are the pixels of each station and channel (H, W) to begin with; ``beside`` as in
-    `without_edges`. ``edges`` tells whether pixels beside edges take part still, ``edges_within``
-    how far from edges [px] they do not.
+    `without_edges`. ``coarser``: errors that neighbours share are adjusted on a coarser grid, where all else
+    begins anew. ``edges`` tells whether pixels beside edges take part still, ``edges_within`` how far from
+    edges [px] they do not.
     """
 
     def __init__(
@@ -41,7 +42,9 @@ class Refinement:
         masks: Sequence[tuple[Array, Array]],
         *,
         beside: Beside = beside_in_view,
+        coarser: bool = False,
     ) -> None:
+        self._coarser = coarser
         self.edges = True
         self.edges_within = 0
         self._masks, self._beside = masks, beside
@@ -60,12 +63,15 @@ class Refinement:
         """Return the problem and a fit that shows none of its assumptions wrong; None: this one does not.
 
         ``fitted`` solves the problem ``solved``, the given one with the effects that were found; they are
-        fitted again with each assumption that is given up.
+        fitted again with each assumption that is given up. With errors that neighbours share, where they are
+        for a ``coarser`` grid, they are not.
         """
         found: tuple[Problem, Fit] | None = None
         while (refined := self.next(problem, fitted)) is not None:
             views = fitted.forward.views if refined[0].scene is problem.scene else None
             problem = refined[0]
+            if problem.correlated_error and self._coarser:
+                return problem, fitted
             say(f"again, with {refined[1]}")
             solved = replace(
                 solved,

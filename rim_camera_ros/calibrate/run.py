@@ -15,28 +15,24 @@ from scipy.linalg import block_diag
 from rim_camera_ros.bags import Topics
 from rim_camera_ros.calibrate import checks
 from rim_camera_ros.calibrate.acceptance import beyond_form, refusals
+from rim_camera_ros.calibrate.adjustment import adjust, steps_of
 from rim_camera_ros.calibrate.effect_status import EffectStatus
 from rim_camera_ros.calibrate.held_out import Accuracy, evaluate
 from rim_camera_ros.calibrate.integral import IntegralFit
-from rim_camera_ros.calibrate.joint import Outcome, by_search, checked_names, exactly
+from rim_camera_ros.calibrate.joint import Outcome, checked_names
 from rim_camera_ros.calibrate.large_sensor import LargeSensor
 from rim_camera_ros.calibrate.provenance import Source, checksum, provenance
 from rim_camera_ros.calibrate.recordings import Progress, Reducer, Watch, joined, placed_by_schedule
 from rim_camera_ros.calibrate.reference_scale import NAME as REFERENCE
 from rim_camera_ros.calibrate.reference_scale import PATHS, FittedReference, fit_reference, with_reference
-from rim_camera_ros.calibrate.refinement import Refinement
 from rim_camera_ros.calibrate.solution import Solution, high_correlations, stated
 from rim_camera_ros.calibrate.validity import supported
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects import OPTICS, PositionTable
-from rim_camera_ros.effects.candidate import Facts
+from rim_camera_ros.effects import PositionTable
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.data import Dataset, merged, with_stated_errors
-from rim_camera_ros.fit.decimation import decimated_camera, decimation_for, decimation_of
-from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.decimation import decimated_camera
 from rim_camera_ros.fit.noise import POOR, NoiseFit, fit_noise
-from rim_camera_ros.fit.pixels import beside_in_view, usable_pixels
-from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]
@@ -164,83 +160,33 @@ def calibrate(
         notes += _noise_notes(noise)
     else:
         notes.append("noise as in the camera file: there are too few repeated frames to fit it")
-    large: LargeSensor | None = None
-    step = 1
-    if not request.geometry:
-        step = decimation_of(camera) if request.effects is None else decimation_for(camera, request.effects)
-    if step > 1:
-        large = LargeSensor(camera, dataset, scene, step)
-        camera, dataset = large.coarse
-        notes.append(large.note)
-    facts = Facts.of(
-        dataset,
-        moves=scene.camera_motion.moves,
-        surfaces=max(len(one.surfaces) for one in scenes),
-        camera=camera,
-    )
-    problem = Problem(
+    adjusted = adjust(
+        camera,
         dataset,
         scene,
-        geometry=tuple(OPTICS) if request.geometry else (),
-        stray_light=scene.stray_light,
-        tick=watch.tick,
+        words,
+        steps=(1, 1) if request.geometry else steps_of(camera, request.effects),
+        surfaces=max(len(one.surfaces) for one in scenes),
+        geometry=request.geometry,
+        seed=request.seed,
         threads=request.threads,
+        watch=watch,
     )
-    forward = Forward(dataset, scene, camera)
-    forward.tick = watch.tick
-    forward.estimate_amplitudes()
-    # the same pixels throughout, or a term could grow by losing those that contradict it
-    masks, gross = usable_pixels(forward)
-    if problem.geometry:
-        problem = replace(problem, patches=forward.patches_seen())
-    if gross:
-        notes.append(f"left out: {gross} distances that are far from any surface of the scene")
-    refinement = Refinement(problem, masks, beside=beside_in_view if large is None else large.beside_edges)
-    problem = refinement.first(problem)
-    stated_scene = problem.scene
-    begin: Camera | None = None
-    is_first, part = True, None
-    while True:
-        if words is None:
-            outcome = by_search(
-                problem,
-                camera,
-                facts,
-                views=forward.views,
-                say=watch.say,
-                seed=request.seed,
-                part_is_enough=is_first,
-                begin=part,
-            )
-        else:
-            outcome = exactly(problem, camera, facts, words, views=forward.views, say=watch.say, begin=begin)
-        is_first = False
-        # a search is long: what it found shows all assumptions that it was wrong about before the next one
-        settled = refinement.settled(problem, outcome.problem, outcome.solution.fit, say=watch.say)
-        if settled is None:
-            part = outcome.part
-            if part is not None:
-                continue
-            break
-        part = None
-        if settled[0].scene is not problem.scene:
-            forward = Forward(dataset, settled[0].scene, camera)
-        problem, begin = settled[0], settled[1].camera
-    notes += refinement.notes(problem, outcome.solution.fit)
-    notes += [*outcome.notes, *outcome.solution.notes]
+    outcome, problem = adjusted.outcome, adjusted.problem
+    notes += [*adjusted.notes, *outcome.notes, *outcome.solution.notes]
     watch.say("hyperbola or curve")
     beyond = beyond_form(problem, outcome.solution) if words is not None else None
     notes += [] if beyond is None else [beyond]
     return _finished(
         request,
         outcome,
-        dataset,
+        problem.dataset,
         noise,
         notes,
         watch,
-        scene=stated_scene,
-        large=large,
-        edges_within=refinement.edges_within,
+        scene=scene,
+        large=adjusted.large,
+        edges_within=adjusted.edges_within,
         integral=integral,
         only_integral=only_integral,
     )

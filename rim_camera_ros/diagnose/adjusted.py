@@ -152,5 +152,9 @@ def parameters_matter(camera: Camera, result: Result, adjusted: Sequence[Adjuste
     frozen = replace(result.problem, effects=others, amplitude_error=final.forward.amplitude_model.tau)
     folds = folds_of(result.problem.dataset)
     step = explore(frozen, stated, [], folds, replicates=0, views=result.fit.forward.views, iterations=2)
-    after, before = (one.scores.log_likelihoods() for one in (result.explorations[-1], step))
-    return sum(after) - sum(before) > entry_gain(after, before, result.explorations[0].threshold)
+    after, before = result.explorations[-1].scores, step.scores
+    if not after.trained:
+        return False
+    gain = after.log_likelihood() - before.log_likelihood()
+    threshold = result.explorations[0].threshold
+    return gain > entry_gain(after.log_likelihoods(), before.log_likelihoods(), threshold)

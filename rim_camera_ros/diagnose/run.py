@@ -276,14 +276,15 @@ def _diagnose(
         return _diagnose(
             kept, scene, camera, None, seed, threads, workers, say, fewer, correlated_error=correlated_error
         )
-    by_name = bool(result.found) and described is None and not alone
-    if (reason is not None or by_name) and winner is None and against is None and not correlated_error:
+    explains = (bool(result.found) or described is not None) and not alone
+    if (reason is not None or explains) and winner is None and against is None and not correlated_error:
         size = likely_correlated_error(problem, best_fit)
         if size is not None:
-            # thousands of pixels that err alike speak for effects, and move poses, by far more than they know
+            # thousands of pixels that err alike speak for effects and functions, and move poses, by far more
+            # than they know
             result.forget()
             say("once more with errors that neighbours share")
-            coarse = correlated_decimation(camera, dataset)
+            coarse = correlated_decimation(camera)
             few, small = dataset, camera
             if coarse > 1:
                 few, small = decimated_dataset(dataset, coarse), decimated_camera(camera, coarse)

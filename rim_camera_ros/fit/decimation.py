@@ -36,15 +36,17 @@ def decimation_of(camera: Camera) -> int:
     return int(np.ceil(np.sqrt(pixels / _COARSE_PIXELS)))
 
 
-def correlated_decimation(camera: Camera, dataset: Dataset) -> int:
+def correlated_decimation(camera: Camera, words: Sequence[str] | None = None) -> int:
     """Return the step of a coarser grid in pixels on which errors that neighbours share are looked at.
 
-    1 for small sensors, where effects are stated by pixels, and where a grid is a coarser one already.
+    1 for small sensors, and where all pixels are needed: by effects that are stated by pixels, or by those
+    that --effects names (``words``).
     """
-    pixels = camera.sensor.width * camera.sensor.height
-    if dataset.decimation > 1 or any(one.stated_by_pixels for one in camera.effects.values()):
+    if any(one.stated_by_pixels for one in camera.effects.values()):
         return 1
-    return max(1, int(np.sqrt(pixels / _CORRELATED_PIXELS)))
+    if words is not None and _needs_all_pixels(camera, words):
+        return 1
+    return max(1, int(np.sqrt(camera.sensor.width * camera.sensor.height / _CORRELATED_PIXELS)))
 
 
 def decimation_for(camera: Camera, words: Sequence[str]) -> int:
@@ -53,6 +55,13 @@ def decimation_for(camera: Camera, words: Sequence[str]) -> int:
     1 where all pixels are needed: small sensors, and effects that act on neighbours or are stated by
     pixels.
     """
+    if _needs_all_pixels(camera, words):
+        return 1
+    return int(np.ceil(np.sqrt(camera.sensor.width * camera.sensor.height / MANY_PIXELS)))
+
+
+def _needs_all_pixels(camera: Camera, words: Sequence[str]) -> bool:
+    """Whether effects, as --effects names them, cannot be fitted on a coarser grid."""
     covariates = {one for word in words for one in word.split(":")[1:]}
     names = {word.partition(":")[0] for word in words}
     kept = effect_of(camera, CovariateTable)
@@ -60,13 +69,11 @@ def decimation_for(camera: Camera, words: Sequence[str]) -> int:
         covariates |= set(kept.covariates)
     known = vocabulary()
     present = [one for one in camera.effects.values() if not isinstance(one, PixelMap)]
-    if any(one.needs_all_pixels for one in present) or any(
-        known[name].needs_all_pixels for name in names if name in known
-    ):
-        return 1
-    if covariates - POINTWISE:
-        return 1
-    return int(np.ceil(np.sqrt(camera.sensor.width * camera.sensor.height / MANY_PIXELS)))
+    return (
+        any(one.needs_all_pixels for one in present)
+        or any(known[name].needs_all_pixels for name in names if name in known)
+        or bool(covariates - POINTWISE)
+    )
 
 
 def decimated_camera(camera: Camera, step: int) -> Camera:

@@ -250,7 +250,8 @@ def as_good(alone: Mapping[str, Trial], best: Trial) -> list[str]:
     result = []
     for name, one in alone.items():
         theirs = one.fitted.scores.log_likelihoods()
-        close = sum(mine) - sum(theirs) <= PAIRED_ERRORS * paired_error(mine, theirs)
+        ahead = best.likelihood - one.likelihood
+        close = not mine or ahead <= PAIRED_ERRORS * paired_error(mine, theirs)
         if name not in best.effects and close:
             result.append(name)
     return result

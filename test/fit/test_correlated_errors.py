@@ -11,10 +11,13 @@ import cv2
 import numpy as np
 import pytest
 
+from rim_camera_ros.calibrate.adjustment import Adjusted, adjust, steps_of
 from rim_camera_ros.calibrate.large_sensor import LargeSensor
+from rim_camera_ros.calibrate.recordings import Watch
 from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
+from rim_camera_ros.fit import decimation
 from rim_camera_ros.fit.correlated_errors import correlated_columns, half_waves_of
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.design import COMMON_POSE
@@ -100,6 +103,73 @@ def test_smooth_errors_of_poses_are_no_set_up_and_no_physics_by_name(tmp_path: P
 def test_many_poses_have_fewer_waves_each(poses: int, expected: int) -> None:
     assert half_waves_of(poses) == expected
     assert poses * half_waves_of(poses) ** 2 <= 1000
+
+
+def adjusted(folder: Path, dataset: Dataset, words: tuple[str, ...]) -> Adjusted:
+    truth = camera(folder, HYPERBOLA)
+    return adjust(
+        truth,
+        dataset,
+        scene(folder),
+        words,
+        steps=steps_of(truth, words),
+        surfaces=1,
+        geometry=False,
+        seed=1,
+        threads=1,
+        watch=Watch(None, None),
+    )
+
+
+def test_a_coarser_grid_tells_as_much_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A quarter of the pixels gives the parameter that all of them give, with no smaller sigma."""
+    words = ("amplitude_offset",)
+    dataset = bent(record(camera(tmp_path, HYPERBOLA), scene(tmp_path)), seed=3)
+    whole = adjusted(tmp_path, dataset, words)
+    monkeypatch.setattr(decimation, "_CORRELATED_PIXELS", 350)  # of the test's 44 x 36
+    coarse = adjusted(tmp_path, dataset, words)
+    assert whole.large is None
+    assert coarse.large is not None
+    assert coarse.large.step == 2
+    assert any("fitted to one of 2 x 2 pixels" in note for note in coarse.notes)
+    for one in (whole, coarse):
+        assert any("distances of every pose err smoothly" in note for note in one.notes)
+    path = "effects.amplitude_offset.hyperbola.60.a"
+    values, sigmas = zip(
+        *(
+            (camera_numbers(one.outcome.solution.camera())[path], one.outcome.solution.fit.sigma[path])
+            for one in (whole, coarse)
+        ),
+        strict=True,
+    )
+    assert abs(values[1] - 21.0) < 3 * sigmas[1]
+    assert abs(values[1] - values[0]) < 2 * sigmas[0]
+    assert sigmas[0] < sigmas[1] < 2 * sigmas[0]
+
+
+def test_independent_pixels_are_all_fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(decimation, "_CORRELATED_PIXELS", 350)
+    dataset = record(camera(tmp_path, HYPERBOLA), scene(tmp_path))
+    assert adjusted(tmp_path, dataset, ("amplitude_offset",)).large is None
+
+
+@pytest.mark.parametrize(
+    ("size", "words", "steps"),
+    [
+        ((176, 144), None, (1, 2)),
+        ((176, 144), ("amplitude_offset",), (1, 2)),
+        ((176, 144), ("fixed_pattern_offset",), (1, 1)),
+        ((512, 424), None, (3, 6)),
+        ((512, 424), ("scattering",), (1, 1)),
+        ((88, 72), None, (1, 1)),
+    ],
+)
+def test_grids(
+    tmp_path: Path, size: tuple[int, int], words: tuple[str, ...] | None, steps: tuple[int, int]
+) -> None:
+    given = camera(tmp_path, HYPERBOLA)
+    given = replace(given, sensor=replace(given.sensor, width=size[0], height=size[1]))
+    assert steps_of(given, words) == steps
 
 
 def test_offsets_of_all_pixels_of_a_large_sensor_are_without_them(tmp_path: Path) -> None:
