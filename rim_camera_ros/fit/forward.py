@@ -283,8 +283,9 @@ class Forward:
         used &= np.isfinite(residual) & np.isfinite(variance) & (station.count * 2 > station.frames)
         threshold = max(camera.sensor.amplitude_threshold, camera.minimum_amplitude or 0.0)
         single = np.sqrt(single_variance)
-        amplitude_used = used & (np.minimum(safe, latent) > threshold + 3 * single)
-        used &= latent > threshold
+        # of pixels nearer to it, frames that noise took below it are missing, and the others are too bright
+        used &= np.minimum(safe, latent) > threshold + 3 * single
+        amplitude_used = used.copy()
         amplitude_used &= station.count == station.frames
         amplitude_used &= ~self._undescribed[view.geometry.surface]
         return Prediction(
