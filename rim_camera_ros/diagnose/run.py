@@ -276,7 +276,9 @@ def _diagnose(
         return _diagnose(
             kept, scene, camera, None, seed, threads, workers, say, fewer, correlated_error=correlated_error
         )
-    explains = (bool(result.found) or described is not None) and not alone
+    # a function that is not part of the fit would itself be what neighbours share
+    modelled = bool(result.found) if described is None else described.missing.modelled
+    explains = modelled and not alone
     if (reason is not None or explains) and winner is None and against is None and not correlated_error:
         size = likely_correlated_error(problem, best_fit)
         if size is not None:
