@@ -14,18 +14,23 @@ from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.fit.decimation import full_camera, full_image, full_number
 
+_ONE_OF = "of every {0} x {0} pixels one was looked at"
 #: Points of a closed form that it is restated from.
 _POINTS = 32
 
 
 def on_full_grid(result: Diagnosis, camera: Camera, step: int) -> Diagnosis:
-    """Restate a diagnosis of every ``step``-th pixel for the ``camera`` of all of them; in place."""
+    """Restate a diagnosis of every ``step``-th pixel for the ``camera`` of all of them; in place.
+
+    That of a coarser grid's coarser grid is restated twice.
+    """
+    before = _ONE_OF.format(result.step)
     small, full = result.camera, full_camera(result.camera, camera, step)
     result.missing = [restated(one, small, full, step) for one in result.missing]
     result.adjusted = [_adjusted(one, step) for one in result.adjusted]
-    result.looked_at, result.camera = small, full
+    result.looked_at, result.camera = result.looked_at or small, full
     result.where = replace(result.where, pixels=full_image(result.where.pixels, camera.shape, step))
-    result.notes.append(f"of every {step} x {step} pixels one was looked at")
+    result.notes = [*(one for one in result.notes if one != before), _ONE_OF.format(result.step)]
     return result
 
 

@@ -30,6 +30,7 @@ from rim_camera_ros.fit.variance_components import (
     likely_correlated_error,
     pose_chi_squares,
 )
+from rim_camera_ros.reports.diagnosis.page import page
 
 from ..calibrate.helpers import camera, record, scene
 
@@ -210,3 +211,25 @@ def test_waves_have_mean_squares_of_one_and_are_independent(tmp_path: Path) -> N
     assert sum(one.prior**2 for one in columns) == pytest.approx(0.005**2)
     assert view.geometry.hit.all()
     assert waves @ waves.T / waves.shape[1] == pytest.approx(np.eye(len(waves)), abs=1e-9)
+
+
+def test_a_diagnosis_of_a_large_sensor_looks_at_a_coarser_grid_still(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 88 x 72 pixels one of 2 x 2, and where neighbours share their errors one of 4 x 4."""
+    monkeypatch.setattr(decimation, "MANY_PIXELS", 3000)
+    monkeypatch.setattr(decimation, "_COARSE_PIXELS", 1600)
+    monkeypatch.setattr(decimation, "_CORRELATED_PIXELS", 390)
+    truth = camera(tmp_path, HYPERBOLA)
+    optics = replace(truth.optics, fx=100.0, fy=100.0, cx=43.4, cy=34.8)
+    truth = replace(truth, sensor=replace(truth.sensor, width=88, height=72), optics=optics)
+    board = scene(tmp_path)
+    found = diagnose(bent(record(truth, board), seed=3), board, truth)
+    assert found.verdict == "unknown_physics"
+    assert (found.step, found.model.shape, found.camera.shape) == (4, (18, 22), (72, 88))
+    assert found.where.pixels.shape == (72, 88)
+    assert [note for note in found.notes if "one was looked at" in note] == [
+        "of every 4 x 4 pixels one was looked at"
+    ]
+    text = page(found, recording="bag", camera="camera.yaml", scene="scene.yaml")
+    assert "88 × 72 px" in text
