@@ -280,11 +280,11 @@ def test_mixed_pixels_count_by_their_amplitudes_where_one_surface_keeps_the_dist
     assert effect_size(fitted, ["mixed_pixels"], truth) > 0.004
 
 
-def trial(effects: list[str], by_fold: list[float]) -> Trial:
+def trial(effects: list[str], by_fold: list[float], *, stated: float = 0.0) -> Trial:
     nothing: Any = None
     scores = SimpleNamespace(log_likelihoods=lambda: by_fold)
     fitted: Any = SimpleNamespace(scores=scores)
-    return Trial(effects, nothing, fitted, sum(by_fold))
+    return Trial(effects, nothing, fitted, sum(by_fold) + stated)
 
 
 def test_effects_as_good_as_the_best_are_those_of_which_poses_do_not_agree() -> None:
@@ -295,6 +295,9 @@ def test_effects_as_good_as_the_best_are_those_of_which_poses_do_not_agree() -> 
     alone = {one.effects[0]: one for one in (best, unsure, worse)}
     assert as_good(alone, best) == ["distance_scale"]
     assert as_good(alone, trial(["incidence_angle", "cyclic_error"], [100.0] * 5)) == []
+    # one that strains what the files state of errors that poses share is not as good
+    strained = trial(["distance_scale"], [117.0, 77.0, 97.0, 107.0, 87.0], stated=-80.0)
+    assert as_good({**alone, "distance_scale": strained}, best) == []
 
 
 @pytest.mark.parametrize(("became", "close"), [(None, ["scattering"]), ((1,), [])])
