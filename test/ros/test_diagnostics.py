@@ -43,7 +43,7 @@ def test_a_healthy_chain(world: World, tmp_path: Path) -> None:
         return "noise_ratio" in said.values(names[-1]) and all(said.level(one) == OK for one in names)
 
     assert world.until(settled), "\n".join(f"{one}: {said.message(one)}" for one in names)
-    assert len(points) > 50
+    assert world.until(lambda: len(points) > 50)
     driver, correction = said.values(names[0]), said.values(names[2])
     assert float(driver["rate_hz"]) == pytest.approx(25.0, rel=0.05)
     assert float(correction["rate_hz"]) == pytest.approx(25.0, rel=0.05)
