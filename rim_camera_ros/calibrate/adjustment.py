@@ -21,7 +21,7 @@ from rim_camera_ros.scene import Scene
 
 
 @dataclass(frozen=True)
-class Adjusted:
+class Adjustment:
     """The ``outcome``, the ``problem`` with the assumptions that hold, and ``notes`` of those given up.
 
     ``large`` where parameters were fitted on a coarser grid. Pixels within ``edges_within`` [px] of edges
@@ -53,7 +53,7 @@ def adjust(
     seed: int,
     threads: int,
     watch: Watch,
-) -> Adjusted:
+) -> Adjustment:
     """Fit effects to stations: those that ``words`` name, None: those that the recordings need.
 
     ``steps`` as `steps_of` returns them: where neighbours share their errors, a coarser grid tells as much,
@@ -86,7 +86,7 @@ def adjust(
             seed=seed,
             watch=watch,
         )
-        if isinstance(found, Adjusted):
+        if isinstance(found, Adjustment):
             return found
         step, correlated_error = coarsest, found
         watch.say(f"again, with errors that neighbours share, on one of {step} x {step} pixels")
@@ -102,7 +102,7 @@ def _on_grid(
     coarser: bool,
     seed: int,
     watch: Watch,
-) -> Adjusted | float:
+) -> Adjustment | float:
     """Fit on one grid; return the size of errors that neighbours share [m], which are for a coarser one."""
     dataset, scene = problem.dataset, problem.scene
     notes = [] if large is None else [large.note]
@@ -144,7 +144,7 @@ def _on_grid(
             if part is not None:
                 continue
             notes += refinement.notes(problem, outcome.solution.fit)
-            return Adjusted(outcome, problem, notes, large, refinement.edges_within)
+            return Adjustment(outcome, problem, notes, large, refinement.edges_within)
         part = None
         if coarser and settled[0].correlated_error:
             return settled[0].correlated_error

@@ -28,7 +28,7 @@ def on_full_grid(result: Diagnosis, camera: Camera, step: int) -> Diagnosis:
     small, full = result.camera, full_camera(result.camera, camera, step)
     result.missing = [restated(one, small, full, step) for one in result.missing]
     result.adjusted = [_adjusted(one, step) for one in result.adjusted]
-    result.looked_at, result.camera = result.looked_at or small, full
+    result.looked_at, result.camera = result.model, full
     result.where = replace(result.where, pixels=full_image(result.where.pixels, camera.shape, step))
     result.notes = [*(one for one in result.notes if one != before), _ONE_OF.format(result.step)]
     return result

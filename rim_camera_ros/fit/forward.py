@@ -34,6 +34,9 @@ Array = NDArray[Any]
 #: Relative change of the light up to which what effects keep of a geometry is not computed anew: what bounces
 #: of light that changed by a hundredth is off by a ten thousandth of all light.
 _SAME_LIGHT = 0.01
+#: Sigma of one frame by which pixels that are compared are brighter than the amplitude below which nothing
+#: is measured: noise takes next to none of their frames below it.
+_ABOVE_THRESHOLD = 3.0
 
 
 class Forward:
@@ -284,7 +287,7 @@ class Forward:
         threshold = max(camera.sensor.amplitude_threshold, camera.minimum_amplitude or 0.0)
         single = np.sqrt(single_variance)
         # of pixels nearer to it, frames that noise took below it are missing, and the others are too bright
-        used &= np.minimum(safe, latent) > threshold + 3 * single
+        used &= np.minimum(safe, latent) > threshold + _ABOVE_THRESHOLD * single
         amplitude_used = used.copy()
         amplitude_used &= station.count == station.frames
         amplitude_used &= ~self._undescribed[view.geometry.surface]

@@ -107,7 +107,6 @@ def pattern_prior_note(size: float) -> str:
 #: Errors found in this ratio to those stated count as larger, and poses that it takes to say so.
 WIDER = 1.5
 LEAST_POSES = 8
-_ROUNDS = 5
 _TILTS = ("tilt_x", "tilt_y")
 
 
@@ -226,7 +225,6 @@ Key = tuple[int, int]
 #: Chi-square per patch of a pose beyond which, in ratio to the median of all, poses are uneven; poses that it
 #: takes to say so, patches of a pose to be judged, their size [px], the most sigma that a residual counts.
 UNEVEN = 4.0
-LEAST_POSES = 8
 LEAST_PATCHES = 4
 PATCH = 4
 WILD = 30.0

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.adjustment import Adjusted, adjust, steps_of
+from rim_camera_ros.calibrate.adjustment import Adjustment, adjust, steps_of
 from rim_camera_ros.calibrate.large_sensor import LargeSensor
 from rim_camera_ros.calibrate.recordings import Watch
 from rim_camera_ros.camera_file import camera_numbers
@@ -106,7 +106,7 @@ def test_many_poses_have_fewer_waves_each(poses: int, expected: int) -> None:
     assert poses * half_waves_of(poses) ** 2 <= 1000
 
 
-def adjusted(folder: Path, dataset: Dataset, words: tuple[str, ...]) -> Adjusted:
+def adjusted(folder: Path, dataset: Dataset, words: tuple[str, ...]) -> Adjustment:
     truth = camera(folder, HYPERBOLA)
     return adjust(
         truth,

@@ -1,10 +1,10 @@
 """The end of a process within a limit of time, whatever the middleware does.
 
-Fast DDS 2.14, as the wheels build it, can wait for ever as it destroys its participant: where a callback of
-its discovery runs at that moment it waits with the lock held that the callback needs (Fast DDS issue 6513:
-a time limit that overflows). Two cameras that were ended together did so once in some 300 times. rclpy
-destroys the participant with the interpreter's lock held, so that neither a thread of Python nor a signal's
-handler can act.
+Fast DDS 2.14, as the wheels build it, can wait for half a minute and longer as it destroys its participant:
+where a callback of its discovery runs at that moment it waits with the lock held that the callback needs
+(Fast DDS issue 6513: a time limit that overflows). Two cameras that were ended together did so once in some
+300 times. rclpy destroys the participant with the interpreter's lock held, so that neither a thread of
+Python nor a signal's handler can act.
 """
 
 from __future__ import annotations
