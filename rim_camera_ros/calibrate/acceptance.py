@@ -11,9 +11,9 @@ from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.covariate_table import empirical_block, empirical_start
 from rim_camera_ros.fit.design import COMMON_POSE, common_pose_block
+from rim_camera_ros.fit.pose_errors import widening_of_poses
 from rim_camera_ros.fit.problem import Fit, Problem, freed
 from rim_camera_ros.fit.solver import fit
-from rim_camera_ros.fit.variance_components import widening_of_poses
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.evidence import Scores
 from rim_camera_ros.select.exploration import LEAST_THRESHOLD

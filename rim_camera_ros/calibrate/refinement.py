@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.fit.pixel_elimination import PATTERN_PRIOR
 from rim_camera_ros.fit.pixels import Beside, beside_in_view, without_edges
+from rim_camera_ros.fit.pose_errors import settled_poses, wider_poses_note
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.fit.variance_components import (
@@ -20,8 +21,6 @@ from rim_camera_ros.fit.variance_components import (
     pattern_prior_note,
     pose_variance_factors,
     pose_variance_note,
-    settled_poses,
-    wider_poses_note,
 )
 
 Array = NDArray[Any]

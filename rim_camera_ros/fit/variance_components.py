@@ -1,5 +1,4 @@
-"""Sizes of random effects that the recordings tell: offsets of pixels, errors and weights of poses, errors
-that neighbours share.
+"""Sizes of random effects that the recordings tell: of pixels' offsets, poses' weights, errors neighbours share.
 
 An offset per pixel that may be anything takes all that a pixel tells which one pose sees: what a small board,
 held here and there, shows within a pose is lost then, and only differences between poses are left, with
@@ -10,7 +9,7 @@ keeps both apart.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,11 +21,10 @@ from rim_camera_ros.fit.correlated_errors import CORRELATED, correlated_error_of
 from rim_camera_ros.fit.fold_sums import Fold
 from rim_camera_ros.fit.normal_equations import Reduced, reduce_folds, reduce_further
 from rim_camera_ros.fit.pixel_elimination import PATTERN_PRIOR, without_pixels
+from rim_camera_ros.fit.pose_errors import LEAST_POSES, WIDER
 from rim_camera_ros.fit.problem import Fit, Problem, freed
 from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.solver import fit
-from rim_camera_ros.frame import Pose
-from rim_camera_ros.scene import Scene, Surface
 
 Array = NDArray[Any]
 
@@ -102,122 +100,6 @@ def pattern_prior_note(size: float) -> str:
         f"pixels are seen by few poses each: their offsets are taken to be {size * 1e3:.1f} mm (1 sigma), "
         "which makes the recordings most likely, lest they take what poses tell of the other effects"
     )
-
-
-#: Errors found in this ratio to those stated count as larger, and poses that it takes to say so.
-WIDER = 1.5
-LEAST_POSES = 8
-_TILTS = ("tilt_x", "tilt_y")
-
-
-@dataclass(frozen=True)
-class WiderSurface(Surface):
-    """A surface whose recorded poses err more than the recording states, by ``factors`` (normal, tilt)."""
-
-    factors: tuple[float, float] = (1.0, 1.0)
-
-    def pose_covariance(self, pose: Pose) -> NDArray[np.float64]:
-        covariance = super().pose_covariance(pose)
-        if pose.covariance is None:
-            return covariance
-        wider = np.array([self.factors[0], self.factors[1], self.factors[1]])
-        return covariance * np.outer(wider, wider)
-
-
-def _wider(one: Surface, offset: float, tilt: float, *, own: bool) -> Surface:
-    """Return the surface with larger errors of its poses; ``own``: the recording states some with them."""
-    sigma = (one.pose_sigma[0] * offset, one.pose_sigma[1] * tilt)
-    if not own:
-        return replace(one, pose_sigma=sigma)
-    before = one.factors if isinstance(one, WiderSurface) else (1.0, 1.0)
-    values = {field.name: getattr(one, field.name) for field in fields(Surface)} | {"pose_sigma": sigma}
-    return WiderSurface(**values, factors=(before[0] * offset, before[1] * tilt))
-
-
-def pose_error_ratios(fitted: Fit) -> dict[str, tuple[float, float]]:
-    """Return, for each surface, the errors found over those stated: along the normal, and of the tilts.
-
-    By the median, so that single bad poses do not count; 0 for too few poses. What the poses' distances leave
-    undetermined makes the ratio smaller, never larger.
-    """
-    stated = {name: prior for fold in fitted.equations.folds for name, prior, _ in fold.nuisances}
-    found: dict[str, tuple[list[float], list[float]]] = {}
-    for name, value in fitted.nuisances.items():
-        parts = name.split(".", 2)[-1].split(".")
-        if parts[0] != "pose" or name not in stated:
-            continue
-        surface, kind = ".".join(parts[1:-1]), parts[-1]
-        lists = found.setdefault(surface, ([], []))
-        lists[1 if kind in _TILTS else 0].append(abs(value) / stated[name])
-
-    def ratio(values: list[float], least: int) -> float:
-        return 1.4826 * float(np.median(values)) if len(values) >= least else 0.0
-
-    return {
-        surface: (ratio(offsets, LEAST_POSES), ratio(tilts, 2 * LEAST_POSES))
-        for surface, (offsets, tilts) in found.items()
-    }
-
-
-def with_wider_poses(scene: Scene, fitted: Fit) -> Scene | None:
-    """Return the scene with the errors of its poses as large as a fit found them; None: as stated."""
-    ratios = pose_error_ratios(fitted)
-    if not any(max(pair) > WIDER for pair in ratios.values()):
-        return None
-    stations = fitted.forward.dataset.stations
-    own = {name for one in stations for name, pose in one.truth.items() if pose.covariance is not None}
-    surfaces = []
-    for one in scene.surfaces:
-        offset, tilt = (max(ratio, 1.0) for ratio in ratios.get(one.name, (1.0, 1.0)))
-        surfaces.append(_wider(one, offset, tilt, own=one.name in own))
-    return replace(scene, surfaces=tuple(surfaces))
-
-
-def settled_poses(problem: Problem, fitted: Fit) -> Scene | None:
-    """Return the scene with errors of poses that agree with what a fit of all effects finds; None: as stated.
-
-    Errors that are held too small come out too small, and so it takes some rounds.
-    """
-    wider = with_wider_poses(problem.scene, fitted)
-    if wider is None:
-        return None
-    free = replace(problem, effects=None)
-    for _ in range(_ROUNDS):
-        again = fit(replace(free, scene=wider), fitted.camera, iterations=3)
-        further = with_wider_poses(wider, again)
-        if further is None:
-            break
-        wider = further
-    return wider
-
-
-def widening_of_poses(stated: Scene, found: Scene) -> dict[str, float]:
-    """Return how many times larger errors of poses were found than stated, by surface, where they were."""
-    result = {}
-    for old, new in zip(stated.surfaces, found.surfaces, strict=True):
-        ratios = [
-            after / before for before, after in zip(old.pose_sigma, new.pose_sigma, strict=True) if before
-        ]
-        if isinstance(new, WiderSurface):
-            ratios = list(new.factors)
-        if max(ratios, default=1.0) > 1.0:
-            result[new.name] = max(ratios)
-    return result
-
-
-def wider_poses_note(stated: Scene, found: Scene) -> str:
-    """Return in words by how much poses err more than the scene file states."""
-    parts = [
-        f"poses of '{new.name}' err by {new.factors[0]:.2g} (along the normal) and {new.factors[1]:.2g} "
-        "(tilt) times what the recording states with them"
-        if isinstance(new, WiderSurface)
-        else f"pose_sigma of '{new.name}' is [{old.pose_sigma[0]:.2g}, {old.pose_sigma[1]:.2g}] in the scene "
-        f"file, but "
-        f"its poses err by [{new.pose_sigma[0]:.2g}, {new.pose_sigma[1]:.2g}] (m, rad)"
-        for old, new in zip(stated.surfaces, found.surfaces, strict=True)
-        if old.pose_sigma != new.pose_sigma
-    ]
-    return "; ".join(parts) + ": that is taken, or the scene is not what the recordings show"
 
 
 Key = tuple[int, int]

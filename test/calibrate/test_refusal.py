@@ -13,7 +13,7 @@ import pytest
 from rim_camera_ros.calibrate.acceptance import refusals
 from rim_camera_ros.calibrate.held_out import Accuracy
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
-from rim_camera_ros.fit.variance_components import WiderSurface
+from rim_camera_ros.fit.pose_errors import WiderSurface
 from rim_camera_ros.scene import Scene, load_scene
 
 from ..helpers_cli import run

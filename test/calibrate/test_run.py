@@ -23,7 +23,7 @@ from rim_camera_ros.effects.fixed_pattern_offset import FixedPatternOffset
 from rim_camera_ros.effects.integration_time_offset import IntegrationTimeOffset
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.noise import fit_noise
-from rim_camera_ros.fit.variance_components import pose_error_ratios, with_wider_poses
+from rim_camera_ros.fit.pose_errors import pose_error_ratios, with_wider_poses
 from rim_camera_ros.frame import RawFrame
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.parameters import ArrayFile

@@ -11,7 +11,7 @@ import pytest
 from rim_camera_ros.calibrate.run import Request, calibrate
 from rim_camera_ros.fit.data import with_stated_errors
 from rim_camera_ros.fit.design import common_pose_block
-from rim_camera_ros.fit.variance_components import WiderSurface, wider_poses_note
+from rim_camera_ros.fit.pose_errors import WiderSurface, wider_poses_note
 from rim_camera_ros.fit.views import Views
 from rim_camera_ros.frame import Pose, RawFrame
 from rim_camera_ros.rotations import rotation_matrix
