@@ -1,4 +1,4 @@
-"""Sizes of random effects that the recordings tell: of pixels' offsets, poses' weights, errors neighbours share.
+"""Sizes of random effects that the recordings tell: of offsets of pixels, weights of poses, shared errors.
 
 An offset per pixel that may be anything takes all that a pixel tells which one pose sees: what a small board,
 held here and there, shows within a pose is lost then, and only differences between poses are left, with
