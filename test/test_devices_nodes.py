@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.bags.stamp_pairing import CAPACITY, PATIENCE, StampPairing
+from rim_camera_ros.bags.stamp_pairing import CAPACITY, PATIENCE, RELIABLE_PATIENCE, StampPairing
 from rim_camera_ros.devices.acquisition import Acquisition
 from rim_camera_ros.errors import DeviceError, RimError
 from rim_camera_ros.frame import RawFrame, Settings
@@ -89,6 +89,33 @@ def test_a_lost_frame_info_costs_its_frame() -> None:
     frames = fed(pairs, *exposure(3))
     assert [one.stamp for one in frames] == [3]
     assert pairs.dropped == {"a pair without frame_info": 1}
+
+
+def test_where_nothing_is_lost_a_late_frame_info_is_waited_for() -> None:
+    """A topic whose publisher is discovered late delivers all that it kept, behind the images."""
+    pairs = StampPairing(ALL.__contains__, patience=RELIABLE_PATIENCE)
+    for stamp in range(1, 21):
+        late = [part for part in exposure(stamp) if part[0] != "frame_info"]
+        assert fed(pairs, *late, now=0.04 * stamp) == []
+    frames = fed(pairs, *[("frame_info", stamp, info(stamp)) for stamp in range(1, 18)], now=4.0)
+    assert [(one.stamp, one.settings.integration_time) for one in frames] == [(i, i) for i in range(1, 18)]
+    assert [one.settings.ambient_temperature for one in frames] == [20.0 + i for i in range(1, 18)]
+    # that of 20 is there: those of 18 and 19 were lost
+    frames = fed(pairs, ("frame_info", 20, info(20)), now=4.1)
+    assert [(one.stamp, one.settings.integration_time) for one in frames] == [(20, 20)]
+    assert pairs.dropped == {"a pair without frame_info": 2}
+    assert fed(pairs, *[part for part in exposure(21) if part[0] != "frame_info"], now=5.0) == []
+    assert pairs.overdue(4.9 + RELIABLE_PATIENCE) == []
+    assert pairs.dropped == {"a pair without frame_info": 2}
+    assert pairs.overdue(5.1 + RELIABLE_PATIENCE) == []
+    assert pairs.dropped == {"a pair without frame_info": 3}
+
+
+def test_pairs_that_wait_are_bounded_and_counted() -> None:
+    pairs = StampPairing(ALL.__contains__, patience=RELIABLE_PATIENCE)
+    for stamp in range(1, CAPACITY + 4):
+        assert fed(pairs, *[part for part in exposure(stamp) if part[0] != "frame_info"]) == []
+    assert pairs.dropped == {"a pair without frame_info": 3}
 
 
 def test_halves_are_counted_and_forgotten() -> None:

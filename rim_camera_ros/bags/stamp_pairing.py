@@ -23,6 +23,10 @@ _REFUSED = 256
 _AHEAD = 60 * NANOSECONDS
 #: Seconds that a pair of images waits for what came with the frames before it.
 PATIENCE = 0.1
+#: Seconds that a pair waits for its frame_info where nothing is lost: each topic comes in its order, but one may
+#: lag behind the others while its publisher is being discovered or a lost packet is sent again.
+RELIABLE_PATIENCE = 5.0
+_NO_INFO = "a pair without frame_info"
 
 
 @dataclass(slots=True)
@@ -40,7 +44,8 @@ class StampPairing:
     ``publishes(role)`` tells whether anybody publishes frame_info or a reading. A pair waits, shortly, for
     those that do and that came with the frame before; of the readings the last ones before the frame
     will do. A pair without its frame_info, though somebody publishes it, is dropped: its
-    integration time is not known. ``dropped`` counts, by reason, what did not become a frame.
+    integration time is not known. It waits for it ``patience`` seconds, or until that of a later frame has
+    come. ``dropped`` counts, by reason, what did not become a frame.
     """
 
     def __init__(
@@ -48,7 +53,11 @@ class StampPairing:
         publishes: Callable[[str], bool],
         images: Sequence[str] = IMAGES,
         samples: Sequence[str] = (),
+        *,
+        patience: float = PATIENCE,
     ) -> None:
+        self._patience = patience
+        self._newest_info: int | None = None
         self._images = tuple(images)
         self._samples = tuple(samples)
         self._sides = (*_SIDES, *samples)
@@ -79,6 +88,8 @@ class StampPairing:
             self.dropped[f"{role} twice with one stamp"] += 1
             return []
         exposure.parts[role] = value
+        if role == "frame_info":
+            self._newest_info = stamp
         if exposure.complete_since is None and all(one in exposure.parts for one in self._images):
             exposure.complete_since = now
         return self._ready(now)
@@ -111,6 +122,8 @@ class StampPairing:
         for i, stamp in enumerate(complete):
             exposure = self._waiting[stamp]
             assert exposure.complete_since is not None
+            if self._lacks_info(stamp) and now - exposure.complete_since < self._patience:
+                break
             newer = i + 1 < len(complete)
             if newer or now - exposure.complete_since >= PATIENCE or not self._awaited(stamp):
                 frames += self._take(stamp)
@@ -123,6 +136,11 @@ class StampPairing:
         missing = [role for role in self._sides if not self._came(role, stamp)]
         expected = self._sides if self._expected is None else self._expected
         return any(role in expected and self._publishes(role) for role in missing)
+
+    def _lacks_info(self, stamp: int) -> bool:
+        """Whether the frame_info of a pair may still come: topics are delivered in their order."""
+        passed = self._newest_info is not None and self._newest_info > stamp
+        return "frame_info" not in self._waiting[stamp].parts and not passed and self._publishes("frame_info")
 
     def _came(self, role: str, stamp: int) -> bool:
         if role not in READINGS:
@@ -141,7 +159,7 @@ class StampPairing:
         self._expected = {role for role in self._sides if self._came(role, stamp)} | {"frame_info"}
         parts = self._waiting.pop(stamp).parts
         if "frame_info" not in parts and self._publishes("frame_info"):
-            self.dropped["a pair without frame_info"] += 1
+            self.dropped[_NO_INFO] += 1
             return []
         settings, device = parts.get("frame_info", (Settings(), ""))
         readings = {role: self._reading(role, stamp) for role in READINGS}
@@ -175,6 +193,8 @@ class StampPairing:
     def _drop(self, stamp: int) -> None:
         exposure = self._waiting.pop(stamp)
         there = [role for role in self._images if role in exposure.parts]
+        if len(there) == len(self._images):
+            self.dropped[_NO_INFO] += 1
         # a node that joins finds one half of the first exposure: nothing is wrong with that
         if 0 < len(there) < len(self._images) and self._expected is not None:
             other = next(role for role in self._images if role not in there)

@@ -36,7 +36,7 @@ from rim_camera_ros.nodes.driver.publishing import FramePublishers
 from rim_camera_ros.nodes.driver.status import DriverStatus
 
 #: Seconds to wait at the end until reliable subscribers have received the last frames.
-_LINGER = 2.0
+_LINGER = 5.0
 #: Seconds between two looks of the watchdog.
 _LOOK = 0.25
 #: Parameters that name files, with the folder of the shipped ones that they may name.
