@@ -23,8 +23,8 @@ _REFUSED = 256
 _AHEAD = 60 * NANOSECONDS
 #: Seconds that a pair of images waits for what came with the frames before it.
 PATIENCE = 0.1
-#: Seconds that a pair waits for its frame_info where nothing is lost: each topic comes in its order, but one may
-#: lag behind the others while its publisher is being discovered or a lost packet is sent again.
+#: Seconds that a pair waits for its frame_info where nothing is lost: each topic comes in its order, but one
+#: may lag behind the others while its publisher is being discovered or a lost packet is sent again.
 RELIABLE_PATIENCE = 5.0
 _NO_INFO = "a pair without frame_info"
 
