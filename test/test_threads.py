@@ -166,5 +166,5 @@ def test_equations_are_the_same_with_any_number_of_threads(laboratory: _Laborato
             assert np.array_equal(getattr(a, name), getattr(b, name)), name
     base = range(3)
     assert Scores(one, base).held_out([4, 7]) == Scores(three, base).held_out([4, 7])
-    drawn = [null_scores(each, base, replicates=5, seed=2).held_out([5]) for each in (one, three)]
+    drawn = [null_scores(Scores(each, base), replicates=5, seed=2).held_out([5]) for each in (one, three)]
     assert np.array_equal(*drawn)

@@ -88,7 +88,7 @@ def depths(baseline: Exploration, problem: Problem, folds: Mapping[tuple[int, in
     ]
     fitted = further_equations(baseline.fit, blocks, folds, problem)
     count = len(fitted.parameters)
-    scores = Scores(fitted.equations, range(count))
+    scores = Scores(fitted.equations, range(count), held=fitted.at_bounds)
     without = scores.log_likelihoods() if scores.trained else []
     best: dict[str, Hypothesis] = {}
     for k, (_, one) in enumerate(choices):

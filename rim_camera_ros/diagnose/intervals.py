@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.fit.bounds import Bounds
 from rim_camera_ros.fit.design import GAIN
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.solver import fit
-from rim_camera_ros.fit.steps import bounds_of
 from rim_camera_ros.select.evidence import Scores
 from rim_camera_ros.select.exploration import Exploration
 from rim_camera_ros.select.null_replicates import null_scores
@@ -56,13 +56,7 @@ def intervals_of(
     """
     fitted, scores = step.fit, step.scores
     count = len(fitted.parameters)
-    nulls = null_scores(
-        fitted.equations,
-        range(count),
-        replicates=200,
-        seed=seed + 1,
-        errors=fitted.nuisances,
-    )
+    nulls = null_scores(scores, replicates=200, seed=seed + 1, errors=fitted.nuisances)
     matrix = scores.full.gram[:count, :count] + np.diag(scores.prior[:count] ** -2)
     scale = scores.prior[:count]
     inner = matrix * scale[:, None] * scale[None, :]
@@ -75,11 +69,11 @@ def intervals_of(
             jackknife = _jackknife(one, count)
             spread = np.maximum(spread, np.where(jackknife > least * spread, jackknife, 0.0))
     gain = fitted.camera.radiometry.gain
-    lows, highs = bounds_of(fitted.camera)
+    bounds = Bounds.of(fitted.camera)
     result = {}
     for i, (path, value) in enumerate(fitted.parameters.items()):
         width = 1.96 * spread[i] * (gain if path == GAIN else 1.0)
         # beyond its bounds no parameter can be
-        low, high = lows.get(path, -np.inf), highs.get(path, np.inf)
+        low, high = bounds.lows.get(path, -np.inf), bounds.highs.get(path, np.inf)
         result[path] = (value, max(value - width, min(value, low)), min(value + width, max(value, high)))
     return result

@@ -16,6 +16,7 @@ from rim_camera_ros.effects.candidate import Block, Regressor, priors_of
 from rim_camera_ros.effects.light_curves import FALLOFF, LOBE, tile_labels
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.fit.amplitudes import AmplitudeModel
+from rim_camera_ros.fit.bounds import Bounds, least_within, of_shape
 from rim_camera_ros.fit.design import GAIN, is_linear
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.linearised import Linearised
@@ -32,15 +33,11 @@ from rim_camera_ros.fit.problem import (
 from rim_camera_ros.fit.residuals import amplitude_error, huber
 from rim_camera_ros.fit.steps import (
     Solved,
-    bounds_of,
     by_linear,
-    greatest_of,
     in_units,
-    longest_steps,
     moved_from,
     moved_scene,
     of_phasors,
-    of_shape,
     power_factor,
     stepped,
     value_of,
@@ -62,6 +59,7 @@ _HOLD = 1e9
 _DAMPING = (0.01, 0.1, 1.0, 10.0, 100.0, np.inf)
 _LESS_DAMPED = 10.0
 _NO_SOLUTION = "the adjustment found no finite solution"
+_AT_A_BOUND = "{} is at the end of what is possible, and would go beyond: the form of its effect is not quite the true one"
 #: Share of the forecast gain of a step by which the objective may become worse once, near the solution.
 _OVER_THE_BEND = 0.1
 #: Step of a parameter in units of its sigma, or of all together (squared, the decrement), and change of
@@ -94,8 +92,7 @@ class GaussNewton:
         self._warm = warm is not None
         self._numbers = camera_numbers(start)
         self._from_origin = moved_from(problem.origin, start)
-        self._lows, self._highs = bounds_of(start)
-        self._highs |= greatest_of(problem.dataset, problem.masks, start)
+        self._bounds = Bounds.of_data(problem.dataset, problem.masks, start)
         # the point
         self._camera, self._scene = start, problem.scene
         self._pattern = np.zeros(start.shape)
@@ -220,13 +217,15 @@ class GaussNewton:
             held = self._held(regressors)
             matrix[held, held] *= _HOLD
         right = reduced.right[own] - away / prior**2
-        step, covariance = right, matrix
+        step, covariance, stay = right, matrix, np.zeros(owned, bool)
         if owned:  # scipy 1.11 solves no empty equations
             try:
                 factor = linalg.cho_factor(matrix)
+                covariance = linalg.cho_solve(factor, np.eye(owned))
+                sides = self._bounds.open_sides([one.label for one in regressors], self._camera)
+                step, stay = least_within(matrix, right, *sides)
             except (linalg.LinAlgError, ValueError):
                 raise RimError(_NO_SOLUTION, remedy="check scene and camera file") from None
-            step, covariance = linalg.cho_solve(factor, right), linalg.cho_solve(factor, np.eye(owned))
         by_nuisances = by_linear(matrix, right, [one.label for one in regressors])
         square = float(reduced.square) + float(np.sum((away / prior) ** 2)) - by_nuisances
         return Linearised(
@@ -242,6 +241,7 @@ class GaussNewton:
             square=square,
             objective=square + 2 * reduced.log_norm + sum(fold.robust for fold in equations.folds),
             decrement=float(right @ step) - by_nuisances,
+            at_bounds=tuple(np.flatnonzero(stay).tolist()),
         )
 
     def _held(self, regressors: Sequence[Regressor]) -> list[int]:
@@ -297,13 +297,13 @@ class GaussNewton:
         if not np.all(np.isfinite(here.step)):
             raise RimError(_NO_SOLUTION, remedy="check scene and camera file")
         assert self._gains is not None
-        most = longest_steps(here.labels, self._offsets, self._numbers, self._start.shape)
+        limits = self._bounds.step_limits(here.labels, self._offsets, self._numbers, self._start.shape)
         self._solved = Solved(
             here.reduced,
             here.labels,
             here.matrix,
             here.right,
-            most,
+            limits,
             self._tau,
             dict(self._gains),
             dict(self._offsets),
@@ -330,7 +330,7 @@ class GaussNewton:
 
     def _go(self, solved: Solved) -> None:
         self._camera, self._offsets = stepped(
-            self._start, solved.offsets, solved.changes, self._lows, self._highs, self._numbers
+            self._start, solved.offsets, solved.changes, self._bounds, self._numbers
         )
         within_bounds(self._offsets, self._camera, self._numbers)
         self._scene = moved_scene(self._problem.scene, self._offsets)
@@ -370,6 +370,7 @@ class GaussNewton:
             reduced=here.reduced,
             forward=here.forward,
             priors=here.prior,
+            at_bounds=here.at_bounds,
         )
 
     def judge(self, best: Fit) -> None:
@@ -377,6 +378,7 @@ class GaussNewton:
         best.converged = self._converged and not self._stuck
         if self._stuck:
             best.notes.append("the adjustment stopped where no step leads to a possible camera")
+        best.notes += [_AT_A_BOUND.format(list(best.parameters)[i]) for i in best.at_bounds]
         if self._converged or not self._last_step:
             return
         sigma = best.sigma

@@ -21,6 +21,7 @@ class Linearised:
     """The equations where an adjustment stands, and their solution.
 
     ``matrix``, ``right``, ``step`` and ``covariance`` of the ``regressors`` with their ``prior`` (1-sigma).
+    Those numbered in ``at_bounds`` stay, at the end of what is possible: the data would take them beyond.
     ``square`` is chi-square with the priors' terms, linear nuisances where they fit best; ``objective`` twice
     the negative log likelihood; ``decrement`` by how much an undamped step should lower either.
     """
@@ -37,6 +38,7 @@ class Linearised:
     square: float
     objective: float
     decrement: float
+    at_bounds: tuple[int, ...]
 
     @property
     def labels(self) -> list[str]:

@@ -13,12 +13,11 @@ from scipy import linalg
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
-from rim_camera_ros.effects import Effect, known_effects
 from rim_camera_ros.effects.candidate import Regressor
 from rim_camera_ros.effects.light_curves import TILES, LightCurves, of_light, tile_labels
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.bounds import Bounds, least_within
 from rim_camera_ros.fit.covariate_table import LABEL, with_empirical_changes
-from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.design import GAIN, is_linear
 from rim_camera_ros.fit.normal_equations import Reduced
 from rim_camera_ros.fit.views import OPTICAL_AXES
@@ -27,12 +26,8 @@ from rim_camera_ros.scene import Scene, ScenePose
 
 Array = NDArray[Any]
 
-#: Relative change of a width or a lag in one step.
-_SHAPE_STEP = 0.25
 #: Amplitude [m] below which that of a sinusoid counts as so large: the phase of none has no derivative.
 _LEAST_PHASOR = 1e-8
-#: Share of a station's values below whose amplitude a pole of a term may lie.
-_DARKEST = 0.01
 
 
 @dataclass(frozen=True)
@@ -40,7 +35,8 @@ class Solved:
     """Where a step began: equations (``matrix`` and ``right`` with priors, by label), errors of amplitudes,
     powers, offsets and the step.
 
-    ``most`` is how far each parameter may go in one step; the others follow those that may not go farther.
+    ``limits`` are how far each parameter may go down (not above 0) and up in one step; the others follow
+    those that may not go farther.
     ``decrement`` is by how much a step without limits and ``damping`` should lower the objective.
     """
 
@@ -48,7 +44,7 @@ class Solved:
     labels: Sequence[str]
     matrix: Array
     right: Array
-    most: Array
+    limits: tuple[Array, Array]
     tau: float
     gains: Mapping[tuple[int, int], float]
     offsets: Mapping[str, float]
@@ -62,26 +58,11 @@ class Solved:
 
         What the equations tell least of is held back first; infinite damping is no step.
         """
-        step = np.zeros_like(self.right)
         if np.isinf(self.damping):
-            return step
-        # in units in which the diagonal is 1: parameters differ by many orders of magnitude
-        unit = np.sqrt(np.diag(self.matrix))
+            return np.zeros_like(self.right)
+        diagonal = np.diag(self.matrix)
         damping = [0.0 if is_linear(label) else self.damping for label in self.labels]
-        matrix = self.matrix / np.outer(unit, unit) + np.diag(damping)
-        free = np.ones(len(step), bool)
-        while free.any():
-            right = (self.right / unit)[free] - matrix[np.ix_(free, ~free)] @ (step * unit)[~free]
-            factor = linalg.cho_factor(matrix[np.ix_(free, free)], check_finite=False)
-            step[free] = linalg.cho_solve(factor, right, check_finite=False) / unit[free]
-            # one after the other: what follows the farthest may not go too far any more
-            far = np.where(free, np.abs(step) / self.most, 0.0)
-            farthest = int(np.argmax(far))
-            if not far[farthest] > 1:
-                break
-            step[farthest] = np.copysign(self.most[farthest], step[farthest])
-            free[farthest] = False
-        return step
+        return least_within(self.matrix + np.diag(damping * diagonal), self.right, *self.limits)[0]
 
     @property
     def forecast(self) -> float:
@@ -136,8 +117,7 @@ def stepped(
     start: Camera,
     offsets: Mapping[str, float],
     changes: Mapping[str, float],
-    lows: Mapping[str, float],
-    highs: Mapping[str, float],
+    bounds: Bounds,
     numbers: Mapping[str, float],
 ) -> tuple[Camera, dict[str, float]]:
     """Take a step, or so much of it as leads to a possible camera.
@@ -161,7 +141,7 @@ def stepped(
                 moved[path] = float(np.copysign(abs(phasor), numbers[path])) - numbers[path]
                 moved[phase] = (turned + np.pi) % (2 * np.pi) - np.pi
         try:
-            return _moved(start, moved, lows, highs, numbers), moved
+            return _moved(start, moved, bounds, numbers), moved
         except (InputError, ValueError):
             share /= 2
             if share < 1e-3:
@@ -193,85 +173,15 @@ def of_phasors(
     return found, moved
 
 
-def longest_steps(
-    labels: Sequence[str],
-    offsets: Mapping[str, float],
-    numbers: Mapping[str, float],
-    shape: tuple[int, int],
-) -> Array:
-    """Return how far parameters may go in one step: shapes by a quarter, others as their effects say.
-
-    ``shape`` (H, W) of the array.
-    """
-
-    def longest(path: str) -> float:
-        owner, inner = _owner(path)
-        if owner is None:
-            return np.inf
-        if owner.is_shape(inner):
-            return _SHAPE_STEP * max(abs(numbers[path] + offsets.get(path, 0.0)), 1e-9)
-        return owner.longest_step(inner, shape)
-
-    return np.array([longest(path) for path in labels])
-
-
 def power_factor(change: float) -> float:
     """Return the factor on a pose's power for a step of its logarithm."""
     return float(np.exp(np.clip(change, -1.0, 1.0)))
-
-
-def bounds_of(camera: Camera) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the least and greatest values of an effect's parameters, by path."""
-    lows: dict[str, float] = {}
-    highs: dict[str, float] = {}
-    for name, effect in camera.effects.items():
-        for path, (low, high) in effect.bounds().items():
-            lows[f"effects.{name}.{path}"], highs[f"effects.{name}.{path}"] = low, high
-    return lows, highs
-
-
-def greatest_of(
-    dataset: Dataset, masks: Sequence[tuple[Array, Array]] | None, camera: Camera
-) -> dict[str, float]:
-    """Return the greatest values of effects' parameters that the amplitudes in use allow, by path."""
-    if masks is None:
-        return {}
-    darkest = [
-        (
-            camera.integration_time(station.settings),
-            float(np.quantile(station.amplitude[used], _DARKEST)),
-        )
-        for station, (used, _) in zip(dataset.stations, masks, strict=True)
-        if used.any()
-    ]
-    return {
-        f"effects.{name}.{path}": value
-        for name, effect in camera.effects.items()
-        for path, value in effect.greatest(darkest).items()
-    }
 
 
 def value_of(path: str, camera: Camera, offsets: Mapping[str, float]) -> float:
     """Return a parameter's value: of the camera, or how far one of the scene or of a table has moved."""
     beside_numbers = of_scene(path) or is_linear(path) or path.startswith(LABEL)
     return offsets.get(path, 0.0) if beside_numbers else camera_numbers(camera)[path]
-
-
-def of_shape(path: str) -> bool:
-    """Whether a parameter is a width or a lag, in which readings are far from linear."""
-    owner, inner = _owner(path)
-    return owner is not None and owner.is_shape(inner)
-
-
-def _owner(path: str) -> tuple[type[Effect] | None, str]:
-    """Return the effect that a dotted path of a camera file is of, and the path within it."""
-    name, _, inner = path.removeprefix("effects.").partition(".")
-    return (known_effects().get(name) if path.startswith("effects.") else None), inner
-
-
-def of_scene(path: str) -> bool:
-    """Whether a parameter belongs to the scene: an error of a pose, or how surfaces reflect."""
-    return path.startswith("scene.") or of_light(path)
 
 
 def moved_light(offsets: Mapping[str, float], level: float | None, scene: Scene) -> LightCurves | None:
@@ -292,8 +202,7 @@ def in_units(covariance: Array, regressors: Sequence[Any], camera: Camera) -> Ar
 def _moved(
     camera: Camera,
     offsets: Mapping[str, float],
-    lows: Mapping[str, float],
-    highs: Mapping[str, float],
+    bounds: Bounds,
     numbers: Mapping[str, float],
 ) -> Camera:
     """Return the camera with its numbers moved, kept within their bounds and within reach."""
@@ -304,13 +213,7 @@ def _moved(
         value = (
             numbers[path] * float(np.exp(np.clip(offset, -3, 3))) if path == GAIN else numbers[path] + offset
         )
-        low, high = lows.get(path, -np.inf), highs.get(path, np.inf)
-        owner, inner = _owner(path)
-        if owner is not None:
-            least, most = owner.reach(inner, numbers[path])
-            low, high = max(low, least), min(high, most)
-        inside = 1e-9 * max(abs(value), 1.0)
-        values[path] = float(np.clip(value, low + inside if np.isfinite(low) and low > 0 else low, high))
+        values[path] = float(np.clip(value, *bounds.range_of(path, numbers[path])))
     return with_empirical_changes(with_numbers(camera, values) if values else camera, offsets)
 
 
@@ -351,6 +254,11 @@ def moved_from(origin: Camera | None, start: Camera) -> dict[str, float]:
         for path, change in moved.items()
         if change
     }
+
+
+def of_scene(path: str) -> bool:
+    """Whether a parameter belongs to the scene: an error of a pose, or how surfaces reflect."""
+    return path.startswith("scene.") or of_light(path)
 
 
 def within_bounds(offsets: dict[str, float], camera: Camera, numbers: Mapping[str, float]) -> None:

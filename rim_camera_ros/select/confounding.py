@@ -157,7 +157,7 @@ def shows_in_quiet_pixels(
     )
     count = len(fitted.parameters)
     own = list(range(count, count + len(span)))
-    scores = Scores(fitted.equations, range(count))
+    scores = Scores(fitted.equations, range(count), held=fitted.at_bounds)
     values = step.scores.values(span)
     strength = np.array([values[one.label] for one in candidate.block.regressors])
     whole = step.scores.expected_gain(span, strength)

@@ -47,12 +47,21 @@ def folds_of(dataset: Dataset, count: int = 5) -> dict[Key, int]:
 class Scores:
     """Scores of sets of regressors beside a base that is always there.
 
-    ``base`` are the indices of the regressors of the baseline.
+    ``base`` are the indices of the regressors of the baseline. ``held`` are those of them at a bound which
+    the data would take beyond it: likelihoods are of the others, as no such step can be taken.
     """
 
-    def __init__(self, equations: NormalEquations, base: Iterable[int], *, temper: float = 1.0) -> None:
+    def __init__(
+        self,
+        equations: NormalEquations,
+        base: Iterable[int],
+        *,
+        temper: float = 1.0,
+        held: Iterable[int] = (),
+    ) -> None:
         self.equations, self.regressors = equations, equations.regressors
         self.base = np.array(sorted(base), int)
+        self._held = frozenset(held)
         self.prior = priors_of(equations.regressors)
         folds = range(len(equations.folds)) if len(equations.folds) > 1 else ()
         self.full, *self.trained = in_order(equations.reduced, (None, *folds), threads=equations.threads)
@@ -64,6 +73,10 @@ class Scores:
     def columns(self, extra: Iterable[int]) -> Array:
         """Return the indices of base and extra regressors."""
         return np.array(sorted({*self.base.tolist(), *extra}), int)
+
+    def _free(self, extra: Iterable[int]) -> Array:
+        """Return the indices of base and extra regressors that are not held."""
+        return np.array(sorted({*self.base.tolist(), *extra} - self._held), int)
 
     def _scaled(self, reduced: Reduced, columns: Array, unstated: Array | None = None) -> tuple[Array, Array]:
         """Return the equations in units of the priors, which keeps them well conditioned.
@@ -88,7 +101,7 @@ class Scores:
 
     def held_out(self, extra: Iterable[int] = ()) -> Any:
         """Return the held-out log likelihood in nats, up to a constant; (R,) for replicates."""
-        columns = self.columns(extra)
+        columns = self._free(extra)
         everything = self._evidence(self.full, columns)
         if not self.trained:
             return everything
@@ -101,7 +114,7 @@ class Scores:
         Up to a constant; (R,) for replicates. An effect that these errors imitate gains here, and a fit that
         strains them loses.
         """
-        columns = self.columns(extra)
+        columns = self._free(extra)
         shared = [i for i in self.base if self.regressors[i].label.startswith(COMMON_POSE)]
         without = self._evidence(self.full, columns, np.array(shared, int))
         return self._evidence(self.full, columns) - without
@@ -117,7 +130,7 @@ class Scores:
 
     def log_likelihoods(self, extra: Iterable[int] = ()) -> list[float]:
         """Return what each fold adds to `log_likelihood`, given the others."""
-        columns = self.columns(extra)
+        columns = self._free(extra)
         everything = float(self._evidence(self.full, columns))
         return [
             everything

@@ -203,9 +203,10 @@ def explored(
         width = len(one.block.regressors)
         spans.append(list(range(start, start + width)))
         start += width
-    scores = Scores(fitted.equations, range(count))
+    held = fitted.at_bounds
+    scores = Scores(fitted.equations, range(count), held=held)
     changes = range(start, start + sum(len(one.regressors) for one in forms))
-    beside = Scores(fitted.equations, [*range(count), *changes]) if forms else scores
+    beside = Scores(fitted.equations, [*range(count), *changes], held=held) if forms else scores
     gains = np.array(
         [
             _gain(beside if k < len(named) else scores, one, span)
@@ -218,13 +219,7 @@ def explored(
         # for the memory that they take
         replicates = min(replicates, 60)
     if replicates and scores.trained and found:
-        nulls = null_scores(
-            fitted.equations,
-            range(count),
-            replicates=replicates,
-            seed=seed,
-            errors=fitted.nuisances,
-        )
+        nulls = null_scores(scores, replicates=replicates, seed=seed, errors=fitted.nuisances)
         drawn = _gains_by_chance(nulls, spans)
         thresholds = np.array([_threshold(one) for one in drawn])
         maxima = drawn[: len(named)].max(axis=0) if named else drawn.max(axis=0)
@@ -273,7 +268,7 @@ def _given_candidate(
     larger = {name: one * float(np.sqrt(count / (count - width))) for name, one in errors.items()}
     if error_size(equations, larger) >= whole:
         return thresholds
-    nulls = null_scores(equations, scores.base.tolist(), replicates=replicates, seed=seed, errors=larger)
+    nulls = null_scores(scores, replicates=replicates, seed=seed, errors=larger)
     result = thresholds.copy()
     for k in (k for k, name in enumerate(names) if name == names[leader]):
         result[k] = min(float(thresholds[k]), _threshold(_gains_by_chance(nulls, [spans[k]])[0]))

@@ -83,6 +83,14 @@ class Search:
         """The last exploration: what the effects found leave."""
         return self.explorations[-1]
 
+    @property
+    def at_bounds(self) -> frozenset[str]:
+        """The effects found of which the data would take a parameter beyond what is possible."""
+        fitted = self.step.fit
+        labels = list(fitted.parameters)
+        owners = {labels[i].split(".")[1] for i in fitted.at_bounds}
+        return frozenset(one.effect for one in self.found if one.effect in owners)
+
     def add(self, most: int) -> None:
         """Add effects, ``most`` in all, until nothing gains enough or too many leaders proved wrong."""
         while len(self.found) < most and len(self.failed) <= _MOST_FAILURES and self.narrowed is None:
@@ -106,14 +114,16 @@ class Search:
     def drop_needless(self) -> None:
         """Drop effects that gain too little beside those that joined after them.
 
-        An effect that stood in for others, found first, is needless once they are there. The last exploration
-        is replaced by one without them.
+        An effect that stood in for others, found first, is needless once they are there, and one that ended
+        at a bound may be nothing. The last exploration is replaced by one without them.
         """
-        for name in [one.effect for one in self.found[:-1]]:
+        at_bounds = self.at_bounds
+        ahead = {one.effect for one in self.found[:-1]}
+        for name in [one.effect for one in self.found if one.effect in ahead | at_bounds]:
             # what became the first is judged anew: of no effect is what was before
             one = next(each for each in self.found if each.effect == name)
             left = without_effect(name, self.problem, self.step.fit.camera, self.camera)
-            if left is None or len(self.found) < 2:
+            if left is None or (len(self.found) < 2 and name not in at_bounds):
                 continue
             problem, camera = left
             # likelihoods of the same noise
@@ -127,7 +137,8 @@ class Search:
             self.problem = problem
             self.found.remove(one)
             self._replace_step(without.fit, before)
-            self._judge_first_anew()
+            if self.found:
+                self._judge_first_anew()
 
     def _judge_first_anew(self) -> None:
         """Judge what became the first effect by what the camera file alone leaves."""

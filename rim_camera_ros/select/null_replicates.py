@@ -7,6 +7,7 @@ a replicate of noise, pose errors and powers costs a few products instead of a s
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,20 +26,20 @@ Array = NDArray[Any]
 
 
 def null_scores(
-    equations: NormalEquations,
-    base: Sequence[int],
+    scores: Scores,
     *,
     replicates: int = 200,
     seed: int = 0,
     errors: Mapping[str, float] | None = None,
 ) -> Scores:
-    """Return scores whose right-hand sides are those of replicates, (K, R).
+    """Return ``scores`` whose right-hand sides are those of replicates, (K, R).
 
     ``errors`` found of poses and powers give the replicates' errors their shape: instruments err with
     heavier tails than a Gaussian, and a few large errors imitate a drift. They are dealt to the poses at
     random.
     """
     rng = np.random.default_rng([seed, 41])
+    equations, base = scores.equations, scores.base.tolist()
     folds, count = equations.folds, len(equations.regressors)
     outs = (None, *range(len(folds))) if len(folds) > 1 else (None,)
     observed = [equations.reduced(one) for one in outs]
@@ -76,20 +77,16 @@ def null_scores(
         for side, part in zip(sides, eliminated, strict=True):
             side -= part
     rights = [one.right(rng) for one in drawn]
-    scores = Scores.__new__(Scores)
-    scores.regressors = equations.regressors
-    scores.base = np.array(sorted(base), int)
-    scores.prior = priors_of(equations.regressors)
-    scores.temper = 1.0
-    scores.away = np.zeros(len(scores.prior))
-    scores.full, *scores.trained = (
+    nulls = copy(scores)
+    nulls.temper, nulls.away = 1.0, np.zeros(count)
+    nulls.full, *nulls.trained = (
         replace(
             reduced,
             right=reduced.without_errors(side + stacked_sides(count, _kept(rights, out))),
         )
         for reduced, side, out in zip(observed, sides, outs, strict=True)
     )
-    return scores
+    return nulls
 
 
 def _kept[Item](items: Sequence[Item], leave_out: int | None) -> list[Item]:

@@ -107,7 +107,7 @@ def search(
         state = begun(replace(problem, masks=state.narrowed.masks), again=True)
         state.add(most)
     start = state.explorations[0].scores.log_likelihood()
-    if len(state.found) > max(1, len(ahead)):
+    if len(state.found) > max(1, len(ahead)) or state.at_bounds:
         say("whether each is still needed")
         state.drop_needless()
     left_out = refused(state.step, state.failed)

@@ -166,7 +166,7 @@ def test_replicates_have_the_covariance_that_they_claim(tmp_path: Path) -> None:
     data = record(truth, board, poses=12)
     facts = Facts.of(data, moves=False, surfaces=1, camera=truth)
     step = explore(Problem(data, board), truth, candidates(truth, facts), folds_of(data), replicates=0)
-    nulls = null_scores(step.fit.equations, step.scores.base, replicates=400, seed=2)
+    nulls = null_scores(step.scores, replicates=400, seed=2)
     gram = nulls.full.gram
     # ... and what all poses share beside the noise: errors of reflectivities, poses, optics, a weak lobe
     common = [i for i, one in enumerate(nulls.regressors) if one.label.startswith(IMPERFECTIONS)]

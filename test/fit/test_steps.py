@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,13 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.camera_file import camera_numbers
+from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.fit.bounds import Bounds, least_within, longest_steps
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit
-from rim_camera_ros.fit.steps import Solved, by_linear, longest_steps, stepped
+from rim_camera_ros.fit.steps import Solved, by_linear, stepped
 from rim_camera_ros.frame import Pose
 
 from ..calibrate.helpers import camera, record, scene
@@ -24,10 +27,15 @@ MATRIX = np.array([[4.0, 3.9e3, 0.1], [3.9e3, 4.0e6, 2.0], [0.1, 2.0, 9.0]])
 RIGHT = np.array([1.0, 2.0e3, -3.0])
 
 
+def within(most: list[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Limits down and up."""
+    return -np.array(most), np.array(most)
+
+
 def solved(most: list[float], damping: float = 0.0) -> Solved:
     nothing: Any = None
     labels = ["weight", "sigma", "offset"]
-    return Solved(nothing, labels, MATRIX, RIGHT, np.array(most), 0.0, {}, {}, damping)
+    return Solved(nothing, labels, MATRIX, RIGHT, within(most), 0.0, {}, {}, damping)
 
 
 def test_a_step_solves_the_equations() -> None:
@@ -64,7 +72,7 @@ def test_of_two_that_go_too_far_the_farther_is_held_and_the_other_follows(correl
     matrix = 100 * np.array([[1.0, correlation], [correlation, 1.0]])
     right = matrix @ np.array([3.0, -3.0])
     nothing: Any = None
-    step = Solved(nothing, ["a", "b"], matrix, right, np.array([2.0, 0.25]), 0.0, {}, {}).step
+    step = Solved(nothing, ["a", "b"], matrix, right, within([2.0, 0.25]), 0.0, {}, {}).step
     assert step[1] == -0.25
     assert step[0] == pytest.approx(min(3.0 - correlation * 2.75, 2.0))
     assert 0.5 * step @ matrix @ step - right @ step < 0
@@ -82,7 +90,7 @@ def test_linear_nuisances_are_always_where_they_fit_best(damping: float) -> None
     """Of a quadratic with its nuisance at its least for every x the step is that of the Schur complement."""
     nothing: Any = None
     labels = ["weight", "common_pose.board.offset", "offset"]
-    one = Solved(nothing, labels, MATRIX, RIGHT, np.full(3, np.inf), 0.0, {}, {}, damping)
+    one = Solved(nothing, labels, MATRIX, RIGHT, within([np.inf] * 3), 0.0, {}, {}, damping)
     own, nuisance = [0, 2], 1
     schur = MATRIX[np.ix_(own, own)] - np.outer(MATRIX[own, nuisance], MATRIX[nuisance, own]) / 4.0e6
     right = RIGHT[own] - MATRIX[own, nuisance] * RIGHT[nuisance] / 4.0e6
@@ -117,7 +125,7 @@ def test_a_sinusoid_goes_where_its_phasor_does(
     amplitude, phase = (f"effects.cyclic_error.harmonics.0.{one}" for one in ("amplitude", "phase"))
     numbers = camera_numbers(start)
     moved, offsets = stepped(
-        start, {phase: -0.25}, {amplitude: along * size / 0.013, phase: turn}, {}, {}, numbers
+        start, {phase: -0.25}, {amplitude: along * size / 0.013, phase: turn}, Bounds({}, {}), numbers
     )
     reached = camera_numbers(moved)
     first = size * np.exp(1j * (2.9 - 0.25))
@@ -195,3 +203,76 @@ def test_objectives_fall_by_what_steps_forecast(tmp_path: Path, monkeypatch: pyt
 def _farther(pose: Pose, shift: float) -> Pose:
     x, y, z = pose.position
     return replace(pose, position=(x, y, z + shift))
+
+
+def test_a_parameter_that_the_data_would_take_beyond_what_is_possible_is_said(tmp_path: Path) -> None:
+    """Published amplitudes that grow faster than the light: no compression does that, and 0 is the least."""
+    board = scene(tmp_path)
+    told = camera(tmp_path, AmplitudeNonlinearity(2e-6))
+    data = record(told, board, poses=12, frames=2, seed=4)
+    grown = replace(
+        data,
+        stations=[
+            replace(one, amplitude=one.amplitude * (1 + 4e-5 * one.amplitude.astype(float)))
+            for one in data.stations
+        ],
+    )
+    names = ("amplitude_nonlinearity",)
+    possible = fit(Problem(data, board, effects=names), told)
+    assert possible.at_bounds == ()
+    fitted = fit(Problem(grown, board, effects=names), told)
+    label = "effects.amplitude_nonlinearity.compression"
+    assert fitted.parameters[label] == 0.0
+    assert [list(fitted.parameters)[i] for i in fitted.at_bounds] == [label]
+    assert any(one.startswith(f"{label} is at the end of what is possible") for one in fitted.notes)
+    # all else is where it is without the effect
+    assert fitted.converged
+    linear = fit(Problem(grown, board, effects=()), camera(tmp_path))
+    assert fitted.chi_square == pytest.approx(linear.chi_square, rel=1e-3)
+    assert fitted.parameters["radiometry.gain"] == pytest.approx(
+        linear.parameters["radiometry.gain"], rel=1e-3
+    )
+
+
+def test_a_parameter_at_a_bound_may_go_one_way(tmp_path: Path) -> None:
+    at_zero = camera(tmp_path, AmplitudeNonlinearity(0.0), DistanceScale(-0.5))
+    labels = ["effects.amplitude_nonlinearity.compression", "radiometry.gain", "effects.distance_scale.scale"]
+    bounds = Bounds.of(at_zero)
+    down, up = bounds.open_sides(labels, at_zero)
+    assert (down.tolist(), up.tolist()) == ([0, -inf, 0], [inf] * 3)
+    inside = camera(tmp_path, AmplitudeNonlinearity(1e-12), DistanceScale(0.5))
+    assert [one.tolist() for one in Bounds.of(inside).open_sides(labels, inside)] == [
+        [-inf] * 3,
+        [inf, inf, 0],
+    ]
+
+
+@pytest.mark.parametrize(
+    ("sides", "held"), [((-0.8, 1.1, -0.2), [0]), ((-1.7, -2.3, -4.0), [0, 2]), ((0.8, 0.15, 0.2), [])]
+)
+def test_the_others_follow_a_parameter_that_stays_at_its_bound(
+    tmp_path: Path, sides: tuple[float, ...], held: list[int]
+) -> None:
+    """The best of all sets of parameters that stay, those with none below 0."""
+    at_zero = camera(tmp_path, AmplitudeNonlinearity(0.0), DistanceScale(-0.5))
+    labels = ["effects.amplitude_nonlinearity.compression", "radiometry.gain", "effects.distance_scale.scale"]
+    root = np.array([[2.0, 1.1, -0.7], [0.0, 1.5, 0.9], [0.0, 0.0, 0.8]])
+    matrix, right = root.T @ root, root.T @ np.array(sides)
+    tried = []
+    for stay in ([], [0], [2], [0, 2]):
+        own = [i for i in range(3) if i not in stay]
+        x = np.zeros(3)
+        x[own] = np.linalg.solve(matrix[np.ix_(own, own)], right[own])
+        if x[0] >= 0 and x[2] >= 0:
+            tried.append((float(0.5 * x @ matrix @ x - right @ x), stay, x))
+    _, stay, expected = min(tried, key=lambda one: one[0])
+    bounds = Bounds.of(at_zero)
+    step, at = least_within(matrix, right, *bounds.open_sides(labels, at_zero))
+    assert stay == held
+    assert step == pytest.approx(expected, abs=1e-9)
+    assert np.flatnonzero(at).tolist() == held
+    limits = bounds.step_limits(labels, {}, camera_numbers(at_zero), at_zero.shape)
+    assert (limits[0][0], limits[0][2]) == (0.0, 0.0)
+    nothing: Any = None
+    limited = Solved(nothing, labels, matrix, right, limits, 0.0, {}, {}).step
+    assert limited == pytest.approx(expected, abs=1e-9)

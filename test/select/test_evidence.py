@@ -93,3 +93,17 @@ def test_an_effect_that_shared_errors_imitate_gains_by_what_is_stated(
 def test_without_shared_errors_nothing_is_stated(regression: tuple[np.ndarray, np.ndarray]) -> None:
     design, observed = regression
     assert scores_of([OTHER, CANDIDATE], design[:, 1:], observed).stated() == 0.0
+
+
+def test_likelihoods_take_no_step_beyond_a_bound(regression: tuple[np.ndarray, np.ndarray]) -> None:
+    """A regressor that is held is as good as absent, whatever it would gain; its step is still known."""
+    design, observed = regression
+    labels = [SHARED, OTHER, CANDIDATE]
+    equations = scores_of(labels, design, observed).equations
+    held = Scores(equations, [0, 1, 2], held=[1])
+    absent, free = Scores(equations, [0, 2]), Scores(equations, [0, 1, 2])
+    assert held.log_likelihoods() == pytest.approx(absent.log_likelihoods(), rel=1e-12)
+    assert held.log_likelihood() == pytest.approx(absent.log_likelihood(), rel=1e-12)
+    assert held.log_likelihood() < free.log_likelihood() - 1000
+    assert Scores(equations, [0, 1], held=[1]).gain([2]) == pytest.approx(Scores(equations, [0]).gain([2]))
+    assert held.values() == free.values()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate import joint
+from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
@@ -175,6 +177,27 @@ def test_what_some_poses_found_leaves_where_all_explain_it_otherwise(
     assert "distance_scale" not in result.camera.effects
 
 
+def test_what_some_poses_found_leaves_where_it_ends_at_nothing(
+    spread: tuple[Problem, Any], tmp_path: Path
+) -> None:
+    """Its parameter is at a bound: beyond it the data would go, but nothing there is possible."""
+    problem, told = spread
+    grown = [
+        replace(one, amplitude=one.amplitude * (1 + 2e-5 * one.amplitude.astype(float)))
+        for one in problem.dataset.stations
+    ]
+    # without the curve of a response of another form, which comes with the gain
+    problem = replace(problem, gain=False, dataset=replace(problem.dataset, stations=grown))
+    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=told)
+    wrong = camera(tmp_path, CYCLIC, AmplitudeNonlinearity(3e-6))
+    begin: Any = SimpleNamespace(
+        found=[Found("amplitude_nonlinearity", 60.0, step=3)], camera=wrong, problem=problem
+    )
+    result = search(problem, told, facts, effects=[], most=1, begin=begin)
+    assert result.found == []
+    assert result.camera.effects.keys() == told.effects.keys()
+
+
 def test_a_large_calibration_is_searched_by_some_of_its_poses_first(
     spread: tuple[Problem, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -239,7 +262,7 @@ def test_a_bend_is_crossed_once_and_a_wrong_way_goes_back_to_its_beginning() -> 
     def solved(name: str) -> Solved:
         # a step of 10 sigma, forecast 100
         right, far = np.array([10.0]), np.array([np.inf])
-        return Solved(nothing, [name], eye, right, far, 0.0, {}, {})
+        return Solved(nothing, [name], eye, right, (-far, far), 0.0, {}, {})
 
     work = GaussNewton.__new__(GaussNewton)
     gone: list[tuple[str, float]] = []
@@ -275,7 +298,7 @@ def test_steps_are_shortened_until_one_goes_down() -> None:
     """
     nothing: Any = None
     right, far = np.array([10.0]), np.array([np.inf])
-    begun = Solved(nothing, ["x"], np.eye(1), right, far, 0.0, {}, {})
+    begun = Solved(nothing, ["x"], np.eye(1), right, (-far, far), 0.0, {}, {})
     work = GaussNewton.__new__(GaussNewton)
     places = [float(begun.step[0])]
     work.__dict__.update(_warm=True, _near=False, _iterations=12, _objective=0.0, _return=None)
