@@ -187,9 +187,9 @@ def check_setup(
 
     ``explained`` is the share of the excess chi-square that the physics found explains: what it explains is
     no fault of the setup. Where ``physics`` was found at all, effects of the camera, its form may be wrong
-    enough to strain a few poses: then they must stand out by far more, and not be those that it acts on: in
-    which it moves distances by about as much as is left, or most of what is left lies where it acts, or which
-    lost half of their chi-square since the fit ``before``.
+    enough to strain a few poses: then they must stand out by far more, or already in the fit ``before`` and
+    half as far still. They must not be those that it acts on: in which it moves distances by about as much as
+    is left, or most of what is left lies where it acts, or which lost half of their chi-square since then.
     """
     poses = check_poses(fitted, physics)
     if not poses:
@@ -199,9 +199,13 @@ def check_setup(
         return Setup(tuple(poses), None if gross.may_be_physics and explained > 0.5 else gross.fault)
     strained = _STRAINED if physics else 1.0
     bad = _few(poses, strained)
-    if bad and physics and before is not None:
-        first = {one.key: one.chi_square for one in check_poses(before)}
-        bad = [one for one in bad if one.chi_square > 0.5 * first.get(one.key, 0.0)]
+    if physics and before is not None:
+        first = {one.key: one for one in check_poses(before)}
+        already = {one.key: one.error for one in _few([*first.values()], 1.0)}
+        # errors that they had hide no less of those of the others
+        left = [one for one in poses if one.error > max(_STRAINED * FAR, 0.5 * already.get(one.key, np.inf))]
+        bad = [*bad, *(one for one in left if one not in bad)]
+        bad = [one for one in bad if one.key not in first or one.chi_square > 0.5 * first[one.key].chi_square]
         bad = [one for one in bad if one.error > _STRAINED * FAR or not _by_form(one)]
     if not bad:
         return Setup(tuple(poses), None)

@@ -150,6 +150,35 @@ def test_a_pose_on_which_named_physics_acts_is_no_bad_setup(
 
 
 @pytest.mark.parametrize(
+    ("after", "physics", "bad"),
+    [
+        (
+            50.0,
+            ["emitter_offset"],
+            [3, 11, 17],
+        ),  # stood out before, and what was found left them where they were
+        (30.0, ["emitter_offset"], []),  # half of it is explained
+        (50.0, [], []),  # beside errors of the others by as much nothing stands out
+    ],
+)
+def test_poses_that_stood_out_before_physics_was_found_are_not_hidden_by_it(
+    monkeypatch: pytest.MonkeyPatch, after: float, physics: list[str], bad: list[int]
+) -> None:
+    """What was found strains all poses, so that the wrong ones stand out by less."""
+
+    def checks(wrong: float, others: float) -> list[PoseCheck]:
+        errors = [wrong if k in (3, 11, 17) else others for k in range(20)]
+        return [PoseCheck((0, k), 1.2, error, "board.z", 0.0, 1.0 * k, 9.0) for k, error in enumerate(errors)]
+
+    poses: Any = {"before": checks(70.0, 2.0), "after": checks(after, 13.0)}
+    monkeypatch.setattr(setup, "check_poses", lambda fitted, physics=(): poses[fitted])
+    monkeypatch.setattr(setup, "_gross", lambda fitted, found: None)
+    names: Any = ("after", "before")
+    found = setup.check_setup(names[0], physics=physics, before=names[1])
+    assert [key[1] for key in found.bad] == bad
+
+
+@pytest.mark.parametrize(
     ("ratio", "background", "gain", "rest", "by_light", "only"),
     [
         (1.25, 1900.0, 86.0, 50.0, 40.0, True),  # of 12,500 nats that the noise costs
