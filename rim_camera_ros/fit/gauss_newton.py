@@ -59,7 +59,7 @@ _HOLD = 1e9
 _DAMPING = (0.01, 0.1, 1.0, 10.0, 100.0, np.inf)
 _LESS_DAMPED = 10.0
 _NO_SOLUTION = "the adjustment found no finite solution"
-_AT_A_BOUND = "{} is at the end of what is possible, and would go beyond: the form of its effect is not quite the true one"
+_AT_A_BOUND = "{} is at the end of what is possible: the form of its effect is not quite the true one"
 #: Share of the forecast gain of a step by which the objective may become worse once, near the solution.
 _OVER_THE_BEND = 0.1
 #: Step of a parameter in units of its sigma, or of all together (squared, the decrement), and change of

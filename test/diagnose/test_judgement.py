@@ -156,7 +156,7 @@ def test_a_pose_on_which_named_physics_acts_is_no_bad_setup(
             50.0,
             ["emitter_offset"],
             [3, 11, 17],
-        ),  # stood out before, and what was found left them where they were
+        ),  # stood out before, and are where they were
         (30.0, ["emitter_offset"], []),  # half of it is explained
         (50.0, [], []),  # beside errors of the others by as much nothing stands out
     ],
