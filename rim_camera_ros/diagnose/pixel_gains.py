@@ -6,6 +6,7 @@ size is estimated from what is left: nothing would be said of light that goes fr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,27 +20,35 @@ from rim_camera_ros.select.compare import PAIRED_ERRORS
 
 Array = NDArray[Any]
 
-#: Variance of a pixel's logarithm less the mean of its four neighbours', of independent gains of variance 1.
-_OF_DIFFERENCE = 1.25
+#: Variance of a pixel's logarithm less the mean of its four neighbours', of independent gains of variance 1,
+#: and of the mean of that over a row or column, of independent gains of rows or columns.
+_OF_DIFFERENCE, _OF_LINES = 1.25, 0.375
 
 
 @dataclass(frozen=True)
 class GainSpread:
     """1-sigma of the gains of neighbouring pixels: ``found``, the ``least`` it may be, and ``stated``.
 
-    ``beside_neighbours`` (H, W) is what each pixel is brighter than the mean of its four neighbours
-    [relative], the mean over the poses; NaN where no two poses show it.
+    ``lines`` is the least that those may be which whole rows or columns share, beyond the mean of the gains
+    of their pixels. ``beside_neighbours`` (H, W) is what each pixel is brighter than the mean of its four
+    neighbours [relative], the mean over the poses; NaN where no two poses show it.
     """
 
     found: float
     least: float
     stated: float
     beside_neighbours: Array = field(repr=False, compare=False)
+    lines: float = 0.0
 
     @property
     def is_beyond(self) -> bool:
         """Whether gains are larger than the camera file allows, and than amplitudes are predicted."""
-        return self.least > BEYOND * max(self.stated, AMPLITUDE_MODEL)
+        return self.least > BEYOND * max(self.stated, AMPLITUDE_MODEL) or self.are_of_lines
+
+    @property
+    def are_of_lines(self) -> bool:
+        """Whether rows or columns differ, of which no file states gains, by more than amplitudes' errors."""
+        return self.lines > BEYOND * AMPLITUDE_MODEL
 
 
 def spread_of_gains(fitted: Fit) -> GainSpread | None:
@@ -65,12 +74,25 @@ def spread_of_gains(fitted: Fit) -> GainSpread | None:
         seen = np.isfinite(own)
         apart[seen] += own[seen]
         count += seen
-    total, squares, poses = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-    for apart, count in placed.values():
-        mean = apart / np.maximum(count, 1)
-        total += mean
-        squares += mean**2
-        poses += count > 0
+    images = [np.where(count > 0, apart / np.maximum(count, 1), np.nan) for apart, count in placed.values()]
+    of_pixels = _variance(images)
+    if of_pixels is None:
+        return None
+    found, least = (float(np.sqrt(max(one, 0.0) / _OF_DIFFERENCE)) for one in of_pixels)
+    poses = np.sum(np.isfinite(images), axis=0)
+    brighter = np.where(poses > 1, np.nansum(images, axis=0) / np.maximum(poses, 1), np.nan)
+    stated = forward.camera.radiometry.pattern_sigma
+    return GainSpread(found, least, stated, brighter, max(_of_lines(images, axis, found) for axis in (0, 1)))
+
+
+def _variance(values: Sequence[Array]) -> tuple[float, float] | None:
+    """Return the variance of what poses have in common, and the least it may be, of values (NaN: not seen).
+
+    By products of two poses, whose noise is independent; None where no two poses show as many as two.
+    """
+    total = np.nansum(values, axis=0)
+    squares = np.nansum(np.square(values), axis=0)
+    poses = np.sum(np.isfinite(values), axis=0)
     several = poses > 1
     if several.sum() < 2:
         return None
@@ -78,11 +100,23 @@ def spread_of_gains(fitted: Fit) -> GainSpread | None:
     products = (total**2 - squares)[several]
     variance = float(products.sum() / pairs.sum())
     error = float(np.sqrt(np.sum((products - variance * pairs) ** 2)) / pairs.sum())
-    found, least = (
-        float(np.sqrt(max(one, 0.0) / _OF_DIFFERENCE)) for one in (variance, variance - PAIRED_ERRORS * error)
-    )
-    brighter = np.where(several, total / np.maximum(poses, 1), np.nan)
-    return GainSpread(found, least, forward.camera.radiometry.pattern_sigma, brighter)
+    return variance, variance - PAIRED_ERRORS * error
+
+
+def _of_lines(images: Sequence[Array], axis: int, of_pixels: float) -> float:
+    """Return the least 1-sigma of gains that lines along an ``axis`` share, whose pixels have their own."""
+    counts = [np.isfinite(one).sum(axis=axis) for one in images]
+    means = [
+        np.where(count > 0, np.nansum(one, axis=axis) / np.maximum(count, 1), np.nan)
+        for one, count in zip(images, counts, strict=True)
+    ]
+    variance = _variance(means)
+    if variance is None:
+        return 0.0
+    # the mean of a line holds that of the gains of its pixels, at most of those that the shortest shows
+    seen = np.concatenate(counts)
+    by_pixels = of_pixels**2 * float(np.mean(1.0 / seen[seen > 0]))
+    return float(np.sqrt(max(variance[1] / _OF_LINES - by_pixels, 0.0)))
 
 
 def _beside_neighbours(image: Array, tile: Array) -> Array:

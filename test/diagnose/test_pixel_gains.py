@@ -77,6 +77,33 @@ def test_gains_that_are_stated_as_none_are_known_as_well_as_amplitudes_are(
     assert (found.stated, found.is_beyond) == (0.0, beyond)
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize(("size", "beyond"), [(0.0, False), (0.015, False), (0.07, True)])
+def test_gains_of_rows_or_columns_are_told_from_those_of_their_pixels(
+    tmp_path: Path, axis: int, size: float, beyond: bool
+) -> None:
+    """Within what single pixels may have, but no mean of 40 of them is as large."""
+    model, board = camera(tmp_path), scene(tmp_path)
+    rng = np.random.default_rng(17)
+    own = 0.02 * rng.standard_normal(model.shape)
+    lines = np.expand_dims(size * rng.standard_normal(model.shape[axis]), 1 - axis)
+    data = brighter(record(model, board, poses=12, seed=4), np.exp(own + lines))
+    found = spread_of_gains(fit(Problem(data, board), model))
+    assert found is not None
+    assert found.least < 3 * found.stated
+    assert found.are_of_lines is found.is_beyond is beyond
+    if beyond:
+        assert 0.035 < found.lines < 0.07
+
+
+def test_columns_that_take_a_tenth_of_their_neighbours_light(tmp_path: Path) -> None:
+    model, board = camera(tmp_path), scene(tmp_path)
+    found = diagnose(record(with_effect(model, Crosstalk(0.1)), board, poses=14, seed=7), board, model)
+    assert found.verdict == "unknown_physics"
+    (said,) = found.missing
+    assert "those of a row or column alike by" in said.sentence
+
+
 def test_what_is_smooth_over_the_array_is_no_gain_of_pixels(tmp_path: Path) -> None:
     """Light that falls by a half from one side to the other, and tiles that differ by 6 %."""
     model, board = camera(tmp_path), scene(tmp_path)
