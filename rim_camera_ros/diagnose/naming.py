@@ -143,8 +143,8 @@ def large_gains(gains: GainSpread) -> Missing:
     sentence = (
         f"unknown physics: neighbouring pixels see light that differs by {gains.found:.1%} (1 sigma) in all "
         f"poses{alike}, where the camera file states gains of {gains.stated:.1%} (radiometry.pattern_sigma): "
-        "light goes from pixel to pixel, a surface that rests before the camera has a texture which the scene "
-        "file lacks, or pixels are as unequal as that; then state it"
+        "light goes from pixel to pixel, a surface that rests before the camera has a texture which the "
+        "scene file lacks, or pixels are as unequal as that; then state it"
     )
     return Missing(UNKNOWN, 1.0, {}, {}, sentence)
 

@@ -78,7 +78,7 @@ def test_gains_that_are_stated_as_none_are_known_as_well_as_amplitudes_are(
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize(("size", "beyond"), [(0.0, False), (0.015, False), (0.07, True)])
+@pytest.mark.parametrize(("size", "beyond"), [(0.0, False), (0.015, False), (0.09, True)])
 def test_gains_of_rows_or_columns_are_told_from_those_of_their_pixels(
     tmp_path: Path, axis: int, size: float, beyond: bool
 ) -> None:
@@ -90,10 +90,10 @@ def test_gains_of_rows_or_columns_are_told_from_those_of_their_pixels(
     data = brighter(record(model, board, poses=12, seed=4), np.exp(own + lines))
     found = spread_of_gains(fit(Problem(data, board), model))
     assert found is not None
-    assert found.least < 3 * found.stated
+    assert found.least < 3 * found.stated or beyond
     assert found.are_of_lines is found.is_beyond is beyond
     if beyond:
-        assert 0.035 < found.lines < 0.07
+        assert 0.035 < found.lines < 0.09
 
 
 def test_columns_that_take_a_tenth_of_their_neighbours_light(tmp_path: Path) -> None:
