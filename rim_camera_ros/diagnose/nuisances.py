@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from rim_camera_ros.effects.light_curves import PREFIX, TILES
 from rim_camera_ros.fit.design import BEYOND, COMMON_POSE, OPTICS
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.scene import Scene
+from rim_camera_ros.select.compare import NOT_IN_ALL_POSES, Result
 from rim_camera_ros.select.exploration import LEAST_THRESHOLD
 
 #: Poses that a sentence names.
@@ -99,6 +100,20 @@ def optics_beyond(fitted: Fit) -> str | None:
         f"the optics differ from the camera file by {np.max(np.abs(moved) / stated):.1f} times the sigma of "
         "its covariance, more than chance, so that it was not used"
     )
+
+
+def beside_refused(result: Result) -> Fit:
+    """Return the last fit of a search, its errors of poses conditional on an effect that was refused.
+
+    On that which gains most of those about which poses disagree, if there is any: poses are to blame for what
+    no effect takes up. Poses that were moved err by as much beside it.
+    """
+    step = result.explorations[-1]
+    disputed = next((one.effect for one in result.refused if one.why == NOT_IN_ALL_POSES), None)
+    number = None if disputed is None else step.best().get(disputed)
+    if number is None:
+        return step.fit
+    return replace(step.fit, nuisances=step.fit.nuisances | step.scores.errors(step.spans[number]))
 
 
 def poses_beyond(fitted: Fit, camera: Camera, errors: Mapping[tuple[int, int], float]) -> str | None:

@@ -30,6 +30,7 @@ from rim_camera_ros.diagnose.inconsistent import (
 )
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, only_rectified_noise
 from rim_camera_ros.diagnose.nuisances import (
+    beside_refused,
     common_pose_beyond,
     nuisances_of,
     optics_beyond,
@@ -259,7 +260,7 @@ def _diagnose(
         of_board = reflectivities_beyond(baseline.fit, scene) and reflectivities_beyond(final.fit, scene)
         astray = {one.key: one.error for one in setup.poses if one.error > BEYOND}
         of_surface = common_pose_beyond(final.fit, camera)
-        reason = of_board or of_surface or poses_beyond(final.fit, camera, astray)
+        reason = of_board or of_surface or poses_beyond(beside_refused(result), camera, astray)
         if reason is not None and not of_board and not of_surface:
             setups = by_gain([*setups, moved_poses(astray)])
     elif setup.bad:

@@ -1,0 +1,69 @@
+"""Errors of poses are judged conditional on an effect about which poses disagree: it may be to blame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rim_camera_ros.diagnose.nuisances import beside_refused, poses_beyond
+from rim_camera_ros.effects.candidate import Facts
+from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.frame import Pose
+from rim_camera_ros.select.candidates import candidates
+from rim_camera_ros.select.compare import NOT_IN_ALL_POSES, ONCE_FITTED, Refused
+from rim_camera_ros.select.evidence import folds_of
+from rim_camera_ros.select.exploration import explore
+
+from ..calibrate.helpers import camera, record, scene
+
+
+def moved(data: Dataset, poses: tuple[int, ...], metres: float) -> Dataset:
+    """Some poses of the board are recorded nearer to the camera than it stood."""
+    stations = []
+    for one in data.stations:
+        x, y, z = one.truth["board"].position
+        nearer = Pose((x, y, z - metres), one.truth["board"].orientation)
+        stations.append(replace(one, truth={"board": nearer}) if one.pose in poses else one)
+    return replace(data, stations=stations)
+
+
+@pytest.mark.parametrize(
+    ("scale", "poses", "why", "alone", "beside"),
+    [
+        (
+            0.006,
+            (),
+            NOT_IN_ALL_POSES,
+            True,
+            False,
+        ),  # 4 to 27 mm from 0.6 to 4.5 m, of which the poses are free
+        (0.006, (), ONCE_FITTED, True, True),  # fitted, it gained nothing: it takes up no errors
+        (0.0, (2, 9, 17), NOT_IN_ALL_POSES, True, True),  # no scale moves three poses of 24
+        (0.0, (), NOT_IN_ALL_POSES, False, False),
+    ],
+)
+def test_poses_are_to_blame_for_what_no_disputed_effect_takes_up(
+    tmp_path: Path, scale: float, poses: tuple[int, ...], why: str, alone: bool, beside: bool
+) -> None:
+    board, told = scene(tmp_path), camera(tmp_path)
+    truth = camera(tmp_path, DistanceScale(scale)) if scale else told
+    data = moved(record(truth, board, poses=24, seed=9), poses, 0.03)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
+    pool = candidates(told, facts, effects=["distance_scale"])
+    step = explore(Problem(data, board), told, pool, folds_of(data), replicates=0)
+    result: Any = SimpleNamespace(explorations=[step], refused=[Refused("distance_scale", 60.0, 20.0, why)])
+    assert (poses_beyond(step.fit, told, {}) is not None) is alone
+    said = poses_beyond(beside_refused(result), told, {(0, 9): 12.0})
+    assert (said is not None) is beside
+    if said is not None:
+        assert "times what is stated, most of all 9: these stand elsewhere" in said
+    result.refused = []
+    assert beside_refused(result) is step.fit
+    assert np.isfinite([*step.fit.nuisances.values()]).all()
