@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from rim_camera_ros.diagnose import adjusted as adjusting
+from rim_camera_ros.diagnose.adjusted import Adjusted, parameters_matter
 from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
@@ -58,3 +62,35 @@ def test_poses_that_moved_are_a_set_up_however_many_rounds_find_them(tmp_path: P
     both = diagnose(told_wrongly(told_wrongly(data, 5, 0.06), 12, -0.025), board, truth)
     assert both.verdict == "inconsistent_setup"
     assert both.setups[0].hypothesis == "pose"
+
+
+@pytest.mark.parametrize(
+    ("stated", "matter"),
+    [(0.0, True), (-11.0, True), (-13.0, False)],  # of 20 nats from all folds 8 are the threshold
+)
+def test_parameters_that_strain_stated_errors_of_poses_gain_less(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stated: float, matter: bool
+) -> None:
+    """What files state of errors that poses share counts as it does where effects enter."""
+    told = camera(tmp_path, cyclic(0.012))
+
+    def scores(by_fold: list[float], of_statement: float) -> Any:
+        return SimpleNamespace(
+            trained=[1],
+            log_likelihoods=lambda: by_fold,
+            log_likelihood=lambda: sum(by_fold) + of_statement,
+        )
+
+    forward = SimpleNamespace(amplitude_model=SimpleNamespace(tau=0.01), views=None)
+    fitted = SimpleNamespace(camera=told, forward=forward)
+    last = SimpleNamespace(fit=fitted, scores=scores([4.0, 5.0, 3.0, 4.0, 4.0], stated), threshold=8.0)
+    result: Any = SimpleNamespace(
+        explorations=[last],
+        fit=fitted,
+        problem=Problem(record(told, scene(tmp_path), poses=2), scene(tmp_path)),
+    )
+    monkeypatch.setattr(adjusting, "total_change", lambda one, other: 1.0)
+    as_stated = SimpleNamespace(scores=scores([0.0] * 5, 0.0))
+    monkeypatch.setattr(adjusting, "explore", lambda *args, **settings: as_stated)
+    moved = Adjusted("cyclic_error", {"harmonics.0.amplitude": 0.012}, {"harmonics.0.amplitude": 0.01})
+    assert parameters_matter(told, result, [moved]) is matter
