@@ -255,11 +255,20 @@ class FoldSums:
     """The sums of one fold of poses: of ``count`` regressors.
 
     ``pattern`` asks for the sums per pixel, ``gains`` for those of the gains of pixels. ``rows`` (H W,) is
-    the row of each pixel in them (-1: none), of ``pixels`` rows.
+    the row of each pixel in them (-1: none), of ``pixels`` rows. ``stations`` are how many are expected.
     """
 
-    def __init__(self, count: int, pixels: int, *, rows: Array, pattern: bool, gains: bool = False) -> None:
-        self._count, self._rows_of = count, rows
+    def __init__(
+        self,
+        count: int,
+        pixels: int,
+        *,
+        rows: Array,
+        pattern: bool,
+        gains: bool = False,
+        stations: int = 1,
+    ) -> None:
+        self._count, self._rows_of, self._stations = count, rows, stations
         self._nuisances: dict[str, tuple[float, float]] = {}
         self._gram = np.zeros((count, count))
         self._right = np.zeros(count)
@@ -288,6 +297,10 @@ class FoldSums:
         number = {name: self._count + i for i, name in enumerate(self._nuisances)}
         places = [*range(self._count), *(number[name] for name, *_ in share.nuisances)]
         rows = self._rows_of[share.pixels]
+        most = self._count + len(share.nuisances) * self._stations + 1
+        for one in (self._pixel, self._gain):
+            if one is not None:
+                one.make_room(most)
         self._weight[rows] += share.weight
         self._pixel.add(share.offsets, places)
         if share.gain is not None and self._gain is not None:
@@ -347,7 +360,8 @@ class FoldSums:
 class _PixelSums:
     """Sums per pixel of the products of all columns with one of the pixel's own.
 
-    They are the largest arrays of an adjustment, which grow in their place and are never copied.
+    They are the largest arrays of an adjustment: room is made for all of them at once, of which what is never
+    written takes no memory, and they are not copied.
     """
 
     def __init__(self, count: int, pixels: int, rows: Array) -> None:
@@ -355,9 +369,16 @@ class _PixelSums:
         self._sums: Array = np.zeros((count, pixels))
         self._y: Array = np.zeros(pixels)
 
+    def make_room(self, size: int) -> None:
+        """Make room for so many rows."""
+        if size > len(self._sums):
+            room = np.zeros((size, self._sums.shape[1]))
+            room[: len(self._sums)] = self._sums
+            self._sums = room
+
     def add(self, part: _Products, places: Sequence[int]) -> None:
         """Add products; ``places`` are the rows here of all columns but the last, the observations."""
-        self._grow(max(places, default=-1) + 1)
+        self.make_room(max(places, default=-1) + 1)
         channel = part.channel
         rows = self._rows_of[channel.pixels]
         buffer = np.empty(rows.size)
@@ -370,11 +391,6 @@ class _PixelSums:
 
     def all(self, size: int) -> Array:
         """Return the sums (P, ``size``), the observations last; column by column, as they were summed."""
-        self._grow(size)
-        self._sums[-1] = self._y
-        return self._sums.T
-
-    def _grow(self, size: int) -> None:
-        if size > len(self._sums):
-            # nothing else refers to them
-            self._sums.resize((size, self._sums.shape[1]), refcheck=False)
+        self.make_room(size)
+        self._sums[size - 1] = self._y
+        return self._sums[:size].T

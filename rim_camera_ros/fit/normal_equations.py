@@ -8,6 +8,7 @@ weighted sums per pixel that the elimination of the pattern needs.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -234,11 +235,18 @@ def accumulate(
     row_of = np.full(seen.size, -1)
     pixels = np.flatnonzero(seen)
     row_of[pixels] = np.arange(pixels.size)
+    numbers = [(one.recording, one.pose) for one in forward.dataset.stations]
+    stations = Counter(0 if fold_of is None else fold_of[key] for key in numbers)
     sums: dict[int, FoldSums] = {}
     for number, found in in_order(share, taken(), threads=forward.threads):
         if number not in sums:
             sums[number] = FoldSums(
-                len(regressors), pixels.size, rows=row_of, pattern=pattern, gains=gain_prior > 0
+                len(regressors),
+                pixels.size,
+                rows=row_of,
+                pattern=pattern,
+                gains=gain_prior > 0,
+                stations=stations[number],
             )
         sums[number].add(found)
     # each is let go of with its fold: they are the largest arrays of an adjustment
