@@ -32,7 +32,6 @@ class LiveCoverage:
     def __init__(self, scene: Path, camera: Path, report: Callable[[Report], None]) -> None:
         self._report = report
         self._queue: queue.SimpleQueue[Message | None] = queue.SimpleQueue()
-        self.passed_over = 0
         self._gone = False
         try:
             self._process = subprocess.Popen(
@@ -51,9 +50,8 @@ class LiveCoverage:
 
     def take(self, message: Message) -> None:
         """Take a message; images are passed over where the evaluation is behind."""
-        if message.role in IMAGES and self._queue.qsize() >= _WAITING:
-            self.passed_over += 1
-        elif not self._gone:
+        behind = message.role in IMAGES and self._queue.qsize() >= _WAITING
+        if not behind and not self._gone:
             self._queue.put(message)
 
     def close(self, *, patience: float = LAST_WORDS) -> None:

@@ -25,7 +25,6 @@ Transport = Literal["raw", "compressed", "compressedDepth"]
 _MOST_PIXELS = 8192 * 8192
 #: Bytes before a compressedDepth image: format (int32), depth quantisation A and B (float32).
 _HEADER = struct.Struct("<iff")
-_EIGHT_BIT = ("mono8", "8UC1")
 _SIXTEEN_BIT = ("mono16", "16UC1")
 #: Bytes in which a PNG states its size: signature, chunk, width, height.
 _PNG = struct.Struct(">8s4s4sII")
@@ -173,8 +172,3 @@ def decode_rvl(data: bytes, place: str | None = None) -> NDArray[np.uint16]:
             last = int(row[-1])
         k, at = k + filled, at + filled
     return result.reshape(height, width)
-
-
-def is_eight_bit(encoding: str) -> bool:
-    """Whether an encoding holds one grey value of eight bits."""
-    return encoding in _EIGHT_BIT

@@ -80,8 +80,6 @@ class Simulation:
                 )
         self._chain = Chain.of(self.camera.effects.values())
         self._rng = np.random.Generator(np.random.SFC64(self.seed))
-        # the power of a station does not depend on how many frames came before it
-        self._gain_seed = np.random.SeedSequence([self.seed, 20070])
         self._memory: dict[str, Any] = {}
         self._seen: dict[Any, Geometry] = {}
         self._start: int | None = None
