@@ -59,6 +59,8 @@ _HOLD = 1e9
 _DAMPING = (0.01, 0.1, 1.0, 10.0, 100.0, np.inf)
 _LESS_DAMPED = 10.0
 _NO_SOLUTION = "the adjustment found no finite solution"
+#: Sigma by which the data take a parameter beyond its bound above which that is no noise.
+_BEYOND_BOUND = 3.0
 _AT_A_BOUND = "{} is at the end of what is possible: the form of its effect is not quite the true one"
 #: Share of the forecast gain of a step by which the objective may become worse once, near the solution.
 _OVER_THE_BEND = 0.1
@@ -226,6 +228,8 @@ class GaussNewton:
                 step, stay = least_within(matrix, right, *sides)
             except (linalg.LinAlgError, ValueError):
                 raise RimError(_NO_SOLUTION, remedy="check scene and camera file") from None
+        # what is left of the gradient, by what freeing a parameter beside all others would lower chi-square
+        pull = np.abs(right - matrix @ step) * np.sqrt(np.diag(covariance))
         by_nuisances = by_linear(matrix, right, [one.label for one in regressors])
         square = float(reduced.square) + float(np.sum((away / prior) ** 2)) - by_nuisances
         return Linearised(
@@ -241,7 +245,7 @@ class GaussNewton:
             square=square,
             objective=square + 2 * reduced.log_norm + sum(fold.robust for fold in equations.folds),
             decrement=float(right @ step) - by_nuisances,
-            at_bounds=tuple(np.flatnonzero(stay).tolist()),
+            at_bounds={int(i): float(pull[i]) for i in np.flatnonzero(stay)},
         )
 
     def _held(self, regressors: Sequence[Regressor]) -> list[int]:
@@ -378,7 +382,8 @@ class GaussNewton:
         best.converged = self._converged and not self._stuck
         if self._stuck:
             best.notes.append("the adjustment stopped where no step leads to a possible camera")
-        best.notes += [_AT_A_BOUND.format(list(best.parameters)[i]) for i in best.at_bounds]
+        beyond = [i for i, sigmas in best.at_bounds.items() if sigmas > _BEYOND_BOUND]
+        best.notes += [_AT_A_BOUND.format(list(best.parameters)[i]) for i in beyond]
         if self._converged or not self._last_step:
             return
         sigma = best.sigma

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,8 @@ class Linearised:
     """The equations where an adjustment stands, and their solution.
 
     ``matrix``, ``right``, ``step`` and ``covariance`` of the ``regressors`` with their ``prior`` (1-sigma).
-    Those numbered in ``at_bounds`` stay, at the end of what is possible: the data would take them beyond.
+    Those numbered in ``at_bounds`` stay at the end of what is possible: the data would take them beyond, by
+    so many of their sigmas.
     ``square`` is chi-square with the priors' terms, linear nuisances where they fit best; ``objective`` twice
     the negative log likelihood; ``decrement`` by how much an undamped step should lower either.
     """
@@ -38,7 +39,7 @@ class Linearised:
     square: float
     objective: float
     decrement: float
-    at_bounds: tuple[int, ...]
+    at_bounds: Mapping[int, float]
 
     @property
     def labels(self) -> list[str]:

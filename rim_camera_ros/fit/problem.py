@@ -107,7 +107,8 @@ class Fit:
     found of poses and powers; ``chi_square`` of all residuals after the fit, prior terms left out, with
     ``rows`` observations. ``equations`` are those at the solution, ``forward`` its predictions. ``moving``
     are the parameters of a fit that has not converged which the last step moved, in units of their sigma.
-    ``at_bounds`` are the numbers of parameters that the data would take beyond what is possible.
+    ``at_bounds`` are the numbers of parameters that the data would take beyond what is possible, and by how
+    many of their sigmas.
     """
 
     start: Camera
@@ -127,7 +128,7 @@ class Fit:
     priors: Array
     notes: list[str] = field(default_factory=list)
     moving: dict[str, float] = field(default_factory=dict)
-    at_bounds: tuple[int, ...] = ()
+    at_bounds: Mapping[int, float] = field(default_factory=dict)
 
     @property
     def point(self) -> Point:
