@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.effects.candidate import Block
 from rim_camera_ros.fit.bounds import Bounds
 from rim_camera_ros.fit.design import GAIN
-from rim_camera_ros.fit.problem import Fit, Problem
+from rim_camera_ros.fit.problem import Fit, Problem, blocks_of
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.select.evidence import Scores
 from rim_camera_ros.select.exploration import Exploration
@@ -21,12 +24,40 @@ Array = NDArray[Any]
 _LEAST_OF_POSES = 2.5
 _LEAST_OF_TIME = 1.5
 _BLOCKS = 8
+#: Parts of the poses from which on a jackknife counts at all.
+_LEAST_PARTS = 4
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Covariances (K, K) of the parameters of a fit, by several ways to know of them.
+
+    By replicates (``draws``) and ``posterior``; ``jackknives`` over parts of the poses count where they are
+    so many times as large, as they are uncertain themselves.
+    """
+
+    draws: Array
+    posterior: Array
+    jackknives: tuple[tuple[Array, float], ...]
+
+    def sigma(self, forms: Array) -> Array:
+        """Return the root mean square errors of quadratic forms (..., K, K) of the parameters."""
+
+        def of(covariance: Array) -> Array:
+            return np.asarray(np.sqrt(np.maximum(np.einsum("...ij,ij->...", forms, covariance), 0.0)))
+
+        spread = np.maximum(of(self.draws), of(self.posterior))
+        for covariance, least in self.jackknives:
+            own = of(covariance)
+            spread = np.maximum(spread, np.where(own > least * spread, own, 0.0))
+        return np.asarray(spread)
 
 
 def _jackknife(scores: Scores, count: int) -> Array:
     folds = len(scores.trained)
     parts = np.array([list(scores.values(leave_out=k).values())[:count] for k in range(folds)], dtype=float)
-    return np.asarray(np.sqrt((folds - 1) / folds * np.sum((parts - parts.mean(axis=0)) ** 2, axis=0)))
+    apart = parts - parts.mean(axis=0)
+    return np.asarray((folds - 1) / folds * apart.T @ apart)
 
 
 def _by_time(problem: Problem, fitted: Fit) -> Scores | None:
@@ -45,14 +76,11 @@ def _by_time(problem: Problem, fitted: Fit) -> Scores | None:
     return Scores(again.equations, range(len(again.parameters)))
 
 
-def intervals_of(
-    step: Exploration, problem: Problem, *, seed: int = 0
-) -> dict[str, tuple[float, float, float]]:
-    """Return value and 95 % interval of each parameter.
+def uncertainty_of(step: Exploration, problem: Problem, *, seed: int = 0) -> Uncertainty:
+    """Return how well the parameters of the fit of a step are known.
 
     From a parametric bootstrap (replicates of noise, errors of poses and powers in the normal equations,
-    around the fit), widened where a jackknife over folds of poses, dealt or in blocks of time, says so, and
-    cut at the parameter's bounds.
+    around the fit), widened where a jackknife over folds of poses, dealt or in blocks of time, says so.
     """
     fitted, scores = step.fit, step.scores
     count = len(fitted.parameters)
@@ -61,13 +89,24 @@ def intervals_of(
     scale = scores.prior[:count]
     inner = matrix * scale[:, None] * scale[None, :]
     draws = scale[:, None] * np.linalg.solve(inner, nulls.full.right[:count] * scale[:, None])
-    # the prior shrinks replicates as it shrinks the estimate: its own width belongs to the interval
-    posterior = np.sqrt(np.diag(np.linalg.inv(inner))) * scale
-    spread = np.maximum(draws.std(axis=1), posterior)
-    for one, least in ((scores, _LEAST_OF_POSES), (_by_time(problem, fitted), _LEAST_OF_TIME)):
-        if one is not None and len(one.trained) >= 4:
-            jackknife = _jackknife(one, count)
-            spread = np.maximum(spread, np.where(jackknife > least * spread, jackknife, 0.0))
+    apart = draws - draws.mean(axis=1, keepdims=True)
+    parts = ((scores, _LEAST_OF_POSES), (_by_time(problem, fitted), _LEAST_OF_TIME))
+    return Uncertainty(
+        apart @ apart.T / draws.shape[1],
+        # the prior shrinks replicates as it shrinks the estimate: its own width belongs to the interval
+        np.linalg.inv(inner) * scale[:, None] * scale[None, :],
+        tuple(
+            (_jackknife(one, count), least)
+            for one, least in parts
+            if one is not None and len(one.trained) >= _LEAST_PARTS
+        ),
+    )
+
+
+def intervals_of(fitted: Fit, uncertainty: Uncertainty) -> dict[str, tuple[float, float, float]]:
+    """Return value and 95 % interval of each parameter, cut at the parameter's bounds."""
+    one_of = np.eye(len(fitted.parameters))
+    spread = uncertainty.sigma(one_of[:, :, None] * one_of[:, None, :])
     gain = fitted.camera.radiometry.gain
     bounds = Bounds.of(fitted.camera)
     result = {}
@@ -77,3 +116,44 @@ def intervals_of(
         low, high = bounds.lows.get(path, -np.inf), bounds.highs.get(path, np.inf)
         result[path] = (value, max(value - width, min(value, low)), min(value + width, max(value, high)))
     return result
+
+
+def distances_known_to(
+    fitted: Fit, problem: Problem, uncertainty: Uncertainty, names: Sequence[str]
+) -> dict[str, float]:
+    """Return to what the distances [m] that effects make are known: RMS over the pixels of the recording.
+
+    But for what is the same for a pixel at all poses, which its offset takes up: a part of the parameters'
+    intervals may be that alone, as the mean of the offsets of all integration times.
+    """
+    blocks = blocks_of(problem, fitted.camera, fitted.scene)
+    owners = [one.owner for block in blocks for one in block.regressors]
+    own = [block for block in blocks if any(one.owner in names for one in block.regressors)]
+    numbers = [i for block in own for i in _numbers(block, blocks)]
+    size = fitted.camera.shape[0] * fitted.camera.shape[1]
+    sums, seen = np.zeros((len(numbers), size)), np.zeros(size)
+    products = np.zeros((len(numbers), len(numbers)))
+    for one in fitted.forward.predictions():
+        used = np.flatnonzero(one.used)
+        columns = [column for block in own for column, _ in block.columns(one)]
+        x = np.array([np.nan_to_num(np.broadcast_to(each, one.used.shape)).ravel()[used] for each in columns])
+        products += x @ x.T
+        sums[:, used] += x
+        seen[used] += 1
+    products -= (sums / np.maximum(seen, 1.0)) @ sums.T
+    count = len(fitted.parameters)
+    result = {}
+    for name in names:
+        form = np.zeros((count, count))
+        mine = [k for k, i in enumerate(numbers) if owners[i] == name]
+        at = [numbers[k] for k in mine]
+        form[np.ix_(at, at)] = products[np.ix_(mine, mine)] / max(seen.sum(), 1.0)
+        if mine:
+            result[name] = float(uncertainty.sigma(form))
+    return result
+
+
+def _numbers(block: Block, blocks: Sequence[Block]) -> range:
+    """Return the numbers of a block's regressors among those of all blocks."""
+    start = sum(len(one.regressors) for one in blocks[: next(i for i, b in enumerate(blocks) if b is block)])
+    return range(start, start + len(block.regressors))

@@ -39,8 +39,12 @@ def missing_effect(
     probability: float,
     *,
     origin: Camera,
+    distance_sigma: float | None = None,
 ) -> Missing:
-    """Return what is said of an effect that was found; ``origin`` is the camera file that lacks it."""
+    """Return what is said of an effect that was found; ``origin`` is the camera file that lacks it.
+
+    ``distance_sigma`` [m]: that to which the distances that it makes are known.
+    """
     camera = fitted.camera
     probability = min(max(probability, 0.0), 1.0)
     effect = camera.effects.get(name)
@@ -75,6 +79,8 @@ def missing_effect(
     size = None if vocabulary()[name].shows_in == "amplitude" else _size(fitted, name, origin)
     if size is not None:
         sentence += f"; it moves distances by up to {size * 1e3:.3g} mm in this recording (99 % of them less)"
+        if distance_sigma is not None:
+            sentence += f", which is known to {distance_sigma * 1e3:.2g} mm (1 sigma)"
     return Missing(
         effect=name,
         probability=probability,
@@ -82,6 +88,7 @@ def missing_effect(
         interval={path: (low, high) for path, (_, low, high) in own.items()},
         sentence=sentence,
         magnitude=size,
+        distance_sigma=None if size is None else distance_sigma,
     )
 
 

@@ -85,6 +85,8 @@ def _missing(one: Missing, result: Diagnosis) -> dict[str, Any]:
     }
     if one.magnitude is not None or one.effect == UNKNOWN:
         entry["magnitude"] = one.magnitude
+    if one.distance_sigma is not None:
+        entry["distance_sigma"] = one.distance_sigma
     if one.covariates or one.effect == UNKNOWN:
         entry["covariates"] = list(one.covariates)
         entry["closed_form"] = one.formula

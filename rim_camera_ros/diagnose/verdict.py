@@ -13,7 +13,7 @@ from rim_camera_ros.diagnose.accuracy import Accuracy, accuracy
 from rim_camera_ros.diagnose.adjusted import Adjusted, adjusted_terms, parameters_matter
 from rim_camera_ros.diagnose.codes import MissingCodes
 from rim_camera_ros.diagnose.described import Described, Rest, of_correlated_errors, unexplained
-from rim_camera_ros.diagnose.intervals import intervals_of
+from rim_camera_ros.diagnose.intervals import distances_known_to, intervals_of, uncertainty_of
 from rim_camera_ros.diagnose.menu import recommended, told_apart
 from rim_camera_ros.diagnose.naming import (
     first_frames,
@@ -238,14 +238,25 @@ def _name(draft: _Draft, found: Findings) -> None:
     result, fitted, final = found.result, found.fitted, found.final
     draft.verdict = "missing_physics"
     probabilities = {one.effect: one.probability for one in draft.ranking}
-    intervals = intervals_of(final, result.problem, seed=found.seed)
+    uncertainty = uncertainty_of(final, result.problem, seed=found.seed)
+    intervals = intervals_of(fitted, uncertainty)
+    names = [one.effect for one in result.found]
+    known = distances_known_to(fitted, result.problem, uncertainty, names)
     for one in result.found:
         share = sum(probabilities.get(name, 0.0) for name in sorted({one.effect, *one.ties}))
         if one is not result.found[0]:
             # given those before it, against nothing more being missing
             share = float(1 / (1 + np.exp(-min(one.gain, 500.0))))
-        draft.missing.append(missing_effect(one.effect, fitted, intervals, share, origin=found.camera))
-    names = [one.effect for one in result.found]
+        draft.missing.append(
+            missing_effect(
+                one.effect,
+                fitted,
+                intervals,
+                share,
+                origin=found.camera,
+                distance_sigma=known.get(one.effect),
+            )
+        )
     beyond = change_of_forms(draft.model, names, final.forms, final.beside.values())
     draft.where = of_terms(fitted, names, found.camera, rest=beyond)
     draft.notes += notes_of_refused(result)
