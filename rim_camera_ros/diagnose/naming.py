@@ -80,7 +80,7 @@ def missing_effect(
     if size is not None:
         sentence += f"; it moves distances by up to {size * 1e3:.3g} mm in this recording (99 % of them less)"
         if distance_sigma is not None:
-            sentence += f", which is known to {distance_sigma * 1e3:.2g} mm (1 sigma)"
+            sentence += f", known to {distance_sigma * 1e3:.2g} mm (1 sigma) if its form is the true one"
     return Missing(
         effect=name,
         probability=probability,

@@ -48,7 +48,7 @@ def test_the_sentence_says_it(tmp_path: Path) -> None:
     truth = camera(tmp_path, IntegrationTimeOffset(MappingProxyType(TRUE)))
     found = diagnose(record(truth, board, poses=18, seed=3), board, told)
     (one,) = found.missing
-    said = re.search(r"\(99 % of them less\), which is known to ([\d.]+) mm \(1 sigma\)", one.sentence)
+    said = re.search(r"\(99 % of them less\), known to ([\d.]+) mm \(1 sigma\)", one.sentence)
     assert said is not None
     assert 0.05 < float(said[1]) < 2.0
     assert one.distance_sigma == pytest.approx(1e-3 * float(said[1]), rel=0.1)
