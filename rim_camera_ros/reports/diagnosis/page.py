@@ -24,6 +24,12 @@ from rim_camera_ros.yaml_files import write_whole
 Array = NDArray[Any]
 
 
+_OF_INTERVALS = (
+    "These intervals are of each number by itself. What the numbers have in common may be wide, where offsets of "
+    "the pixels or other numbers can take it up; the distances that all of them make are known to {:.2g} mm."
+)
+
+
 def write_page(result: Diagnosis, folder: Path, *, recording: str, camera: str, scene: str) -> None:
     """Write report.html into an existing folder.
 
@@ -149,6 +155,8 @@ def _missing(one: Missing, result: Diagnosis) -> list[Part]:
     if rows:
         headings = ["parameter", "value", "95 % from", "to", "unit", "meaning"]
         parts.append(Table(headings, rows, numbers=(1, 2, 3)))
+    if rows and one.distance_sigma is not None:
+        parts.append(Text(_OF_INTERVALS.format(one.distance_sigma * 1e3)))
     if any("gon" in row[4] for row in rows):
         parts.append(Text("An angle of 1 gon is 1/400 of a full turn: 100 gon = 90°."))
     return parts
