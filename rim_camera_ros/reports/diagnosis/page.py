@@ -25,7 +25,7 @@ Array = NDArray[Any]
 
 
 _OF_INTERVALS = (
-    "These intervals are of each number by itself. What they have in common may be wide, where offsets of the "
+    "These intervals are of each number by itself. What they have in common may be wide where offsets of the "
     "pixels or other numbers can take it up; the distances that all of them make are known to {:.2g} mm."
 )
 
