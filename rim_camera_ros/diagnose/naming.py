@@ -146,7 +146,9 @@ def first_frames() -> Missing:
 
 def large_gains(gains: GainSpread) -> Missing:
     """Return what is said of gains of pixels beyond those that the camera file states: unknown physics."""
-    alike = f", those of a row or column alike by {gains.lines:.1%} at least" if gains.are_of_lines else ""
+    alike = (
+        f", means over rows or columns by {gains.of_line_means:.1%} at least" if gains.are_of_lines else ""
+    )
     sentence = (
         f"unknown physics: neighbouring pixels see light that differs by {gains.found:.1%} (1 sigma) in all "
         f"poses{alike}, where the camera file states gains of {gains.stated:.1%} (radiometry.pattern_sigma): "

@@ -50,6 +50,11 @@ class GainSpread:
         """Whether rows or columns differ, of which no file states gains, by more than amplitudes' errors."""
         return self.lines > BEYOND * AMPLITUDE_MODEL
 
+    @property
+    def of_line_means(self) -> float:
+        """The least 1-sigma by which means over a row or column differ from the same of neighbours."""
+        return self.lines * float(np.sqrt(_OF_LINES))
+
 
 def spread_of_gains(fitted: Fit) -> GainSpread | None:
     """Return how much neighbouring pixels differ in gain; None where no two poses show it.
