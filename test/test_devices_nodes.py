@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.bags.stamp_pairing import CAPACITY, PATIENCE, RELIABLE_PATIENCE, StampPairing
+from rim_camera_ros.bags.stamp_pairing import (
+    CAPACITY,
+    PATIENCE,
+    RELIABLE_CAPACITY,
+    RELIABLE_PATIENCE,
+    StampPairing,
+)
 from rim_camera_ros.devices.acquisition import Acquisition
 from rim_camera_ros.errors import DeviceError, RimError
 from rim_camera_ros.frame import RawFrame, Settings
@@ -109,6 +115,22 @@ def test_where_nothing_is_lost_a_late_frame_info_is_waited_for() -> None:
     assert pairs.dropped == {"a pair without frame_info": 2}
     assert pairs.overdue(5.1 + RELIABLE_PATIENCE) == []
     assert pairs.dropped == {"a pair without frame_info": 3}
+
+
+def test_pairs_of_seconds_wait_where_nothing_is_lost() -> None:
+    """A frame_info that is 4 s late, at 30 Hz."""
+    pairs = StampPairing(ALL.__contains__, patience=RELIABLE_PATIENCE, capacity=RELIABLE_CAPACITY)
+    for stamp in range(1, 121):
+        assert (
+            fed(pairs, *[part for part in exposure(stamp) if part[0] != "frame_info"], now=stamp / 30) == []
+        )
+    frames = [
+        frame.stamp
+        for stamp in range(1, 121)
+        for frame in fed(pairs, ("frame_info", stamp, info(stamp)), now=4.0 + stamp / 30)
+    ]
+    assert frames == [*range(1, 121)]
+    assert not pairs.dropped
 
 
 def test_pairs_that_wait_are_bounded_and_counted() -> None:

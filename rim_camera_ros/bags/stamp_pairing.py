@@ -15,8 +15,9 @@ IMAGES = ("distance", "amplitude")
 READINGS = ("temperature", "ambient", "reference")
 _SIDES = ("frame_info", *READINGS)
 
-#: Exposures that may wait for the rest of their messages.
+#: Exposures that may wait for the rest of their messages, and where they wait for seconds: at up to 100 Hz.
 CAPACITY = 32
+RELIABLE_CAPACITY = 500
 #: Stamps of refused messages that are remembered, so that their partners are dropped too.
 _REFUSED = 256
 #: A reading so far [ns] ahead of the last frame is not kept: a flood of them would push the true ones out.
@@ -24,7 +25,7 @@ _AHEAD = 60 * NANOSECONDS
 #: Seconds that a pair of images waits for what came with the frames before it.
 PATIENCE = 0.1
 #: Seconds that a pair waits for its frame_info where nothing is lost: each topic comes in its order, but one
-#: may lag behind the others while its publisher is being discovered or a lost packet is sent again.
+#: may lag behind the others while its two ends are being matched or a lost packet is sent again.
 RELIABLE_PATIENCE = 5.0
 _NO_INFO = "a pair without frame_info"
 
@@ -45,7 +46,7 @@ class StampPairing:
     those that do and that came with the frame before; of the readings the last ones before the frame
     will do. A pair without its frame_info, though somebody publishes it, is dropped: its
     integration time is not known. It waits for it ``patience`` seconds, or until that of a later frame has
-    come. ``dropped`` counts, by reason, what did not become a frame.
+    come, with ``capacity`` others at most. ``dropped`` counts, by reason, what did not become a frame.
     """
 
     def __init__(
@@ -55,7 +56,9 @@ class StampPairing:
         samples: Sequence[str] = (),
         *,
         patience: float = PATIENCE,
+        capacity: int = CAPACITY,
     ) -> None:
+        self._capacity = capacity
         self._patience = patience
         self._newest_info: int | None = None
         self._images = tuple(images)
@@ -112,7 +115,7 @@ class StampPairing:
         exposure = self._waiting.get(stamp)
         if exposure is None:
             exposure = self._waiting[stamp] = _Exposure()
-            while len(self._waiting) > CAPACITY:
+            while len(self._waiting) > self._capacity:
                 self._drop(next(iter(self._waiting)))
         return exposure
 

@@ -136,8 +136,9 @@ def beyond_form(problem: Problem, solution: Solution) -> str | None:
     base = range(count)
     instead = [*(i for i in base if i not in own), *range(count, count + len(block.regressors))]
     # the term stays where it is in these equations, so that the curve is what departs from it
-    by_curve = Scores(wide.equations, instead, temper=solution.factor)
-    gain = by_curve.held_out() - Scores(wide.equations, base, temper=solution.factor).held_out()
+    factor, held = solution.factor, wide.at_bounds
+    by_curve = Scores(wide.equations, instead, temper=factor, held=held)
+    gain = by_curve.held_out() - Scores(wide.equations, base, temper=factor, held=held).held_out()
     values = by_curve.values()
     departure = np.array([values[one.label] for one in block.regressors])
     if gain < LEAST_THRESHOLD or np.ptp(departure) < _MATTERS:

@@ -171,7 +171,7 @@ def _held_out(fitted: Fit, problem: Problem, folds: Mapping[tuple[int, int], int
     A pose's own errors and power are found beside the parameters and the fixed pattern of the other folds,
     in whose pixels they are judged: of the others nothing is known.
     """
-    scores = Scores(fitted.equations, range(len(fitted.parameters)))
+    scores = Scores(fitted.equations, range(len(fitted.parameters)), held=fitted.at_bounds)
     chi_square, rows = scores.chi_square(held_out=True)
     others: list[_Parameters] = []
     parts, pixels = fitted.equations.folds, fitted.equations.pixels

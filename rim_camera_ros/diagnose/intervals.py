@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,11 +40,17 @@ class Uncertainty:
     posterior: Array
     jackknives: tuple[tuple[Array, float], ...]
 
-    def sigma(self, forms: Array) -> Array:
-        """Return the root mean square errors of quadratic forms (..., K, K) of the parameters."""
+    def sigma(self, form: Array) -> float:
+        """Return the root mean square error of a quadratic form (K, K) of the parameters."""
+        return float(self._largest(lambda covariance: np.sum(form * covariance)))
 
+    def of_each(self) -> Array:
+        """Return the 1-sigma of each parameter (K,)."""
+        return self._largest(np.diag)
+
+    def _largest(self, variance: Callable[[Array], Any]) -> Array:
         def of(covariance: Array) -> Array:
-            return np.asarray(np.sqrt(np.maximum(np.einsum("...ij,ij->...", forms, covariance), 0.0)))
+            return np.asarray(np.sqrt(np.maximum(variance(covariance), 0.0)))
 
         spread = np.maximum(of(self.draws), of(self.posterior))
         for covariance, least in self.jackknives:
@@ -73,7 +79,7 @@ def _by_time(problem: Problem, fitted: Fit) -> Scores | None:
         (one.recording, one.pose): number[one.recording, one.placed] for one in problem.dataset.stations
     }
     again = fit(problem, fitted.camera, fold_of=blocks, views=fitted.forward.views, warm=fitted, iterations=0)
-    return Scores(again.equations, range(len(again.parameters)))
+    return Scores(again.equations, range(len(again.parameters)), held=again.at_bounds)
 
 
 def uncertainty_of(step: Exploration, problem: Problem, *, seed: int = 0) -> Uncertainty:
@@ -105,8 +111,7 @@ def uncertainty_of(step: Exploration, problem: Problem, *, seed: int = 0) -> Unc
 
 def intervals_of(fitted: Fit, uncertainty: Uncertainty) -> dict[str, tuple[float, float, float]]:
     """Return value and 95 % interval of each parameter, cut at the parameter's bounds."""
-    one_of = np.eye(len(fitted.parameters))
-    spread = uncertainty.sigma(one_of[:, :, None] * one_of[:, None, :])
+    spread = uncertainty.of_each()
     gain = fitted.camera.radiometry.gain
     bounds = Bounds.of(fitted.camera)
     result = {}
@@ -149,7 +154,7 @@ def distances_known_to(
         at = [numbers[k] for k in mine]
         form[np.ix_(at, at)] = products[np.ix_(mine, mine)] / max(seen.sum(), 1.0)
         if mine:
-            result[name] = float(uncertainty.sigma(form))
+            result[name] = uncertainty.sigma(form)
     return result
 
 

@@ -80,7 +80,10 @@ def missing_effect(
     if size is not None:
         sentence += f"; it moves distances by up to {size * 1e3:.3g} mm in this recording (99 % of them less)"
         if distance_sigma is not None:
-            sentence += f", known to {distance_sigma * 1e3:.2g} mm (1 sigma) if its form is the true one"
+            sentence += (
+                f", beside offsets of the pixels known to {distance_sigma * 1e3:.2g} mm (1 sigma) if its "
+                "form is the true one"
+            )
     return Missing(
         effect=name,
         probability=probability,
@@ -146,15 +149,18 @@ def first_frames() -> Missing:
 
 def large_gains(gains: GainSpread) -> Missing:
     """Return what is said of gains of pixels beyond those that the camera file states: unknown physics."""
-    alike = (
-        f", means over rows or columns by {gains.of_line_means:.1%} at least" if gains.are_of_lines else ""
-    )
     sentence = (
         f"unknown physics: neighbouring pixels see light that differs by {gains.found:.1%} (1 sigma) in all "
-        f"poses{alike}, where the camera file states gains of {gains.stated:.1%} (radiometry.pattern_sigma): "
-        "light goes from pixel to pixel, a surface that rests before the camera has a texture which the "
-        "scene file lacks, or pixels are as unequal as that; then state it"
+        f"poses, where the camera file states gains of {gains.stated:.1%} (radiometry.pattern_sigma): light "
+        "goes from pixel to pixel, a surface that rests before the camera has a texture which the scene file "
+        "lacks, or pixels are as unequal as that; then state it"
     )
+    if gains.are_of_lines:
+        sentence = (
+            "unknown physics: means over rows or columns of pixels see light that differs from that of their "
+            f"neighbours by {gains.of_line_means:.1%} (1 sigma) at least in all poses: light goes from one "
+            "to the next, or whole rows or columns have a gain, which no camera file states"
+        )
     return Missing(UNKNOWN, 1.0, {}, {}, sentence)
 
 

@@ -84,44 +84,62 @@ def spread_of_gains(fitted: Fit) -> GainSpread | None:
     if of_pixels is None:
         return None
     found, least = (float(np.sqrt(max(one, 0.0) / _OF_DIFFERENCE)) for one in of_pixels)
-    poses = np.sum(np.isfinite(images), axis=0)
-    brighter = np.where(poses > 1, np.nansum(images, axis=0) / np.maximum(poses, 1), np.nan)
+    brighter, poses = _totals(images)
+    brighter = np.where(poses > 1, brighter / np.maximum(poses, 1), np.nan)
     stated = forward.camera.radiometry.pattern_sigma
-    return GainSpread(found, least, stated, brighter, max(_of_lines(images, axis, found) for axis in (0, 1)))
+    return GainSpread(found, least, stated, brighter, max(_of_lines(images, axis) for axis in (0, 1)))
 
 
-def _variance(values: Sequence[Array]) -> tuple[float, float] | None:
-    """Return the variance of what poses have in common, and the least it may be, of values (NaN: not seen).
+def _totals(images: Sequence[Array], *, square: bool = False) -> tuple[Array, Array]:
+    """Return the sum over images (H, W; NaN: not seen), or of their squares, and how many show each pixel."""
+    total, count = np.zeros(images[0].shape), np.zeros(images[0].shape)
+    for one in images:
+        seen = np.isfinite(one)
+        total[seen] += one[seen] ** 2 if square else one[seen]
+        count += seen
+    return total, count
 
-    By products of two poses, whose noise is independent; None where no two poses show as many as two.
+
+def _variance(images: Sequence[Array]) -> tuple[float, float] | None:
+    """Return the variance of what pixels show in all poses, and the least it may be; None: nothing tells it.
+
+    By products of two ``images`` (H, W; NaN: not seen), whose noise is independent.
     """
-    total = np.nansum(values, axis=0)
-    squares = np.nansum(np.square(values), axis=0)
-    poses = np.sum(np.isfinite(values), axis=0)
+    (total, poses), (squares, _) = _totals(images), _totals(images, square=True)
     several = poses > 1
     if several.sum() < 2:
         return None
-    pairs = (poses * (poses - 1))[several]
-    products = (total**2 - squares)[several]
-    variance = float(products.sum() / pairs.sum())
-    error = float(np.sqrt(np.sum((products - variance * pairs) ** 2)) / pairs.sum())
-    return variance, variance - PAIRED_ERRORS * error
+    return _mean_product((total**2 - squares)[several], (poses * (poses - 1))[several])
 
 
-def _of_lines(images: Sequence[Array], axis: int, of_pixels: float) -> float:
-    """Return the least 1-sigma of gains that lines along an ``axis`` share, whose pixels have their own."""
-    counts = [np.isfinite(one).sum(axis=axis) for one in images]
-    means = [
-        np.where(count > 0, np.nansum(one, axis=axis) / np.maximum(count, 1), np.nan)
-        for one, count in zip(images, counts, strict=True)
-    ]
-    variance = _variance(means)
-    if variance is None:
+def _of_lines(images: Sequence[Array], axis: int) -> float:
+    """Return the least 1-sigma of gains that lines along an ``axis`` share; 0 where nothing tells it.
+
+    By products of two pixels of a line in two poses: gains of single pixels have no part in them. What all
+    pixels have in common is the light's, not that of lines.
+    """
+    total, poses = _totals(images)
+    if not poses.any():
         return 0.0
-    # the mean of a line holds that of the gains of its pixels, at most of those that the shortest shows
-    seen = np.concatenate(counts)
-    by_pixels = of_pixels**2 * float(np.mean(1.0 / seen[seen > 0]))
-    return float(np.sqrt(max(variance[1] / _OF_LINES - by_pixels, 0.0)))
+    common = total.sum() / poses.sum()
+    squares, _ = _totals([one - common for one in images], square=True)
+    total = total - common * poses
+    sums = np.array([np.nansum(one - common, axis=axis) for one in images])
+    counts = np.array([np.isfinite(one).sum(axis=axis) for one in images])
+    products = sums.sum(axis=0) ** 2 - (sums**2).sum(axis=0) - (total**2 - squares).sum(axis=axis)
+    pairs = counts.sum(axis=0) ** 2 - (counts**2).sum(axis=0) - (poses**2 - poses).sum(axis=axis)
+    several = pairs > 0
+    if several.sum() < 2:
+        return 0.0
+    _, least = _mean_product(products[several], pairs[several])
+    return float(np.sqrt(max(least, 0.0) / _OF_LINES))
+
+
+def _mean_product(products: Array, pairs: Array) -> tuple[float, float]:
+    """Return the mean of the products (N,) of so many ``pairs`` each, and the least it may be."""
+    mean = float(products.sum() / pairs.sum())
+    error = float(np.sqrt(np.sum((products - mean * pairs) ** 2)) / pairs.sum())
+    return mean, mean - PAIRED_ERRORS * error
 
 
 def _beside_neighbours(image: Array, tile: Array) -> Array:

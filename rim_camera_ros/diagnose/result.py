@@ -19,9 +19,9 @@ from rim_camera_ros.select.exploration import Exploration
 @dataclass(frozen=True)
 class Missing:
     """What was left out: effect (or `unknown`), its probability, parameters with 95 % intervals by path
-    (relative to the effect), and the sentence; its magnitude and the 1-sigma to which the distances that it
-    makes are known [m]; for unknown physics covariates, closed form, and whether a new table of the improved
-    camera models it.
+    (relative to the effect), and the sentence; its magnitude [m], and to what the distances that it makes are
+    known (1-sigma [m]), but for what offsets of pixels take up; for unknown physics covariates, closed form,
+    and whether a new table of the improved camera models it.
     """
 
     effect: str

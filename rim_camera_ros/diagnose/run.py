@@ -39,7 +39,7 @@ from rim_camera_ros.diagnose.nuisances import (
 )
 from rim_camera_ros.diagnose.pixel_gains import spread_of_gains
 from rim_camera_ros.diagnose.result import Diagnosis
-from rim_camera_ros.diagnose.setup import VERY_FEW, Setup, check_setup
+from rim_camera_ros.diagnose.setup import VERY_FEW, Setup, check_setup, errors_of_poses
 from rim_camera_ros.diagnose.smooth import axes_of, gradient_terms, single_terms
 from rim_camera_ros.diagnose.under_setup import left_by_chance
 from rim_camera_ros.diagnose.variance import examine_variance, moving
@@ -258,9 +258,10 @@ def _diagnose(
     if reason is None and described is None:
         # what was so before any physics was fitted, and stays
         of_board = reflectivities_beyond(baseline.fit, scene) and reflectivities_beyond(final.fit, scene)
-        astray = {one.key: one.error for one in setup.poses if one.error > BEYOND}
+        blamed = beside_refused(result)
+        astray = {key: error for key, error in errors_of_poses(blamed).items() if error > BEYOND}
         of_surface = common_pose_beyond(final.fit, camera)
-        reason = of_board or of_surface or poses_beyond(beside_refused(result), camera, astray)
+        reason = of_board or of_surface or poses_beyond(blamed, camera, astray)
         if reason is not None and not of_board and not of_surface:
             setups = by_gain([*setups, moved_poses(astray)])
     elif setup.bad:

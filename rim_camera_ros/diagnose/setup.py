@@ -33,6 +33,8 @@ _LEAST_POSES = 4
 VERY_FEW = 0.05
 #: Factor on these limits where physics was found whose form may be wrong.
 _STRAINED = 3.0
+#: Share of what did not agree before physics was found, from which on that is no explanation of it.
+_HALF = 0.5
 #: Chi-square that is left, over that which physics makes in a pose, up to which its form is to blame.
 _ACTED_ON = 3.0
 #: ... and share of it in the pixels that are moved by so many sigmas, where those are few, above which it is.
@@ -161,6 +163,15 @@ def errors_of_placements(errors: Mapping[str, float]) -> dict[tuple[int, int], t
     return worst
 
 
+def errors_of_poses(fitted: Fit) -> dict[tuple[int, int], float]:
+    """Return the greatest error of each pose in sigmas of its instrument, by recording and pose."""
+    worst = errors_of_placements(standard_errors(fitted))
+    return {
+        (one.recording, one.pose): worst.get((one.recording, one.placed), (0.0, ""))[0]
+        for one in fitted.forward.dataset.stations
+    }
+
+
 def _moved(prediction: Prediction, physics: Sequence[str]) -> Array:
     """Return how far effects move distances together, (H, W) in sigmas."""
     total: Any = np.zeros(prediction.used.shape)
@@ -203,9 +214,12 @@ def check_setup(
         first = {one.key: one for one in check_poses(before)}
         already = {one.key: one.error for one in _few([*first.values()], 1.0)}
         # errors that they had hide no less of those of the others
-        left = [one for one in poses if one.error > max(_STRAINED * FAR, 0.5 * already.get(one.key, np.inf))]
-        bad = [*bad, *(one for one in left if one not in bad)]
-        bad = [one for one in bad if one.key not in first or one.chi_square > 0.5 * first[one.key].chi_square]
+        least = {key: max(_STRAINED * FAR, _HALF * error) for key, error in already.items()}
+        left = [one for one in poses if one not in bad and one.error > least.get(one.key, np.inf)]
+        # what many poses show is physics
+        bad += left if len(bad) + len(left) <= _most_few(poses) else []
+        before_of = {key: one.chi_square for key, one in first.items()}
+        bad = [one for one in bad if one.chi_square > _HALF * before_of.get(one.key, 0.0)]
         bad = [one for one in bad if one.error > _STRAINED * FAR or not _by_form(one)]
     if not bad:
         return Setup(tuple(poses), None)
@@ -270,7 +284,11 @@ def _few(poses: list[PoseCheck], factor: float) -> list[PoseCheck]:
             one.chi_square > factor * LARGE and one.chi_square > factor * AGAINST_OTHERS * typical
         ):
             bad.append(one)
-    return bad if len(bad) <= max(1.0, FEW * len(poses)) else []
+    return bad if len(bad) <= _most_few(poses) else []
+
+
+def _most_few(poses: Sequence[PoseCheck]) -> float:
+    return max(1.0, FEW * len(poses))
 
 
 def _of_few(bad: list[PoseCheck], count: int, factor: float) -> str:

@@ -23,8 +23,9 @@ Array = NDArray[Any]
 _SHAPE_STEP = 0.25
 #: Share of a station's values below whose amplitude a pole of a term may lie.
 _DARKEST = 0.01
-#: Share by which a parameter stays inside a bound greater than 0 that it may not reach.
-_INSIDE = 1e-9
+#: Share by which a parameter stays inside a bound greater than 0 that it may not reach, and by which sums of
+#: where it began and how far it went may miss a bound.
+_INSIDE, _ROUNDING = 1e-9, 1e-12
 
 
 @dataclass(frozen=True)
@@ -101,8 +102,8 @@ class Bounds:
         for i, label in enumerate(labels):
             if label in values:
                 low, high = self.lows.get(label, -np.inf), self.highs.get(label, np.inf)
-                down[i] = 0.0 if values[label] <= low + 2 * _margin(low) else -np.inf
-                up[i] = 0.0 if values[label] >= high else np.inf
+                down[i] = 0.0 if values[label] <= low + 2 * _margin(low) + _rounding(low) else -np.inf
+                up[i] = 0.0 if values[label] >= high - _rounding(high) else np.inf
         return down, up
 
 
@@ -112,6 +113,8 @@ def least_within(matrix: Array, right: Array, down: Array, up: Array) -> tuple[A
     Where a parameter may not go as far as it would, the others go where they fit best with it there (Stark &
     Parker 1995). Raises `LinAlgError` for a matrix (K, K) that is not positive definite.
     """
+    if not len(right):  # scipy 1.11 solves no empty equations
+        return right, np.zeros(0, bool)
     # in units in which the diagonal is 1: parameters differ by many orders of magnitude
     unit = np.sqrt(np.diag(matrix))
     factor = linalg.cholesky(matrix / np.outer(unit, unit), lower=True, check_finite=False)
@@ -122,6 +125,22 @@ def least_within(matrix: Array, right: Array, down: Array, up: Array) -> tuple[A
         return step, np.zeros(len(step), bool)
     found = lsq_linear(factor.T, side, bounds=(down * unit, up * unit), method="bvls")
     return np.clip(found.x / unit, down, up), found.active_mask != 0
+
+
+def sigmas_beyond(matrix: Array, right: Array, step: Array, held: NDArray[np.bool_]) -> dict[int, float]:
+    """Return by how many sigmas each parameter that is held would go, were it free beside those that are.
+
+    The square is by what that would lower chi-square.
+    """
+    free = np.flatnonzero(~held)
+    result = {}
+    for i in np.flatnonzero(held):
+        own = np.r_[free, i]
+        unit = np.sqrt(np.diag(matrix)[own])
+        among = linalg.inv(matrix[np.ix_(own, own)] / np.outer(unit, unit), check_finite=False)
+        sigma = np.sqrt(among[-1, -1]) / unit[-1]
+        result[int(i)] = float(abs(right[i] - matrix[i] @ step) * sigma)
+    return result
 
 
 def longest_steps(
@@ -161,3 +180,7 @@ def _owner(path: str) -> tuple[type[Effect] | None, str]:
 def _margin(low: float) -> float:
     """Return by how much a parameter stays above a least value: one that must exceed 0 does not reach it."""
     return _INSIDE * max(low, 1.0) if np.isfinite(low) and low > 0 else 0.0
+
+
+def _rounding(bound: float) -> float:
+    return _ROUNDING * abs(bound) if np.isfinite(bound) else 0.0

@@ -360,25 +360,28 @@ class FoldSums:
 class _PixelSums:
     """Sums per pixel of the products of all columns with one of the pixel's own.
 
-    They are the largest arrays of an adjustment: room is made for all of them at once, of which what is never
-    written takes no memory, and they are not copied.
+    They are the largest arrays of an adjustment: room is made for about all of them at once, of which what is
+    never written takes no memory. Where it does not suffice, what was written is copied.
     """
 
     def __init__(self, count: int, pixels: int, rows: Array) -> None:
         self._rows_of = rows
         self._sums: Array = np.zeros((count, pixels))
         self._y: Array = np.zeros(pixels)
+        self._written = count
 
     def make_room(self, size: int) -> None:
         """Make room for so many rows."""
         if size > len(self._sums):
             room = np.zeros((size, self._sums.shape[1]))
-            room[: len(self._sums)] = self._sums
+            room[: self._written] = self._sums[: self._written]
             self._sums = room
 
     def add(self, part: _Products, places: Sequence[int]) -> None:
         """Add products; ``places`` are the rows here of all columns but the last, the observations."""
-        self.make_room(max(places, default=-1) + 1)
+        size = max(places, default=-1) + 1
+        self.make_room(size)
+        self._written = max(self._written, size)
         channel = part.channel
         rows = self._rows_of[channel.pixels]
         buffer = np.empty(rows.size)

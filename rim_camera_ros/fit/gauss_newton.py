@@ -16,7 +16,7 @@ from rim_camera_ros.effects.candidate import Block, Regressor, priors_of
 from rim_camera_ros.effects.light_curves import FALLOFF, LOBE, tile_labels
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.fit.amplitudes import AmplitudeModel
-from rim_camera_ros.fit.bounds import Bounds, least_within, of_shape
+from rim_camera_ros.fit.bounds import Bounds, least_within, of_shape, sigmas_beyond
 from rim_camera_ros.fit.design import GAIN, is_linear
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.linearised import Linearised
@@ -228,8 +228,6 @@ class GaussNewton:
                 step, stay = least_within(matrix, right, *sides)
             except (linalg.LinAlgError, ValueError):
                 raise RimError(_NO_SOLUTION, remedy="check scene and camera file") from None
-        # what is left of the gradient, by what freeing a parameter beside all others would lower chi-square
-        pull = np.abs(right - matrix @ step) * np.sqrt(np.diag(covariance))
         by_nuisances = by_linear(matrix, right, [one.label for one in regressors])
         square = float(reduced.square) + float(np.sum((away / prior) ** 2)) - by_nuisances
         return Linearised(
@@ -245,7 +243,7 @@ class GaussNewton:
             square=square,
             objective=square + 2 * reduced.log_norm + sum(fold.robust for fold in equations.folds),
             decrement=float(right @ step) - by_nuisances,
-            at_bounds={int(i): float(pull[i]) for i in np.flatnonzero(stay)},
+            at_bounds=sigmas_beyond(matrix, right, step, stay),
         )
 
     def _held(self, regressors: Sequence[Regressor]) -> list[int]:

@@ -48,7 +48,7 @@ class Scores:
     """Scores of sets of regressors beside a base that is always there.
 
     ``base`` are the indices of the regressors of the baseline. ``held`` are those of them at a bound which
-    the data would take beyond it: likelihoods are of the others, as no such step can be taken.
+    the data would take beyond it: they stay there, and likelihoods, coefficients, errors are of the others.
     """
 
     def __init__(
@@ -71,10 +71,6 @@ class Scores:
         self._energy = sum((one.gram[:count, :count] for one in equations.folds), np.zeros((count, count)))
 
     def columns(self, extra: Iterable[int]) -> Array:
-        """Return the indices of base and extra regressors."""
-        return np.array(sorted({*self.base.tolist(), *extra}), int)
-
-    def _free(self, extra: Iterable[int]) -> Array:
         """Return the indices of base and extra regressors that are not held."""
         return np.array(sorted({*self.base.tolist(), *extra} - self._held), int)
 
@@ -101,7 +97,7 @@ class Scores:
 
     def held_out(self, extra: Iterable[int] = ()) -> Any:
         """Return the held-out log likelihood in nats, up to a constant; (R,) for replicates."""
-        columns = self._free(extra)
+        columns = self.columns(extra)
         everything = self._evidence(self.full, columns)
         if not self.trained:
             return everything
@@ -114,7 +110,7 @@ class Scores:
         Up to a constant; (R,) for replicates. An effect that these errors imitate gains here, and a fit that
         strains them loses.
         """
-        columns = self._free(extra)
+        columns = self.columns(extra)
         shared = [i for i in self.base if self.regressors[i].label.startswith(COMMON_POSE)]
         without = self._evidence(self.full, columns, np.array(shared, int))
         return self._evidence(self.full, columns) - without
@@ -130,7 +126,7 @@ class Scores:
 
     def log_likelihoods(self, extra: Iterable[int] = ()) -> list[float]:
         """Return what each fold adds to `log_likelihood`, given the others."""
-        columns = self._free(extra)
+        columns = self.columns(extra)
         everything = float(self._evidence(self.full, columns))
         return [
             everything
@@ -145,11 +141,12 @@ class Scores:
         return self.held_out(extra) - self.held_out()
 
     def values(self, extra: Iterable[int] = (), *, leave_out: int | None = None) -> dict[str, float]:
-        """Return the coefficients of base and extra by label."""
+        """Return the coefficients of base and extra by label, in their order; 0 of those that are held."""
         reduced = self.full if leave_out is None else self.trained[leave_out]
         columns = self.columns(extra)
-        solution = self._solve(reduced, columns)
-        return {self.regressors[i].label: float(v) for i, v in zip(columns, solution, strict=True)}
+        solution = dict(zip(columns.tolist(), self._solve(reduced, columns).tolist(), strict=True))
+        every = sorted({*self.base.tolist(), *extra})
+        return {self.regressors[i].label: solution.get(i, 0.0) for i in every}
 
     def errors(self, extra: Iterable[int] = ()) -> dict[str, float]:
         """Return the errors of poses and powers that go with the coefficients of base and extra."""
@@ -222,9 +219,10 @@ class Scores:
 
         Without the regressors' own priors.
         """
-        columns = np.array([*self.base, *extra], int)
+        base = self.columns([])
+        columns = np.array([*base, *extra], int)
         matrix, right = self._scaled(self.full, columns)
-        n = len(self.base)
+        n = len(base)
         solved = linalg.solve(matrix[:n, :n], np.column_stack([matrix[:n, n:], right[:n]]), assume_a="pos")
         scale = self.prior[list(extra)]
         gram = matrix[n:, n:] - np.eye(len(extra)) - matrix[n:, :n] @ solved[:, :-1]
@@ -233,7 +231,7 @@ class Scores:
 
     def _conditional(self, extra: Sequence[int]) -> Array:
         """Posterior precision of some regressors in units of their priors, after the base is fitted."""
-        base = [i for i in self.base if i not in set(extra)]
+        base = [i for i in self.columns([]) if i not in set(extra)]
         columns = np.array([*base, *extra], int)
         matrix, _ = self._scaled(self.full, columns)
         n = len(base)

@@ -132,8 +132,11 @@ class Search:
             before = self.explorations[one.step]
             own = Trial([name], self.problem, self.step, 0.0)
             compared = where_clean(own, without, problem, self.folds)
-            if self._gain(*compared) > self._entry(one.threshold, *compared):
+            is_alone = len(self.found) < 2
+            if self._gain(*compared) > (one.threshold if is_alone else self._entry(one.threshold, *compared)):
                 continue
+            if is_alone:
+                self.failed[name] = ONCE_FITTED
             self.problem = problem
             self.found.remove(one)
             self._replace_step(without.fit, before)

@@ -110,6 +110,9 @@ def search(
     if len(state.found) > max(1, len(ahead)) or state.at_bounds:
         say("whether each is still needed")
         state.drop_needless()
+        if not state.found and most > len(ahead):
+            # nothing had been looked for beside what ended at a bound
+            state.add(most)
     left_out = refused(state.step, state.failed)
     if len(state.found) < most:
         state.look_beside_edges()

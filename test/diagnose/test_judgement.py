@@ -152,6 +152,7 @@ def test_a_pose_on_which_named_physics_acts_is_no_bad_setup(
 @pytest.mark.parametrize(
     ("after", "physics", "bad"),
     [
+        (500.0, ["emitter_offset"], [3, 11, 17]),  # and by far more than the others now
         (
             50.0,
             ["emitter_offset"],

@@ -14,10 +14,10 @@ from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
-from rim_camera_ros.fit.bounds import Bounds, least_within, longest_steps
+from rim_camera_ros.fit.bounds import Bounds, least_within, longest_steps, sigmas_beyond
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit
-from rim_camera_ros.fit.steps import Solved, by_linear, stepped
+from rim_camera_ros.fit.steps import Solved, by_linear, stepped, within_bounds
 from rim_camera_ros.frame import Pose
 
 from ..calibrate.helpers import camera, record, scene
@@ -234,6 +234,39 @@ def test_a_parameter_that_the_data_would_take_beyond_what_is_possible_is_said(tm
     assert fitted.parameters["radiometry.gain"] == pytest.approx(
         linear.parameters["radiometry.gain"], rel=1e-3
     )
+
+
+def test_sigmas_beyond_a_bound_are_those_of_what_freeing_one_parameter_gains() -> None:
+    """Of two that are nearly the same, both at 0: chi-square falls by 1 with either of them free, or both."""
+    matrix = np.array([[1.0, 0.999, 0.11], [0.999, 1.0, 0.1], [0.11, 0.1, 2.0]])
+    right = np.array([-1.0, -1.0, 0.4])
+    step, held = least_within(matrix, right, np.array([0.0, 0.0, -inf]), np.full(3, inf))
+    assert held.tolist() == [True, True, False]
+    found = sigmas_beyond(matrix, right, step, held)
+
+    def lowered(free: list[int]) -> float:
+        part = matrix[np.ix_(free, free)]
+        return float(right[free] @ np.linalg.solve(part, right[free]))
+
+    for i in (0, 1):
+        assert found[i] ** 2 == pytest.approx(lowered([2, i]) - lowered([2]))
+    assert max(found.values()) < 1.2
+
+
+@pytest.mark.parametrize("begun", [0.07, -0.21, 0.313])
+def test_a_bound_is_reached_whatever_rounding_says(tmp_path: Path, begun: float) -> None:
+    label = "effects.distance_scale.scale"
+    start = camera(tmp_path, DistanceScale(begun))
+    numbers, bounds = camera_numbers(start), Bounds.of(start)
+    moved, offsets = stepped(start, {}, {label: -3.0}, bounds, numbers)
+    within_bounds(offsets, moved, numbers)
+    at = camera(tmp_path, DistanceScale(begun + offsets[label]))
+    assert bounds.open_sides([label], at)[0].tolist() == [0.0]
+
+
+def test_nothing_is_stepped_where_nothing_is_free() -> None:
+    step, held = least_within(np.zeros((0, 0)), np.zeros(0), np.zeros(0), np.zeros(0))
+    assert (step.size, held.size) == (0, 0)
 
 
 def test_noise_alone_takes_no_parameter_far_beyond_its_bound(tmp_path: Path) -> None:

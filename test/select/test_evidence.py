@@ -96,7 +96,7 @@ def test_without_shared_errors_nothing_is_stated(regression: tuple[np.ndarray, n
 
 
 def test_likelihoods_take_no_step_beyond_a_bound(regression: tuple[np.ndarray, np.ndarray]) -> None:
-    """A regressor that is held is as good as absent, whatever it would gain; its step is still known."""
+    """A regressor that is held is as good as absent, whatever it would gain."""
     design, observed = regression
     labels = [SHARED, OTHER, CANDIDATE]
     equations = scores_of(labels, design, observed).equations
@@ -106,4 +106,10 @@ def test_likelihoods_take_no_step_beyond_a_bound(regression: tuple[np.ndarray, n
     assert held.log_likelihood() == pytest.approx(absent.log_likelihood(), rel=1e-12)
     assert held.log_likelihood() < free.log_likelihood() - 1000
     assert Scores(equations, [0, 1], held=[1]).gain([2]) == pytest.approx(Scores(equations, [0]).gain([2]))
-    assert held.values() == free.values()
+    assert held.values() == {**absent.values(), OTHER: 0.0}
+    assert list(held.values()) == list(free.values())
+    assert held.chi_square() == pytest.approx(absent.chi_square())
+    assert held.chi_square(held_out=True) == pytest.approx(absent.chi_square(held_out=True))
+    beside, without = Scores(equations, [0, 1], held=[1]), Scores(equations, [0])
+    assert beside.identifiability([2]) == pytest.approx(without.identifiability([2]))
+    assert beside.beside_base([2])[0] == pytest.approx(without.beside_base([2])[0])

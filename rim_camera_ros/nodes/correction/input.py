@@ -10,7 +10,13 @@ from typing import Any, Protocol
 
 from rclpy.subscription import Subscription
 
-from rim_camera_ros.bags.stamp_pairing import PATIENCE, RELIABLE_PATIENCE, StampPairing
+from rim_camera_ros.bags.stamp_pairing import (
+    CAPACITY,
+    PATIENCE,
+    RELIABLE_CAPACITY,
+    RELIABLE_PATIENCE,
+    StampPairing,
+)
 from rim_camera_ros.bags.topics import IMAGE, KNOWN_ROLES
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.errors import InputError, RimError
@@ -101,9 +107,10 @@ class MessageInput:
         measurement = measurement_of(self._receiver.camera())
         images = measurement.image_roles(self._receiver.camera())
         samples = measurement.samples if self._receiver.samples() else ()
-        self._pairing = StampPairing(
-            self._published, images, samples, patience=RELIABLE_PATIENCE if self._keep_all else PATIENCE
+        patience, capacity = (
+            (RELIABLE_PATIENCE, RELIABLE_CAPACITY) if self._keep_all else (PATIENCE, CAPACITY)
         )
+        self._pairing = StampPairing(self._published, images, samples, patience=patience, capacity=capacity)
         for role in (*_ROLES, *samples, *reversed(images)):
             topic, kind = KNOWN_ROLES[role]
             take = self._compare if role == "camera_info" else self._taker(role)
