@@ -26,7 +26,7 @@ Array = NDArray[Any]
 
 _OF_INTERVALS = (
     "These intervals are of each number by itself. What they have in common may be wide where offsets of the "
-    "pixels or other numbers can take it up; the distances that all of them make are known to {:.2g} mm."
+    "pixels or other numbers can take it up: to what the distances of all of them are known stands above each."
 )
 
 
@@ -61,7 +61,10 @@ def page(result: Diagnosis, *, recording: str, camera: str, scene: str) -> str:
         verdict=result.verdict,
         named=bool(result.missing),
         moved=found.chi_before is not None,
-        missing=[part for one in result.missing for part in _missing(one, result)],
+        missing=[
+            *(part for one in result.missing for part in _missing(one, result)),
+            *([Text(_OF_INTERVALS)] if any(one.distance_sigma for one in result.missing) else []),
+        ],
         further=_further(result),
         better=_improved(result) and not result.accuracy.got_worse,
         worst=setup.worst_pose(found),
@@ -155,8 +158,6 @@ def _missing(one: Missing, result: Diagnosis) -> list[Part]:
     if rows:
         headings = ["parameter", "value", "95 % from", "to", "unit", "meaning"]
         parts.append(Table(headings, rows, numbers=(1, 2, 3)))
-    if rows and one.distance_sigma is not None:
-        parts.append(Text(_OF_INTERVALS.format(one.distance_sigma * 1e3)))
     if any("gon" in row[4] for row in rows):
         parts.append(Text("An angle of 1 gon is 1/400 of a full turn: 100 gon = 90°."))
     return parts
