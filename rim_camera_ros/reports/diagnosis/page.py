@@ -26,7 +26,7 @@ Array = NDArray[Any]
 
 _OF_INTERVALS = (
     "These intervals are of each number by itself. What they have in common may be wide where offsets of the "
-    "pixels or other numbers can take it up: to what the distances of all of them are known stands above each."
+    "pixels or other numbers can take it up: to what the distances of all of them are known stands above."
 )
 
 
