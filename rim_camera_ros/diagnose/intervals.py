@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.effects.candidate import Block
 from rim_camera_ros.fit.bounds import Bounds
 from rim_camera_ros.fit.design import GAIN
 from rim_camera_ros.fit.problem import Fit, Problem, blocks_of
@@ -132,33 +131,32 @@ def distances_known_to(
     intervals may be that alone, as the mean of the offsets of all integration times.
     """
     blocks = blocks_of(problem, fitted.camera, fitted.scene)
-    owners = [one.owner for block in blocks for one in block.regressors]
-    own = [block for block in blocks if any(one.owner in names for one in block.regressors)]
-    numbers = [i for block in own for i in _numbers(block, blocks)]
+    starts = np.cumsum([0, *(len(block.regressors) for block in blocks)])
+    own = {
+        int(start): block
+        for start, block in zip(starts, blocks, strict=False)
+        if any(one.owner in names for one in block.regressors)
+    }
+    if not own:
+        return {}
+    numbers = [start + k for start, block in own.items() for k in range(len(block.regressors))]
+    owners = [one.owner for block in own.values() for one in block.regressors]
     size = fitted.camera.shape[0] * fitted.camera.shape[1]
     sums, seen = np.zeros((len(numbers), size)), np.zeros(size)
     products = np.zeros((len(numbers), len(numbers)))
     for one in fitted.forward.predictions():
         used = np.flatnonzero(one.used)
-        columns = [column for block in own for column, _ in block.columns(one)]
+        columns = [column for block in own.values() for column, _ in block.columns(one)]
         x = np.array([np.nan_to_num(np.broadcast_to(each, one.used.shape)).ravel()[used] for each in columns])
         products += x @ x.T
         sums[:, used] += x
         seen[used] += 1
     products -= (sums / np.maximum(seen, 1.0)) @ sums.T
-    count = len(fitted.parameters)
     result = {}
-    for name in names:
-        form = np.zeros((count, count))
-        mine = [k for k, i in enumerate(numbers) if owners[i] == name]
+    for name in set(owners) & set(names):
+        mine = [k for k, owner in enumerate(owners) if owner == name]
         at = [numbers[k] for k in mine]
+        form = np.zeros((len(fitted.parameters),) * 2)
         form[np.ix_(at, at)] = products[np.ix_(mine, mine)] / max(seen.sum(), 1.0)
-        if mine:
-            result[name] = uncertainty.sigma(form)
+        result[name] = uncertainty.sigma(form)
     return result
-
-
-def _numbers(block: Block, blocks: Sequence[Block]) -> range:
-    """Return the numbers of a block's regressors among those of all blocks."""
-    start = sum(len(one.regressors) for one in blocks[: next(i for i, b in enumerate(blocks) if b is block)])
-    return range(start, start + len(block.regressors))

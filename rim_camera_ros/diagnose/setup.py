@@ -213,7 +213,7 @@ def check_setup(
     if physics and before is not None:
         first = {one.key: one for one in check_poses(before)}
         already = {one.key: one.error for one in _few([*first.values()], 1.0)}
-        # errors that they had hide no less of those of the others
+        # what was found may strain the others, so that these do not stand out any more
         least = {key: max(_STRAINED * FAR, _HALF * error) for key, error in already.items()}
         left = [one for one in poses if one not in bad and one.error > least.get(one.key, np.inf)]
         # what many poses show is physics

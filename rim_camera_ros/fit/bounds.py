@@ -19,6 +19,8 @@ from rim_camera_ros.fit.design import GAIN
 
 Array = NDArray[Any]
 
+#: Sigma by which the data take a parameter beyond what is possible above which that is no noise.
+BEYOND_POSSIBLE = 3.0
 #: Relative change of a width or a lag in one step.
 _SHAPE_STEP = 0.25
 #: Share of a station's values below whose amplitude a pole of a term may lie.

@@ -16,7 +16,7 @@ from rim_camera_ros.effects.candidate import Block, Regressor, priors_of
 from rim_camera_ros.effects.light_curves import FALLOFF, LOBE, tile_labels
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.fit.amplitudes import AmplitudeModel
-from rim_camera_ros.fit.bounds import Bounds, least_within, of_shape, sigmas_beyond
+from rim_camera_ros.fit.bounds import BEYOND_POSSIBLE, Bounds, least_within, of_shape, sigmas_beyond
 from rim_camera_ros.fit.design import GAIN, is_linear
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.linearised import Linearised
@@ -59,8 +59,6 @@ _HOLD = 1e9
 _DAMPING = (0.01, 0.1, 1.0, 10.0, 100.0, np.inf)
 _LESS_DAMPED = 10.0
 _NO_SOLUTION = "the adjustment found no finite solution"
-#: Sigma by which the data take a parameter beyond its bound above which that is no noise.
-_BEYOND_BOUND = 3.0
 _AT_A_BOUND = "{} is at the end of what is possible: the form of its effect is not quite the true one"
 #: Share of the forecast gain of a step by which the objective may become worse once, near the solution.
 _OVER_THE_BEND = 0.1
@@ -380,7 +378,7 @@ class GaussNewton:
         best.converged = self._converged and not self._stuck
         if self._stuck:
             best.notes.append("the adjustment stopped where no step leads to a possible camera")
-        beyond = [i for i, sigmas in best.at_bounds.items() if sigmas > _BEYOND_BOUND]
+        beyond = [i for i, sigmas in best.at_bounds.items() if sigmas > BEYOND_POSSIBLE]
         best.notes += [_AT_A_BOUND.format(list(best.parameters)[i]) for i in beyond]
         if self._converged or not self._last_step:
             return

@@ -14,6 +14,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import in_order
 from rim_camera_ros.effects.candidate import MANY_PIXELS, Block, Candidate
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.bounds import BEYOND_POSSIBLE
 from rim_camera_ros.fit.gauss_newton import TOLERANCE
 from rim_camera_ros.fit.problem import Fit, Point, Problem
 from rim_camera_ros.fit.solver import fit
@@ -34,8 +35,6 @@ LEAST_THRESHOLD = 8.0
 _INDEPENDENT = 8
 #: Least share of a linear fit's strengths at which an effect is begun.
 _LEAST_SHARE = 1e-3
-#: Sigma beyond which light that is added is taken for negative, which none is.
-_NEGATIVE = 3.0
 
 
 @dataclass
@@ -296,7 +295,7 @@ def _gain(scores: Scores, candidate: Candidate, span: Sequence[int]) -> float:
         values = scores.values(span)
         sigma = np.sqrt(np.diag(scores.covariance(scores.columns(span))))
         labels = [scores.regressors[int(i)].label for i in scores.columns(span)]
-        limits = dict(zip(labels, -_NEGATIVE * sigma, strict=True))
+        limits = dict(zip(labels, -BEYOND_POSSIBLE * sigma, strict=True))
         if any(values[label] < limits[label] for label in candidate.positive):
             return 0.0
     return gain

@@ -111,7 +111,8 @@ def search(
         say("whether each is still needed")
         state.drop_needless()
         if not state.found and most > len(ahead):
-            # nothing had been looked for beside what ended at a bound
+            # nothing had been looked for without what ended at a bound; the pixels are decided by now
+            state.may_narrow = False
             state.add(most)
     left_out = refused(state.step, state.failed)
     if len(state.found) < most:

@@ -32,6 +32,7 @@ def test_differences_of_settings_are_known_far_better_than_the_offset_of_each(tm
         step = explore(problem, truth, [], folds_of(data), replicates=0)
         uncertainty = uncertainty_of(step, problem, seed=1)
         (known,) = distances_known_to(step.fit, problem, uncertainty, ["integration_time_offset"]).values()
+        assert distances_known_to(step.fit, problem, uncertainty, ["multipath"]) == {}
         offsets = {t: f"effects.integration_time_offset.offset.{t:g}" for t in TRUE}
         intervals = intervals_of(step.fit, uncertainty)
         widths = [intervals[path][2] - intervals[path][1] for path in offsets.values()]
