@@ -9,24 +9,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
+from scipy.stats import median_abs_deviation
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers
+from rim_camera_ros.effects.candidate import priors_of
 from rim_camera_ros.effects.sections import Radiometry
 from rim_camera_ros.fit.design import GAIN
 from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.pixel_elimination import stacked
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.select.compare import LEAST_SIZE, Result, entry_gain
 from rim_camera_ros.select.effect_sizes import contribution
 from rim_camera_ros.select.evidence import folds_of
-from rim_camera_ros.select.exploration import explore
+from rim_camera_ros.select.exploration import ALARM_RATE, explore
+from rim_camera_ros.select.null_replicates import IMPERFECTIONS
+
+Array = NDArray[Any]
 
 #: A term has moved where chance would do so once in this many times.
 _CHANCE = 1e-4
-#: Single-frame sigmas (RMS) by which known terms together must move distances to be called wrong: whoever
-#: fitted the file knew its parameters no better than its own recordings told.
-LEAST_TOTAL = 0.1
 #: A relative change of the radiometric gain that matters, and in units of its 1-sigma.
 LEAST_GAIN = 0.03
 _FAR = 4.0
@@ -56,12 +59,8 @@ def adjusted_terms(camera: Camera, fitted: Fit) -> list[Adjusted]:
         if not index:
             continue
         change = np.array([after[names[i]] - before[names[i]] for i in index])
-        covariance = fitted.covariance[np.ix_(index, index)]
-        scale = np.sqrt(np.diag(covariance))
-        normal = change / scale
-        correlation = covariance / scale[:, None] / scale[None, :] + 1e-9 * np.eye(len(index))
-        wald = float(normal @ np.linalg.solve(correlation, normal))
-        if wald < chdtri(len(index), _CHANCE) or _moved(camera, fitted, name) < LEAST_SIZE:
+        square = _in_sigmas(change, fitted.covariance[np.ix_(index, index)])
+        if square < chdtri(len(index), _CHANCE) or _moved(camera, fitted, name) < LEAST_SIZE:
             continue
         result.append(
             Adjusted(
@@ -80,6 +79,66 @@ def adjusted_terms(camera: Camera, fitted: Fit) -> list[Adjusted]:
     return result
 
 
+def _in_sigmas(change: Array, covariance: Array) -> float:
+    """Return the square of a change (K,) in units of a covariance (Wald's statistic)."""
+    scale = np.sqrt(np.diag(covariance))
+    normal = change / scale
+    correlation = covariance / scale[:, None] / scale[None, :] + 1e-9 * np.eye(len(change))
+    return float(normal @ np.linalg.solve(correlation, normal))
+
+
+def beyond_file(camera: Camera, fitted: Fit) -> bool:
+    """Return whether known terms together differ from their file by more than fit and file know them.
+
+    By chance so with `ALARM_RATE` (Wald's test of all parameters that the file has).
+    """
+    before, after = camera_numbers(camera), camera_numbers(fitted.camera)
+    paths = list(fitted.parameters)
+    own = [i for i, path in enumerate(paths) if path.startswith("effects.") and path in before]
+    change = np.array([after[paths[i]] - before[paths[i]] for i in own])
+    known = file_covariance(camera, fitted, own)
+    square = _in_sigmas(change, fitted.covariance[np.ix_(own, own)] + known)
+    return square > float(chdtri(len(own), ALARM_RATE))
+
+
+def file_covariance(camera: Camera, fitted: Fit, own: Sequence[int]) -> Array:
+    """Return the covariance (K, K) to which a camera file knows some parameters of a fit, by their numbers.
+
+    As the file states it. Of a file that states none it is what plain least squares of a recording like this
+    one, with errors of poses and offsets of pixels that it does not know of, leave: no more was done where
+    nothing is said, and to take it for exact would call errors of poses of another day wrong parameters.
+    """
+    equations, count = fitted.equations, len(fitted.equations.regressors)
+    gram, nuisances = stacked(equations.folds, count)
+    labels = [one.label for one in equations.regressors]
+    others = [i for i, one in enumerate(labels[: len(fitted.parameters)]) if one.startswith(IMPERFECTIONS)]
+    sizes = [*priors_of([equations.regressors[i] for i in others]), *(size for _, size, _ in nuisances)]
+    errors = gram[np.ix_([*others, *range(count, count + len(nuisances))], own)] * np.array(sizes)[:, None]
+    offsets = fitted.pattern.ravel()
+    offsets = offsets if equations.pixels.seen is None else offsets[equations.pixels.seen]
+    of_pixels = np.sum([fold.pixel[:, own] for fold in equations.folds], axis=0)
+    prior = np.diag(priors_of([equations.regressors[i] for i in own]) ** -2.0)
+    normal = gram[np.ix_(own, own)] + prior
+    scatter = (
+        normal
+        + errors.T @ errors
+        + median_abs_deviation(offsets, scale="normal") ** 2 * of_pixels.T @ of_pixels
+    )
+    # columns differ by many orders of magnitude
+    unit = np.sqrt(np.diag(normal))
+    scaled = np.linalg.inv(normal / np.outer(unit, unit))
+    result = np.asarray(scaled @ (scatter / np.outer(unit, unit)) @ scaled / np.outer(unit, unit))
+    if camera.covariance is None:
+        return result
+    paths = list(fitted.parameters)
+    stated = {path: i for i, path in enumerate(camera.covariance.parameters)}
+    mine = [k for k, i in enumerate(own) if paths[i] in stated]
+    result[mine, :] = result[:, mine] = 0.0
+    places = [stated[paths[own[k]]] for k in mine]
+    result[np.ix_(mine, mine)] = camera.covariance.matrix.values[np.ix_(places, places)]
+    return result
+
+
 def _moved(camera: Camera, fitted: Fit, name: str) -> float:
     """RMS [m] over the pixels of the change of one term, without its mean over the stations of each."""
     return _varying(
@@ -89,23 +148,7 @@ def _moved(camera: Camera, fitted: Fit, name: str) -> float:
     )
 
 
-def total_change(camera: Camera, fitted: Fit) -> float:
-    """RMS, in single-frame sigmas, of how a fit changes the predicted distances.
-
-    Without the mean of each pixel, which the fixed pattern takes up. Changes of whole stations count: errors
-    of poses take them up only as far as they are stated, which the likelihood says.
-    """
-
-    def change(old: Prediction, new: Prediction) -> NDArray[Any]:
-        single = new.sigma * np.sqrt(np.maximum(new.station.count, 1))
-        return np.asarray((new.distance - old.distance) / single)
-
-    return _varying(camera, fitted, change)
-
-
-def _varying(
-    camera: Camera, fitted: Fit, change_of: Callable[[Prediction, Prediction], NDArray[Any]]
-) -> float:
+def _varying(camera: Camera, fitted: Fit, change_of: Callable[[Prediction, Prediction], Array]) -> float:
     """RMS of a change over pixels and stations, its mean over the stations of each pixel removed."""
     before = Forward(fitted.forward.dataset, fitted.scene, camera, views=fitted.forward.views)
     before.amplitude_model = fitted.forward.amplitude_model
@@ -133,8 +176,8 @@ def _varying(
 def parameters_matter(camera: Camera, result: Result, adjusted: Sequence[Adjusted]) -> bool:
     """Return whether freeing the known terms that moved gains on held-out poses, conditional on the others.
 
-    As much as an effect must gain to enter beside others, where
-    all terms together move distances by `LEAST_TOTAL`.
+    As much as an effect must gain to enter beside others, where all terms together differ from their file
+    by more than it knows them.
 
     A wrong radiometric gain matters by itself: fits of poses take up a power that is wrong in all of them, so
     that no likelihood tells it.
@@ -142,7 +185,7 @@ def parameters_matter(camera: Camera, result: Result, adjusted: Sequence[Adjuste
     if any(one.effect == Radiometry.section for one in adjusted):
         return True
     final = result.explorations[-1].fit
-    if not adjusted or total_change(camera, final) < LEAST_TOTAL:
+    if not adjusted or not beyond_file(camera, final):
         return False
     moved = {one.effect: camera.effects[one.effect] for one in adjusted}
     stated = replace(final.camera, effects={**final.camera.effects, **moved})

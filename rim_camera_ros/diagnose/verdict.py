@@ -10,7 +10,7 @@ import numpy as np
 from rim_camera_ros.calibrate.plan import shipped_experiments
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import Accuracy, accuracy
-from rim_camera_ros.diagnose.adjusted import Adjusted, adjusted_terms, parameters_matter
+from rim_camera_ros.diagnose.adjusted import Adjusted, adjusted_terms, beyond_file, parameters_matter
 from rim_camera_ros.diagnose.codes import MissingCodes
 from rim_camera_ros.diagnose.described import Described, Rest, of_correlated_errors, unexplained
 from rim_camera_ros.diagnose.intervals import distances_known_to, intervals_of, uncertainty_of
@@ -56,6 +56,10 @@ from rim_camera_ros.select.exploration import Exploration
 _UNEXPLAINED = 1.05
 #: What is named must be more probable than not.
 LEAST_PROBABILITY = 0.5
+_AS_KNOWN = (
+    "known terms fit this recording better with other parameters, which are within what the camera file knows"
+    " of them (its covariance, or what plain least squares of such a recording would leave)"
+)
 _AGAINST = (
     "held-out poses got worse with {}: what is missing is something else, which no named effect describes"
 )
@@ -275,8 +279,11 @@ def _wrong_parameters(draft: _Draft, found: Findings) -> None:
     if draft.adjusted and not alone and parameters_matter(found.camera, found.result, draft.adjusted):
         draft.verdict = "wrong_parameters"
         draft.where = of_change(found.fitted, found.camera)
-    else:
-        draft.adjusted, draft.model = [], found.camera
+        return
+    if draft.adjusted and not alone and not beyond_file(found.camera, found.result.explorations[-1].fit):
+        moved = ", ".join(one.effect for one in draft.adjusted)
+        draft.notes.append(f"{_AS_KNOWN}: {moved}")
+    draft.adjusted, draft.model = [], found.camera
 
 
 def _of_variance(draft: _Draft, found: Findings) -> None:

@@ -7,15 +7,19 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
+from rim_camera_ros.camera import Covariance
 from rim_camera_ros.diagnose import adjusted as adjusting
-from rim_camera_ros.diagnose.adjusted import Adjusted, parameters_matter
+from rim_camera_ros.diagnose.adjusted import Adjusted, file_covariance, parameters_matter
 from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit
+from rim_camera_ros.parameters import ArrayFile
 
 from ..calibrate.helpers import camera, record, scene
 from .test_setup import told_wrongly
@@ -89,8 +93,41 @@ def test_parameters_that_strain_stated_errors_of_poses_gain_less(
         fit=fitted,
         problem=Problem(record(told, scene(tmp_path), poses=2), scene(tmp_path)),
     )
-    monkeypatch.setattr(adjusting, "total_change", lambda one, other: 1.0)
+    monkeypatch.setattr(adjusting, "beyond_file", lambda one, other: True)
     as_stated = SimpleNamespace(scores=scores([0.0] * 5, 0.0))
     monkeypatch.setattr(adjusting, "explore", lambda *args, **settings: as_stated)
     moved = Adjusted("cyclic_error", {"harmonics.0.amplitude": 0.012}, {"harmonics.0.amplitude": 0.01})
     assert parameters_matter(told, result, [moved]) is matter
+
+
+@pytest.mark.parametrize(
+    ("sigma", "verdict"),
+    [(0.002, "consistent"), (0.0005, "wrong_parameters")],  # 16 mm are stated where 12 mm are true
+)
+def test_a_file_is_held_to_the_covariance_that_it_states(tmp_path: Path, sigma: float, verdict: str) -> None:
+    board = scene(tmp_path)
+    data = record(camera(tmp_path, cyclic(0.012)), board, poses=20, seed=5)
+    names = ("effects.cyclic_error.harmonics.0.amplitude", "effects.cyclic_error.harmonics.0.phase")
+    stated = ArrayFile("covariance.npy", np.diag([sigma**2, (sigma / 0.016) ** 2]))
+    file = replace(camera(tmp_path, cyclic(0.016)), covariance=Covariance(names, stated))
+    assert diagnose(data, board, file).verdict == verdict
+
+
+def test_without_a_covariance_a_file_is_known_as_by_plain_least_squares(tmp_path: Path) -> None:
+    """Of a scale, by errors of poses: those of boards at many distances are its largest part.
+
+    Fitted to other recordings without a thought of errors of poses, it scatters by what is returned.
+    """
+    described, truth = scene(tmp_path), camera(tmp_path, DistanceScale(0.004))
+    board = replace(described, surfaces=(replace(described.surfaces[0], pose_common=0.0),))
+    plain = []
+    for seed in range(40):
+        predictions = list(Forward(record(truth, board, poses=12, seed=seed), board, truth).predictions())
+        distance = np.concatenate([one.distance[one.used] for one in predictions])
+        residual = np.concatenate([one.residual[one.used] for one in predictions])
+        weight = np.concatenate([one.sigma[one.used] for one in predictions]) ** -2.0
+        plain.append(float(np.sum(weight * distance * residual) / np.sum(weight * distance**2)))
+    fitted = fit(Problem(record(truth, board, poses=12, seed=99), board), truth)
+    own = [list(fitted.parameters).index("effects.distance_scale.scale")]
+    known = float(np.sqrt(file_covariance(truth, fitted, own)[0, 0]))
+    assert known == pytest.approx(float(np.std(plain)), rel=0.25)
