@@ -31,8 +31,8 @@ LEAST_SIGMA = 6.0
 #: Share of a pixel's variance from which on what all pixels have in common is a second camera's light:
 #: reading out leaves a little in every real camera.
 LEAST_COMMON_SHARE = 0.003
-#: Persistence of what pixels share from which on it drifts, in its standard deviations where frames are
-#: independent.
+#: Standard deviations of independent frames of the light of a second camera from which on what pixels share
+#: drifts (persistence), or tilts distances and not amplitudes.
 _DRIFTS = 4.0
 #: Probability with which independent frames are taken for ones of which the first differs.
 _BEGINS_BY_CHANCE = 0.001
@@ -101,8 +101,9 @@ class Variance:
     def moves(self) -> bool:
         """Whether what pixels share from frame to frame are distances of surfaces that move, or that drift.
 
-        A second camera adds the same light to all pixels, with a phase that is another in each frame; a
-        surface that moves tilts the phase over the array, and goes on moving.
+        A second camera adds light of its own to all pixels, with a phase that is another in each frame, so
+        that it tilts amplitudes as much as distances; a surface that moves tilts distances, and goes on
+        moving.
         """
         moves = self.movement is not None and drifts_or_tilts(self.movement)
         return self._common_variation and moves and not self.begins
@@ -114,7 +115,8 @@ class Variance:
 
 def drifts_or_tilts(one: Movement) -> bool:
     """Return whether what pixels have in common is a movement rather than the light of a second camera."""
-    return one.by_tilt > one.by_light or one.persistence > _DRIFTS * one.persistence_sigma
+    tilts = one.by_tilt > one.by_light and one.tilts > _DRIFTS
+    return tilts or one.persistence > _DRIFTS * one.persistence_sigma
 
 
 def _begins(one: Movement) -> bool:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import polygamma
 
 Array = NDArray[Any]
 
@@ -20,6 +21,9 @@ class Movement:
     """Changes of a station's frames as a plane that tilts would make them, and as common light would.
 
     ``by_tilt`` and ``by_light`` are the chi-squares that either explains, with two numbers a frame;
+    ``of_phase`` is the logarithm of how much more tilts of the phase explain than tilts of the amplitude do,
+    summed over stations: light that a second camera throws unevenly tilts both alike, what moves tilts
+    distances alone.
     ``rim`` [m] is the RMS over the frames of how far tilts move distances at the rim of the array.
     ``steps`` and ``spread`` are the sums of squares of the changes from one frame to the next and of the
     deviations from the mean, of the numbers of the better of the two: their ratio is 2 where frames are
@@ -30,6 +34,7 @@ class Movement:
 
     by_tilt: float
     by_light: float
+    of_phase: float
     rim: float
     steps: float
     spread: float
@@ -46,6 +51,13 @@ class Movement:
     def first(self) -> float:
         """The share of the spread that is of the first frame's distance to those after it."""
         return 1.0 - self.later / self.spread if self.spread > 0 else 0.0
+
+    @property
+    def tilts(self) -> float:
+        """By how many sigmas tilts are of distances rather than of distances and amplitudes alike."""
+        # the logarithm of the ratio of two equal sums of F - 1 squares
+        sigma = np.sqrt(2.0 * self.number * polygamma(1, max(self.frames - 1.0, 1.0) / 2.0))
+        return float(self.of_phase / sigma)
 
     @property
     def begins(self) -> float:
@@ -97,6 +109,7 @@ def together(movements: Sequence[Movement]) -> Movement:
     return Movement(
         by_tilt=sum(one.by_tilt for one in movements),
         by_light=sum(one.by_light for one in movements),
+        of_phase=sum(one.of_phase for one in movements),
         rim=max(one.rim for one in movements),
         steps=sum(one.steps / one.spread for one in movements if one.spread > 0),
         spread=float(sum(one.spread > 0 for one in movements)),
@@ -166,10 +179,12 @@ def _movement(deviation: Array, light: Array, weight: Array, valid: Array, ambig
 
     by_light, phasors = explained(one, 1j * one)
     by_tilt, tilts = explained(1j * light * rows, 1j * light * columns)
+    of_amplitude, _ = explained(light * rows, light * columns)
     series = tilts if by_tilt > by_light else phasors
     return Movement(
         by_tilt=by_tilt,
         by_light=by_light,
+        of_phase=float(np.log(by_tilt / of_amplitude)) if min(by_tilt, of_amplitude) > 0 else 0.0,
         rim=float(np.sqrt(np.mean(np.abs(tilts).sum(axis=1) ** 2)) * ambiguity / (2 * np.pi)),
         steps=float((np.diff(series, axis=0) ** 2).sum()),
         spread=float(((series - series.mean(axis=0)) ** 2).sum()),

@@ -171,13 +171,22 @@ class Prediction:
         none = (np.zeros(self.distance.shape), np.zeros(self.distance.shape))
         return [self.light_change(None, one + 0j) if one.any() else none for one in changes]
 
-    def light_columns(self) -> list[tuple[Array, Array]]:
-        """Return the derivatives by light that all pixels share [counts], its real and imaginary part."""
+    def light_columns(self) -> dict[str, tuple[Array, Array]]:
+        """Return the derivatives by light that is added to all pixels [counts], by name of its part.
+
+        Real and imaginary part of its mean, and of gradients over rows and columns (at the rim): a second
+        camera does not light the scene evenly.
+        """
         level = to_phasor(self.delivered.distance, self.amplitude, self.context.ambiguity)
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = np.where(level == 0, 0, 1.0 / np.where(level == 0, 1.0, level))
         scale = self.context.ambiguity / (2 * np.pi)
-        return [self.reading_change(scale * change.imag, change.real) for change in (relative, 1j * relative)]
+        rows, columns = (np.linspace(-1.0, 1.0, n) for n in level.shape)
+        result = {}
+        for name, form in (("", 1.0), ("_rows", rows[:, None]), ("_columns", columns[None, :])):
+            for part, change in (("real", form * relative), ("imaginary", 1j * form * relative)):
+                result[part + name] = self.reading_change(scale * change.imag, change.real)
+        return result
 
     def pose_change(self, column: PoseColumn) -> tuple[Array, Array]:
         """Return the derivatives of the readings by an error of a pose."""
@@ -197,7 +206,7 @@ def random_effects(
     """Return what may differ between poses: name, 1-sigma, value at the point, derivatives of both channels.
 
     Errors of poses; with a ``gain_sigma`` (relative) the emitted power, with ``stray_light`` [counts] light
-    that all pixels of the station share.
+    that is added to all pixels of the station, unevenly by as much.
     """
     station = prediction.station
     key = f"{station.recording}.{station.pose}"
@@ -213,8 +222,7 @@ def random_effects(
         at = float(np.log(prediction.gain))
         result.append((f"{key}.gain", gain_sigma, at, distance, amplitude))
     if stray_light > 0:
-        parts = zip(("real", "imaginary"), prediction.light_columns(), strict=True)
-        for part, (distance, amplitude) in parts:
+        for part, (distance, amplitude) in prediction.light_columns().items():
             result.append((f"{key}.light.{part}.{station.stamp}", stray_light, 0.0, distance, amplitude))
     return result
 

@@ -79,10 +79,9 @@ def after_nuisances(
         by_distance, by_amplitude = prediction.gain_column()
         distance = distance - gain * by_distance
         amplitude = amplitude - gain * by_amplitude
-    for part, number in (("real", 0), ("imaginary", 1)):
-        light = nuisances.get(f"{key}.light.{part}.{station.stamp}")
-        if light:
-            by_distance, by_amplitude = prediction.light_columns()[number]
+    if any(name.startswith(f"{key}.light.") for name in nuisances):
+        for part, (by_distance, by_amplitude) in prediction.light_columns().items():
+            light = nuisances.get(f"{key}.light.{part}.{station.stamp}", 0.0)
             distance = distance - light * by_distance
             amplitude = amplitude - light * by_amplitude
     for column in prediction.pose_columns:

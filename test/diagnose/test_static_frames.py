@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.bags import Recording, RecordingWriter
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.diagnose.codes import missing_codes
+from rim_camera_ros.diagnose.variance import drifts_or_tilts
 from rim_camera_ros.effects.interference import Interference
 from rim_camera_ros.fit.common_variation import Movement, common_variation, together
 
@@ -40,15 +41,21 @@ def test_a_floor_that_moves_within_poses_is_a_fault_of_the_setup(tmp_path: Path)
     assert "record each pose at rest" in report["reason"]
 
 
-def frames_of(rng: np.random.Generator, *, light: float = 0.0, tilt: float = 0.0) -> np.ndarray:
-    """Eight complex images with noise: light of random phases [counts], a growing tilt [rad at the rim]."""
+def frames_of(
+    rng: np.random.Generator, *, light: float = 0.0, uneven: float = 0.0, tilt: float = 0.0
+) -> np.ndarray:
+    """Eight complex images with noise: light of random phases [counts], a growing tilt [rad at the rim].
+
+    What surfaces throw back of it grows over the rows by ``uneven`` [counts at the rim].
+    """
     rows, columns = np.indices((30, 40))
     own = (800 + 20 * columns) * np.exp(1j * (0.9 + 0.03 * rows))
     result = []
     for k in range(8):
         phase = tilt * (k / 7 - 0.5) * (rows / 15 - 1)
+        thrown = light + uneven * 1j * (rows / 15 - 1) * own / 1200
         noise = rng.normal(0, 8, own.shape) + 1j * rng.normal(0, 8, own.shape)
-        result.append(own * np.exp(1j * phase) + light * np.exp(2j * np.pi * rng.random()) + noise)
+        result.append(own * np.exp(1j * phase) + thrown * np.exp(2j * np.pi * rng.random()) + noise)
     return np.array(result)
 
 
@@ -69,6 +76,27 @@ def test_light_and_tilts_are_told_apart() -> None:
     # noise alone: two numbers a frame, seven free frames, six stations
     for one in (still.by_light, still.by_tilt):
         assert one == pytest.approx(84, abs=6 * np.sqrt(2 * 84))
+
+
+def test_light_that_is_thrown_unevenly_tilts_amplitudes_as_much_as_distances() -> None:
+    """As a second camera that stands elsewhere: said to be surfaces that move in two recordings of two."""
+    rng = np.random.default_rng(4)
+    second = movement(frames_of(rng, uneven=9.0)[:3] for _ in range(20))
+    assert abs(second.tilts) < 3
+    # also where tilts explain more than light that is even
+    assert not drifts_or_tilts(replace(second, by_light=0.5 * second.by_tilt))
+    jumping = movement(rng.permutation(frames_of(rng, tilt=0.02))[:3] for _ in range(20))
+    assert abs(jumping.persistence) < 4 * jumping.persistence_sigma
+    assert jumping.tilts > 6
+    assert drifts_or_tilts(jumping)
+    assert movement([frames_of(rng, tilt=0.06)]).tilts > 4  # one station tells, as while it is recorded
+
+
+def test_by_how_much_tilts_of_light_differ_by_chance() -> None:
+    rng = np.random.default_rng(8)
+    found = [movement(frames_of(rng, uneven=20.0)[:3] for _ in range(6)).tilts for _ in range(80)]
+    assert np.std(found) == pytest.approx(1.0, rel=0.25)
+    assert abs(np.mean(found)) < 4 * np.std(found) / np.sqrt(80)
 
 
 def test_how_persistent_independent_frames_are() -> None:
