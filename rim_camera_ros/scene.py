@@ -230,7 +230,7 @@ class Scene:
     schedule: tuple[Station, ...] = quantity("-", "stations, one after the other", default=(), most=10_000)
     stray_light: float = quantity(
         "counts",
-        "1-sigma of light by way of what is not in the scene, one phasor a pose and its gradients over the image",
+        "1-sigma of light by way of what is not in the scene, one phasor a pose and its gradients",
         default=0.0,
         minimum=0.0,
     )
