@@ -152,7 +152,7 @@ def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
         draft.verdict = "unknown_physics"
         missing, draft.where = unexplained(found.fitted, measure.chi2_before)
         draft.missing = [missing]
-    if draft.verdict == "missing_physics":
+    if draft.verdict in ("missing_physics", "wrong_parameters"):
         measure = _made_sure(draft, found, measure)
     named = {one.effect for one in draft.missing}
     return Diagnosis(
@@ -178,7 +178,7 @@ def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
 
 
 def _made_sure(draft: _Draft, found: Findings, measure: Accuracy) -> Accuracy:
-    """Hold the names against held-out poses; return how accurate what is said is then.
+    """Hold names and terms that moved against held-out poses; return how accurate what is said is then.
 
     A model that leaves much has not found what is missing: names are as certain as they explain what does
     not fit. What held-out poses speak against is something else.
@@ -187,9 +187,10 @@ def _made_sure(draft: _Draft, found: Findings, measure: Accuracy) -> Accuracy:
         one if one.effect in OF_NOISE else replace(one, probability=measure.explained * one.probability)
         for one in draft.missing
     ]
-    names = ", ".join(one.effect for one in sure)
+    names = ", ".join(one.effect for one in (sure or draft.adjusted))
     draft.missing = [one for one in sure if one.probability >= LEAST_PROBABILITY]
-    if draft.missing and not measure.got_worse:
+    certain = bool(draft.missing) if sure else measure.explained >= LEAST_PROBABILITY
+    if certain and not measure.got_worse:
         return measure
     draft.notes.append(_AGAINST.format(names) if measure.got_worse else _LITTLE.format(names, measure))
     draft.verdict, draft.ties, draft.model = "unknown_physics", [], found.camera
