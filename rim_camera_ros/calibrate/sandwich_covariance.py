@@ -121,9 +121,9 @@ def _scores_of(
     changes = [(one.pose_change(c), prior) for c, prior in errors if prior is not None]
     if f"{key}.gain" in priors:
         changes.append((one.gain_column(), priors[f"{key}.gain"]))
-    if any(name.startswith(f"{key}.light.") for name in priors):
-        stray = {f"{key}.light.{part}.{one.station.stamp}": c for part, c in one.light_columns().items()}
-        changes += [(c, priors[name]) for name, c in stray.items() if name in priors]
+    if f"{key}.light.real.{one.station.stamp}" in priors:
+        for part, column in one.light_columns().items():
+            changes.append((column, priors[f"{key}.light.{part}.{one.station.stamp}"]))
     limit_d = ROBUST_LIMIT * one.sigma[used]
     limit_a = ROBUST_LIMIT * one.amplitude_sigma[lit]
     residual = np.concatenate(

@@ -106,7 +106,8 @@ def file_covariance(camera: Camera, fitted: Fit, own: Sequence[int]) -> Array:
 
     As the file states it. Of a file that states none it is what plain least squares of a recording like this
     one, with errors of poses and offsets of pixels that it does not know of, leave: no more was done where
-    nothing is said, and to take it for exact would call errors of poses of another day wrong parameters.
+    nothing is said, and to take it for exact would call errors of poses of another day wrong parameters. In
+    the units of the parameters; the sandwich of White (1980) with the stated errors in place of residuals.
     """
     equations, count = fitted.equations, len(fitted.equations.regressors)
     gram, nuisances = stacked(equations.folds, count)

@@ -224,8 +224,8 @@ def moving(variance: Variance) -> str:
     return (
         "surfaces move, or the camera does, within poses that are told as one: from frame to frame distances "
         f"tilt by up to {one.rim * 1e3:.2g} mm at the rim of the array"
-        f"{', slowly,' if slowly else ''} where the light of a second camera would be the same in all pixels "
-        "and have another phase in every frame; record each pose at rest, or the pose of every frame"
+        f"{', slowly,' if slowly else ''} where the light of a second camera would change amplitudes "
+        "as much, with another phase in every frame; record each pose at rest, or the pose of every frame"
     )
 
 

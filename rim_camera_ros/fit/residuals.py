@@ -79,7 +79,7 @@ def after_nuisances(
         by_distance, by_amplitude = prediction.gain_column()
         distance = distance - gain * by_distance
         amplitude = amplitude - gain * by_amplitude
-    if any(name.startswith(f"{key}.light.") for name in nuisances):
+    if f"{key}.light.real.{station.stamp}" in nuisances:
         for part, (by_distance, by_amplitude) in prediction.light_columns().items():
             light = nuisances.get(f"{key}.light.{part}.{station.stamp}", 0.0)
             distance = distance - light * by_distance
