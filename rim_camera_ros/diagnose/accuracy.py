@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.effects.candidate import Block
 from rim_camera_ros.fit.problem import Fit, Problem, blocks_of, clean_by
 from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.solver import fit
@@ -49,6 +50,7 @@ class Accuracy:
     """RMS [m] of the residuals of held-out poses and their chi-square per value, before and after;
     ``noise_floor`` [m]: RMS that the noise of the stations' means makes. ``table_of_all``: the table of what
     is unknown is of all poses, as it has too many values to be estimated again without each part of them.
+    ``all_before`` and ``all_after`` are chi-squares by which names are judged (`judged_by_all_errors`).
     """
 
     rms_before: float
@@ -58,6 +60,8 @@ class Accuracy:
     chi2_after: float
     held_out: bool
     table_of_all: bool = False
+    all_before: float | None = None
+    all_after: float | None = None
 
     @property
     def hopeless(self) -> bool:
@@ -75,7 +79,15 @@ class Accuracy:
         """Share of the excess of chi-square over 1 that the model explains; 1 where nothing is left."""
         if not self.held_out or self.chi2_after <= LEFT or self.chi2_before <= LEFT:
             return 1.0
-        return float(np.clip((self.chi2_before - self.chi2_after) / (self.chi2_before - 1.0), 0.0, 1.0))
+        before, after = self.judged
+        return float(np.clip((before - after) / max(before - 1.0, LEFT - 1.0), 0.0, 1.0))
+
+    @property
+    def judged(self) -> tuple[float, float]:
+        """Chi-squares per value of held-out poses before and after, of which `explained` is."""
+        if self.all_before is None or self.all_after is None:
+            return self.chi2_before, self.chi2_after
+        return self.all_before, self.all_after
 
     def notes(self) -> list[str]:
         """Return what speaks against the improved camera or is left of it, in words."""
@@ -94,9 +106,12 @@ class Accuracy:
             ]
         if self.chi2_after <= LEFT or self.chi2_after == self.chi2_before:
             return []
+        further = "or something else is left out, which intervals do not allow for"
+        if self.all_after is not None and self.all_after <= LEFT:
+            further = f"which intervals do not allow for; changed a little, it leaves {self.all_after:.3g}"
         return [
             f"chi-square per value of held-out poses is still {self.chi2_after:.3g}: the form of what was "
-            "found is not quite the true one, or something else is left out, which intervals do not allow for"
+            f"found is not quite the true one, {further}"
         ]
 
 
@@ -109,50 +124,12 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Fit | None 
     the fixed pattern are estimated for both, the pattern from the other folds. Cameras of different geometry
     are compared at the pixels that stay away from edges by both.
     """
-    problem = result.problem
-    views = result.fit.forward.views
-    if model.optics != camera.optics:
-        problem = clean_by(model, problem, result.fit.scene, views=views)
-    frozen = replace(
-        problem,
-        scene=result.fit.scene,
-        effects=(),
-        geometry=(),
-        gain=False,
-        robust=False,
-        reflectance=False,
-        response=None,
-    )
-    before = fit(frozen, camera, fold_of=result.folds, iterations=1, views=views)
-    same_distances = model.effects == camera.effects and model.optics == camera.optics
-    own, of_all = frozen, False
-    if same_distances and model.noise == camera.noise:
-        after = before
-    elif same_distances:
-        after = fit(frozen, model, fold_of=result.folds, iterations=1, views=views)
-    elif unknown is not None:
-        own = replace(problem, robust=False, geometry=(), reflectance=False, response=None)
-        table = None if effect_of(camera, CovariateTable) else effect_of(model, CovariateTable)
-        start, steps = model, 2
-        if isinstance(table, CovariateTable) and len(set(result.folds.values())) > 1:
-            of_all = table.values.values.size > _MOST_VALUES
-            if not of_all:
-                # what other poses do not say of it is nothing, and not what the held-out ones said
-                nothing = replace(table, values=NestedList(np.zeros_like(table.values.values)))
-                start, steps = with_effects(model, {**model.effects, table.name: nothing}), 0
-                own = replace(own, effects=tuple(model.effects))
-        after = fit(own, start, fold_of=result.folds, iterations=steps, views=views, warm=unknown)
-    else:
-        own = replace(problem, robust=False)
-        warm = result.fit if result.fit.camera == model else None
-        if warm is None:
-            own = replace(own, scene=result.fit.scene)
-        after = fit(own, model, fold_of=result.folds, iterations=2, views=views, warm=warm)
-    rms_before, chi_before = _held_out(before, frozen, result.folds)
+    compared = _Compared.of(result.problem, camera, model, result, unknown)
+    rms_before, chi_before = _held_out(compared.before, compared.frozen, result.folds)
     rms_after, chi_after = rms_before, chi_before
-    if after is not before:
-        rms_after, chi_after = _held_out(after, own, result.folds)
-    floors = [one.sigma[one.used] ** 2 for one in before.forward.predictions(slopes=False)]
+    if compared.after is not compared.before:
+        rms_after, chi_after = _held_out(compared.after, compared.own, result.folds)
+    floors = [one.sigma[one.used] ** 2 for one in compared.before.forward.predictions(slopes=False)]
     floor = float(np.sqrt(np.mean(np.concatenate(floors)))) if floors else 0.0
     return Accuracy(
         rms_before,
@@ -160,9 +137,98 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Fit | None 
         floor,
         chi_before,
         chi_after,
-        held_out=len(after.equations.folds) > 1,
-        table_of_all=of_all,
+        held_out=len(compared.after.equations.folds) > 1,
+        table_of_all=compared.table_of_all,
     )
+
+
+def judged_by_all_errors(
+    measure: Accuracy, camera: Camera, model: Camera, result: Result, unknown: Fit | None = None
+) -> Accuracy:
+    """Return an accuracy with chi-squares of held-out poses that say how much a model explains of all errors.
+
+    Errors that neighbours share (`correlated_errors`) count as what does not fit: an effect takes from their
+    variance, too. What the forms of named effects may do otherwise, within its priors, is theirs. Arguments
+    are those of `accuracy`. A measure that nothing of it changes is returned as it is.
+    """
+    correlated = result.problem.correlated_error > 0
+    if not correlated and measure.explained == 1.0:
+        return measure
+    forms = result.explorations[-1].forms if model == result.fit.camera else ()
+    problem = replace(result.problem, correlated_error=0.0)
+    compared = _Compared.of(problem, camera, model, result, unknown, forms)
+    before = _chi_square(compared.before)
+    after = before if compared.after is compared.before else _chi_square(compared.after, forms)
+    return replace(measure, all_before=before, all_after=after)
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """Fits of the camera as its file says, ``before``, and of another, with their problems."""
+
+    frozen: Problem
+    before: Fit
+    own: Problem
+    after: Fit
+    table_of_all: bool
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        camera: Camera,
+        model: Camera,
+        result: Result,
+        unknown: Fit | None,
+        forms: Sequence[Block] = (),
+    ) -> _Compared:
+        views = result.fit.forward.views
+        if model.optics != camera.optics:
+            problem = clean_by(model, problem, result.fit.scene, views=views)
+        frozen = replace(
+            problem,
+            scene=result.fit.scene,
+            effects=(),
+            geometry=(),
+            gain=False,
+            robust=False,
+            reflectance=False,
+            response=None,
+        )
+        before = fit(frozen, camera, fold_of=result.folds, iterations=1, views=views)
+        same_distances = model.effects == camera.effects and model.optics == camera.optics
+        own, of_all = frozen, False
+        if same_distances and model.noise == camera.noise:
+            after = before
+        elif same_distances:
+            after = fit(frozen, model, fold_of=result.folds, iterations=1, views=views)
+        elif unknown is not None:
+            own = replace(problem, robust=False, geometry=(), reflectance=False, response=None)
+            table = None if effect_of(camera, CovariateTable) else effect_of(model, CovariateTable)
+            start, steps = model, 2
+            if isinstance(table, CovariateTable) and len(set(result.folds.values())) > 1:
+                of_all = table.values.values.size > _MOST_VALUES
+                if not of_all:
+                    # what other poses do not say of it is nothing, and not what the held-out ones said
+                    nothing = replace(table, values=NestedList(np.zeros_like(table.values.values)))
+                    start, steps = with_effects(model, {**model.effects, table.name: nothing}), 0
+                    own = replace(own, effects=tuple(model.effects))
+            after = fit(own, start, fold_of=result.folds, iterations=steps, views=views, warm=unknown)
+        else:
+            own = replace(problem, robust=False)
+            warm = result.fit if result.fit.camera == model else None
+            if warm is None:
+                own = replace(own, scene=result.fit.scene)
+            after = fit(own, model, fold_of=result.folds, further=forms, iterations=2, views=views, warm=warm)
+        return cls(frozen, before, own, after, of_all)
+
+
+def _chi_square(fitted: Fit, forms: Sequence[Block] = ()) -> float:
+    """Return chi-square per value of held-out poses, beside changes of forms that follow the parameters."""
+    count = len(fitted.parameters) + sum(len(one.regressors) for one in forms)
+    scores = Scores(fitted.equations, range(count), held=fitted.at_bounds)
+    chi_square, rows = scores.chi_square(held_out=True)
+    return chi_square / max(rows, 1)
 
 
 def _held_out(fitted: Fit, problem: Problem, folds: Mapping[tuple[int, int], int]) -> tuple[float, float]:

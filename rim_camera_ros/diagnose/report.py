@@ -54,6 +54,8 @@ def as_json(result: Diagnosis) -> dict[str, Any]:
             "chi2_before": measure.chi2_before,
             "chi2_after": measure.chi2_after,
             "held_out": measure.held_out,
+            "chi2_all_before": measure.all_before,
+            "chi2_all_after": measure.all_after,
         },
         "next_recording": result.next_recording,
         "model": MODEL,

@@ -9,7 +9,7 @@ import numpy as np
 
 from rim_camera_ros.calibrate.plan import shipped_experiments
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.accuracy import Accuracy, accuracy
+from rim_camera_ros.diagnose.accuracy import Accuracy, accuracy, judged_by_all_errors
 from rim_camera_ros.diagnose.adjusted import Adjusted, adjusted_terms, beyond_file, parameters_matter
 from rim_camera_ros.diagnose.codes import MissingCodes
 from rim_camera_ros.diagnose.described import Described, Rest, of_correlated_errors, unexplained
@@ -65,7 +65,7 @@ _AGAINST = (
 )
 _LITTLE = (
     "{0} would explain {1.explained:.0%} of what does not fit (chi-square per value of held-out poses "
-    "{1.chi2_before:.3g} -> {1.chi2_after:.3g}): most of what is missing is something else"
+    "{1.judged[0]:.3g} -> {1.judged[1]:.3g}): most of what is missing is something else"
 )
 _BESIDE_LARGE_GAINS = "not named beside light that goes from pixel to pixel, which may look like it"
 _BESIDE_FIRST_FRAMES = "not named beside first frames that differ, as their means may look like it"
@@ -138,7 +138,9 @@ def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
             proposals = told_apart(at, names, shipped_experiments(), progress=say)
             advice[tuple(names)] = recommended(proposals, threshold=at.threshold)
     unknown = found.unknown if draft.verdict == "unknown_physics" else None
-    measure = accuracy(found.camera, draft.model, found.result, None if unknown is None else unknown.fit)
+    table = None if unknown is None else unknown.fit
+    measure = accuracy(found.camera, draft.model, found.result, table)
+    measure = judged_by_all_errors(measure, found.camera, draft.model, found.result, table)
     left = min(measure.chi2_before, found.left_over)
     correlated = found.fitted.forward.correlated_error > 0
     if draft.verdict == "consistent" and correlated:
@@ -196,7 +198,12 @@ def _made_sure(draft: _Draft, found: Findings, measure: Accuracy) -> Accuracy:
     draft.verdict, draft.ties, draft.model = "unknown_physics", [], found.camera
     missing, draft.where = unexplained(found.baseline.fit, measure.chi2_before)
     draft.missing = [missing]
-    return replace(measure, rms_after=measure.rms_before, chi2_after=measure.chi2_before)
+    return replace(
+        measure,
+        rms_after=measure.rms_before,
+        chi2_after=measure.chi2_before,
+        all_after=measure.all_before,
+    )
 
 
 def _begun(found: Findings) -> _Draft:

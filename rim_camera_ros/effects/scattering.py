@@ -19,12 +19,13 @@ from rim_camera_ros.convolution import (
     shift,
 )
 from rim_camera_ros.effects.base import ComplexEffect
-from rim_camera_ros.effects.candidate import Candidate, Facts, has_many_pixels, linear
-from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn, spread_out
+from rim_camera_ros.effects.candidate import Candidate, Facts, Reading, has_many_pixels, linear
+from rim_camera_ros.effects.discrepancy import SPREADS, Change, DiscrepancyColumn, spread_out
 from rim_camera_ros.effects.graph import POINTS, Graph, Line
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.signal import Context, Image
 from rim_camera_ros.parameters import quantity
+from rim_camera_ros.phasor import to_phasor
 
 #: Sigma [px] up to which stray light is none: the footprint of a pixel and what crosses to its neighbours.
 #: Halos between lens and chip are wider.
@@ -181,6 +182,30 @@ class Scattering(ComplexEffect):
     def discrepancy(self, change: Change) -> Iterator[DiscrepancyColumn]:
         yield from super().discrepancy(change)
         yield from spread_out(change)
+        yield from self._mirrored(change.reading)
+
+    def _mirrored(self, reading: Reading) -> Iterator[DiscrepancyColumn]:
+        """Yield what light does that falls on the chip mirrored through the optical axis, as a blurred ghost.
+
+        So comes back from surfaces of the lens what the chip reflects (Hullin et al. 2011, on lens flare).
+        """
+        from scipy.ndimage import gaussian_filter
+
+        context = reading.context
+        light = reading.before_effect(self.name)
+        before = to_phasor(light.distance, light.amplitude, context.ambiguity)
+        after = self.apply(before, context)
+        seen = np.abs(after) > 0
+        optics = context.camera.optics
+        mirrored = shift(
+            np.ascontiguousarray(before[::-1, ::-1]),
+            columns=2 * optics.cx - (before.shape[1] - 1),
+            rows=2 * optics.cy - (before.shape[0] - 1),
+        )
+        for share in SPREADS[:2]:
+            ghost = gaussian_filter(mirrored, share * before.shape[1], mode="constant")
+            relative = np.divide(ghost - before, after, out=np.zeros_like(after), where=seen)
+            yield reading.light_change(self.name, relative)
 
     @property
     def limit(self) -> str | None:

@@ -169,7 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         line: dict[str, Any] = {"name": name}
         shown = frames
         if name != "null":
-            rest = max(done[0]["fit"]["chi2_after"] - 1.0, _LEAST)
+            rest = max(_all_errors(done[0]["fit"]) - 1.0, _LEAST)
             make, small, largest = EFFECTS[name]
             line["size"] = MULTIPLE * small * float(np.sqrt(rest / visible(frames, name, camera)))
             if line["size"] > largest:
@@ -184,6 +184,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     (given.out / SUMMARY).write_text(table)
     print(table)
     return 0
+
+
+def _all_errors(fit: Mapping[str, float | None]) -> float:
+    """Return chi-square per value beside what `visible` allows for, not beside smooth errors of the poses."""
+    every = fit.get("chi2_all_after")
+    return float(fit["chi2_after"] or 0.0) if every is None else every
 
 
 def _keep(done: list[dict[str, Any]], line: dict[str, Any], results: Path) -> None:
