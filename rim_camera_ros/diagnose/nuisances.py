@@ -102,18 +102,21 @@ def optics_beyond(fitted: Fit) -> str | None:
     )
 
 
-def beside_refused(result: Result) -> Fit:
-    """Return the last fit of a search, its errors of poses conditional on an effect that was refused.
+def conditional_on_physics(result: Result) -> Fit:
+    """Return the last fit of a search, its errors of poses conditional on what physics may do beside it.
 
-    On that which gains most of those about which poses disagree, if there is any: poses are to blame for what
-    no effect takes up. Poses that were moved err by as much beside it.
+    On what the forms of the effects found may do otherwise, and on the effect that gains most of those about
+    which poses disagree, if there is any: poses are to blame for what neither takes up. What a large effect
+    of a form not quite its own leaves differs from pose to pose, and poses that were moved err by as much
+    beside it.
     """
     step = result.explorations[-1]
     disputed = next((one.effect for one in result.refused if one.why == NOT_IN_ALL_POSES), None)
     number = None if disputed is None else step.best().get(disputed)
-    if number is None:
+    if number is None and not step.forms:
         return step.fit
-    return replace(step.fit, nuisances=step.fit.nuisances | step.scores.errors(step.spans[number]))
+    errors = step.beside.errors([] if number is None else step.spans[number])
+    return replace(step.fit, nuisances=step.fit.nuisances | errors)
 
 
 def poses_beyond(fitted: Fit, camera: Camera, errors: Mapping[tuple[int, int], float]) -> str | None:

@@ -30,8 +30,8 @@ from rim_camera_ros.diagnose.inconsistent import (
 )
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, only_rectified_noise
 from rim_camera_ros.diagnose.nuisances import (
-    beside_refused,
     common_pose_beyond,
+    conditional_on_physics,
     nuisances_of,
     optics_beyond,
     poses_beyond,
@@ -258,7 +258,7 @@ def _diagnose(
     if reason is None and described is None:
         # what was so before any physics was fitted, and stays
         of_board = reflectivities_beyond(baseline.fit, scene) and reflectivities_beyond(final.fit, scene)
-        blamed = beside_refused(result)
+        blamed = conditional_on_physics(result)
         astray = {key: error for key, error in errors_of_poses(blamed).items() if error > BEYOND}
         of_surface = common_pose_beyond(final.fit, camera)
         reason = of_board or of_surface or poses_beyond(blamed, camera, astray)

@@ -102,7 +102,7 @@ class AmplitudeOffset(DistanceTerm):
         return result
 
     @classmethod
-    def reach(cls, path: str, start: float) -> tuple[float, float]:
+    def reach(cls, path: str, start: float, shape: tuple[int, int]) -> tuple[float, float]:
         limit = 10 * abs(start) + 5.0
         return (-limit, limit) if path.endswith(".b") else (-np.inf, np.inf)
 

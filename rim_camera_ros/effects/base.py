@@ -107,14 +107,19 @@ class Effect(Physics):
         return {path: size for path, (_, _, size) in self._metadata().items() if size is not None}
 
     @classmethod
-    def reach(cls, path: str, start: float) -> tuple[float, float]:
+    def reach(cls, path: str, start: float, shape: tuple[int, int]) -> tuple[float, float]:
         """Return how far a fit may move a parameter at a dotted path that starts at a value.
 
-        Widths and lags within a factor of five: readings are far from linear in them.
+        Widths and lags within a factor of five: readings are far from linear in them. Widths in pixels up to
+        that of the array, of ``shape`` (H, W): what is wider is the same in all its pixels, and only strength
+        over width is identifiable.
         """
-        if cls.is_shape(path):
-            return 0.2 * abs(start), 5.0 * abs(start) + 1e-9
-        return -np.inf, np.inf
+        if not cls.is_shape(path):
+            return -np.inf, np.inf
+        most = 5.0 * abs(start) + 1e-9
+        if not cls.in_pixels.isdisjoint(path.split(".")):
+            most = max(abs(start), min(most, float(max(shape))))
+        return 0.2 * abs(start), most
 
     @classmethod
     def is_shape(cls, path: str) -> bool:

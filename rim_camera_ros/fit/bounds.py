@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,10 +32,11 @@ _INSIDE, _ROUNDING = 1e-9, 1e-12
 
 @dataclass(frozen=True)
 class Bounds:
-    """The least and the greatest possible values of parameters, by path."""
+    """The least and the greatest possible values of parameters, by path; ``shape`` (H, W) of the array."""
 
     lows: Mapping[str, float]
     highs: Mapping[str, float]
+    shape: tuple[int, int]
 
     @classmethod
     def of(cls, camera: Camera) -> Bounds:
@@ -45,7 +46,7 @@ class Bounds:
         for name, effect in camera.effects.items():
             for path, (low, high) in effect.bounds().items():
                 lows[f"effects.{name}.{path}"], highs[f"effects.{name}.{path}"] = low, high
-        return cls(lows, highs)
+        return cls(lows, highs, camera.shape)
 
     @classmethod
     def of_data(cls, dataset: Dataset, masks: Sequence[tuple[Array, Array]] | None, camera: Camera) -> Bounds:
@@ -66,14 +67,14 @@ class Bounds:
             for name, effect in camera.effects.items()
             for path, value in effect.greatest(darkest).items()
         }
-        return cls(stated.lows, {**stated.highs, **greatest})
+        return replace(stated, highs={**stated.highs, **greatest})
 
     def range_of(self, path: str, begun: float) -> tuple[float, float]:
         """Return the least and the greatest value that a parameter may take in a fit that ``begun`` there."""
         low, high = self.lows.get(path, -np.inf), self.highs.get(path, np.inf)
         owner, inner = _owner(path)
         if owner is not None:
-            least, most = owner.reach(inner, begun)
+            least, most = owner.reach(inner, begun, self.shape)
             low, high = max(low, least), min(high, most)
         return low + _margin(low), high
 

@@ -111,7 +111,7 @@ class GaussNewton:
                 self._begin_at(warm)
         # the way
         self._solved: Solved | None = None
-        self._objective, self._square = np.inf, np.inf
+        self._objective, self._square, self._fell = np.inf, np.inf, np.inf
         self._tried, self._damping = 0, 0.0
         self._return: Solved | None = None
         self._last_step: dict[str, float] = {}
@@ -287,6 +287,7 @@ class GaussNewton:
         if here.objective > self._objective + _LEVEL and self._near:
             self._return = self._solved
             return
+        self._fell = self._objective - here.objective
         self._objective, self._return = here.objective, None
 
     def advance(self, here: Linearised, count: int) -> None:
@@ -319,7 +320,13 @@ class GaussNewton:
         level = _LEVEL * (self._tolerance / TOLERANCE) ** 2
         is_level = self._damping == 0 and abs(self._square - here.square) < level
         settled = count >= min(self._settled, _SETTLED)
-        self._converged |= settled and (is_level or here.decrement < self._tolerance)
+        # within what is possible, and by steps that make nothing worse (Moré 1978, sec. 8), nothing is gained
+        left, forecast = here.decrement, self._solved.forecast
+        if self._damping:
+            is_level |= abs(self._fell) < level and forecast < level
+        else:
+            left = forecast
+        self._converged |= settled and (is_level or abs(left) < self._tolerance)
         self._square = here.square
         try:
             self._go(self._solved)

@@ -10,16 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.diagnose.nuisances import beside_refused, poses_beyond
+from rim_camera_ros.diagnose.nuisances import conditional_on_physics, poses_beyond
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.effects.emitter_offset import EmitterOffset
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.frame import Pose
-from rim_camera_ros.select.candidates import candidates
+from rim_camera_ros.select.candidates import candidates, form_blocks
 from rim_camera_ros.select.compare import NOT_IN_ALL_POSES, ONCE_FITTED, Refused
 from rim_camera_ros.select.evidence import folds_of
-from rim_camera_ros.select.exploration import explore
+from rim_camera_ros.select.exploration import explore, explored, further_equations
 
 from ..calibrate.helpers import camera, record, scene
 
@@ -60,10 +62,34 @@ def test_poses_are_to_blame_for_what_no_disputed_effect_takes_up(
     step = explore(Problem(data, board), told, pool, folds_of(data), replicates=0)
     result: Any = SimpleNamespace(explorations=[step], refused=[Refused("distance_scale", 60.0, 20.0, why)])
     assert (poses_beyond(step.fit, told, {}) is not None) is alone
-    said = poses_beyond(beside_refused(result), told, {(0, 9): 12.0})
+    said = poses_beyond(conditional_on_physics(result), told, {(0, 9): 12.0})
     assert (said is not None) is beside
     if said is not None:
         assert "times what is stated, most of all 9: these stand elsewhere" in said
     result.refused = []
-    assert beside_refused(result) is step.fit
+    assert conditional_on_physics(result) is step.fit
     assert np.isfinite([*step.fit.nuisances.values()]).all()
+
+
+@pytest.mark.parametrize(("poses", "alone", "beside"), [((), True, False), ((2, 9, 17), True, True)])
+def test_poses_are_not_to_blame_for_what_the_form_of_an_effect_leaves(
+    tmp_path: Path, poses: tuple[int, ...], alone: bool, beside: bool
+) -> None:
+    """An emitter whose effect grows by 30 % a metre tilts poses otherwise; moved poses are no form of it."""
+    board, told = scene(tmp_path), camera(tmp_path)
+    emitter = EmitterOffset((0.25, -0.15, 0.06))
+    without, with_emitter = (
+        record(one, board, poses=24, seed=9) for one in (told, camera(tmp_path, emitter))
+    )
+    stations = []
+    for one, other in zip(without.stations, with_emitter.stations, strict=True):
+        change = (other.distance - one.distance) * (1.0 + 0.3 * (one.distance - 2.5))
+        stations.append(replace(other, distance=one.distance + change))
+    data = moved(replace(without, stations=stations), poses, 0.03)
+    folds, problem = folds_of(data), Problem(data, board)
+    fitted = fit(problem, camera(tmp_path, emitter))
+    forms = form_blocks(fitted, ["emitter_offset"], [])
+    step = explored(further_equations(fitted, forms, folds, problem), [], forms=forms, replicates=0)
+    result: Any = SimpleNamespace(explorations=[step], refused=[])
+    assert (poses_beyond(step.fit, told, {}) is not None) is alone
+    assert (poses_beyond(conditional_on_physics(result), told, {}) is not None) is beside

@@ -14,6 +14,7 @@ from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.fit.bounds import Bounds, least_within, longest_steps, sigmas_beyond
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit
@@ -125,7 +126,11 @@ def test_a_sinusoid_goes_where_its_phasor_does(
     amplitude, phase = (f"effects.cyclic_error.harmonics.0.{one}" for one in ("amplitude", "phase"))
     numbers = camera_numbers(start)
     moved, offsets = stepped(
-        start, {phase: -0.25}, {amplitude: along * size / 0.013, phase: turn}, Bounds({}, {}), numbers
+        start,
+        {phase: -0.25},
+        {amplitude: along * size / 0.013, phase: turn},
+        Bounds({}, {}, start.shape),
+        numbers,
     )
     reached = camera_numbers(moved)
     first = size * np.exp(1j * (2.9 - 0.25))
@@ -154,6 +159,39 @@ def test_a_small_sinusoid_of_another_phase_finds_its_own(
     for path, value in {**first, "gradient.0": 0.002, "gradient.1": -0.003}.items():
         own = f"effects.cyclic_error.{path}"
         assert found.parameters[own] == pytest.approx(value, abs=4 * found.sigma[own]), path
+
+
+def test_a_fit_ends_where_damped_steps_gain_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All but strongly damped steps go thirty times too far: what these promise is never gained."""
+    truth, board = camera(tmp_path, DistanceScale(0.02)), scene(tmp_path)
+    problem = Problem(record(truth, board, poses=8, seed=4), board)
+    warm = fit(problem, camera(tmp_path), iterations=3)
+    honest = Solved.__dict__["step"].func
+
+    def overshooting(self: Solved) -> np.ndarray:
+        return np.asarray(honest(self) * (30.0 if self.damping < 0.5 else 1.0))
+
+    monkeypatch.setattr(Solved, "step", property(overshooting))
+    start = camera(tmp_path, DistanceScale(0.0))
+    found = fit(problem, start, warm=warm, iterations=30, tolerance=0.15)
+    path = "effects.distance_scale.scale"
+    assert found.converged
+    assert found.iterations < 20
+    assert found.parameters[path] == pytest.approx(0.02, abs=4 * found.sigma[path])
+
+
+def test_a_halo_is_no_wider_than_the_array(tmp_path: Path) -> None:
+    """Of one of 150 px on 44 x 36 only its light within the array is identifiable, not how wide it is."""
+    assert Scattering.reach("kernels.0.sigma.0", 30.0, (36, 44)) == (6.0, 44.0)
+    assert Scattering.reach("kernels.0.sigma.0", 4.0, (36, 44)) == pytest.approx((0.8, 20.0))
+    assert Scattering.reach("kernels.0.sigma.0", 60.0, (36, 44)) == (12.0, 60.0)
+    board = scene(tmp_path)
+    wide = camera(tmp_path, Scattering((Kernel(0.3, (150.0, 120.0)),)))
+    problem = Problem(record(wide, board, poses=12, seed=9), board)
+    found = fit(problem, camera(tmp_path, Scattering((Kernel(0.05, (30.0, 30.0)),))))
+    assert found.converged
+    assert found.parameters["effects.scattering.kernels.0.sigma.0"] == 44.0
+    assert found.chi_square / found.rows == pytest.approx(0.75, abs=0.02)
 
 
 def test_a_step_that_goes_too_far_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
