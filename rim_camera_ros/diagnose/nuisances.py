@@ -103,7 +103,8 @@ def optics_beyond(fitted: Fit) -> str | None:
 
 
 def conditional_on_physics(result: Result) -> Fit:
-    """Return the last fit of a search, its errors of poses conditional on what physics may do beside it.
+    """Return the last fit of a search, its errors of poses and those that a surface's poses share conditional
+    on what physics may do beside it.
 
     On what the forms of the effects found may do otherwise, and on the effect that gains most of those about
     which poses disagree, if there is any: poses are to blame for what neither takes up. What a large effect
@@ -115,8 +116,14 @@ def conditional_on_physics(result: Result) -> Fit:
     number = None if disputed is None else step.best().get(disputed)
     if number is None and not step.forms:
         return step.fit
-    errors = step.beside.errors([] if number is None else step.spans[number])
-    return replace(step.fit, nuisances=step.fit.nuisances | errors)
+    extra = [] if number is None else step.spans[number]
+    values = step.beside.values(extra)
+    shared = {label: values[label] for label in step.fit.parameters if label.startswith(COMMON_POSE)}
+    return replace(
+        step.fit,
+        parameters=step.fit.parameters | shared,
+        nuisances=step.fit.nuisances | step.beside.errors(extra),
+    )
 
 
 def poses_beyond(fitted: Fit, camera: Camera, errors: Mapping[tuple[int, int], float]) -> str | None:

@@ -260,7 +260,7 @@ def _diagnose(
         of_board = reflectivities_beyond(baseline.fit, scene) and reflectivities_beyond(final.fit, scene)
         blamed = conditional_on_physics(result)
         astray = {key: error for key, error in errors_of_poses(blamed).items() if error > BEYOND}
-        of_surface = common_pose_beyond(final.fit, camera)
+        of_surface = common_pose_beyond(blamed, camera)
         reason = of_board or of_surface or poses_beyond(blamed, camera, astray)
         if reason is not None and not of_board and not of_surface:
             setups = by_gain([*setups, moved_poses(astray)])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.diagnose.nuisances import conditional_on_physics, poses_beyond
+from rim_camera_ros.diagnose.nuisances import common_pose_beyond, conditional_on_physics, poses_beyond
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.emitter_offset import EmitterOffset
@@ -21,7 +21,7 @@ from rim_camera_ros.frame import Pose
 from rim_camera_ros.select.candidates import candidates, form_blocks
 from rim_camera_ros.select.compare import NOT_IN_ALL_POSES, ONCE_FITTED, Refused
 from rim_camera_ros.select.evidence import folds_of
-from rim_camera_ros.select.exploration import explore, explored, further_equations
+from rim_camera_ros.select.exploration import Exploration, explore, explored, further_equations
 
 from ..calibrate.helpers import camera, record, scene
 
@@ -71,25 +71,44 @@ def test_poses_are_to_blame_for_what_no_disputed_effect_takes_up(
     assert np.isfinite([*step.fit.nuisances.values()]).all()
 
 
-@pytest.mark.parametrize(("poses", "alone", "beside"), [((), True, False), ((2, 9, 17), True, True)])
-def test_poses_are_not_to_blame_for_what_the_form_of_an_effect_leaves(
-    tmp_path: Path, poses: tuple[int, ...], alone: bool, beside: bool
-) -> None:
-    """An emitter whose effect grows by 30 % a metre tilts poses otherwise; moved poses are no form of it."""
-    board, told = scene(tmp_path), camera(tmp_path)
-    emitter = EmitterOffset((0.25, -0.15, 0.06))
-    without, with_emitter = (
-        record(one, board, poses=24, seed=9) for one in (told, camera(tmp_path, emitter))
-    )
+def beside_a_strange_emitter(
+    folder: Path, emitter: EmitterOffset, *, growth: float, poses: tuple[int, ...]
+) -> tuple[Exploration, Any]:
+    """The fit of an emitter whose effect grows with distance [1/m], and a search that ended there.
+
+    The board of some ``poses`` stood 30 mm nearer.
+    """
+    board, told = scene(folder), camera(folder)
+    without, with_emitter = (record(one, board, poses=24, seed=9) for one in (told, camera(folder, emitter)))
     stations = []
     for one, other in zip(without.stations, with_emitter.stations, strict=True):
-        change = (other.distance - one.distance) * (1.0 + 0.3 * (one.distance - 2.5))
+        change = (other.distance - one.distance) * (1.0 + growth * (one.distance - 2.5))
         stations.append(replace(other, distance=one.distance + change))
     data = moved(replace(without, stations=stations), poses, 0.03)
     folds, problem = folds_of(data), Problem(data, board)
-    fitted = fit(problem, camera(tmp_path, emitter))
+    fitted = fit(problem, camera(folder, emitter))
     forms = form_blocks(fitted, ["emitter_offset"], [])
     step = explored(further_equations(fitted, forms, folds, problem), [], forms=forms, replicates=0)
-    result: Any = SimpleNamespace(explorations=[step], refused=[])
-    assert (poses_beyond(step.fit, told, {}) is not None) is alone
-    assert (poses_beyond(conditional_on_physics(result), told, {}) is not None) is beside
+    return step, SimpleNamespace(explorations=[step], refused=[])
+
+
+@pytest.mark.parametrize(("poses", "beside"), [((), False), ((2, 9, 17), True)])
+def test_poses_are_not_to_blame_for_what_the_form_of_an_effect_leaves(
+    tmp_path: Path, poses: tuple[int, ...], beside: bool
+) -> None:
+    """It tilts poses otherwise; moved poses are no form of it."""
+    emitter = EmitterOffset((0.25, -0.15, 0.06))
+    step, result = beside_a_strange_emitter(tmp_path, emitter, growth=0.3, poses=poses)
+    assert poses_beyond(step.fit, camera(tmp_path), {}) is not None
+    assert (poses_beyond(conditional_on_physics(result), camera(tmp_path), {}) is not None) is beside
+
+
+@pytest.mark.parametrize(("poses", "beside"), [((), False), (tuple(range(24)), True)])
+def test_a_surface_is_not_to_blame_for_what_the_form_of_an_effect_leaves(
+    tmp_path: Path, poses: tuple[int, ...], beside: bool
+) -> None:
+    """It shifts all poses alike; a board that stands 30 mm nearer in all of them is no form of it."""
+    emitter = EmitterOffset((0.1, -0.06, 0.02))
+    step, result = beside_a_strange_emitter(tmp_path, emitter, growth=0.4, poses=poses)
+    assert common_pose_beyond(step.fit, camera(tmp_path)) is not None
+    assert (common_pose_beyond(conditional_on_physics(result), camera(tmp_path)) is not None) is beside
