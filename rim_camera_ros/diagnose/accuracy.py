@@ -157,8 +157,8 @@ def judged_by_all_errors(
     forms = result.explorations[-1].forms if model == result.fit.camera else ()
     problem = replace(result.problem, correlated_error=0.0)
     compared = _Compared.of(problem, camera, model, result, unknown, forms)
-    before = _chi_square(compared.before)
-    after = before if compared.after is compared.before else _chi_square(compared.after, forms)
+    before = _chi_square(_scores(compared.before))
+    after = before if compared.after is compared.before else _chi_square(_scores(compared.after, forms))
     return replace(measure, all_before=before, all_after=after)
 
 
@@ -223,10 +223,14 @@ class _Compared:
         return cls(frozen, before, own, after, of_all)
 
 
-def _chi_square(fitted: Fit, forms: Sequence[Block] = ()) -> float:
-    """Return chi-square per value of held-out poses, beside changes of forms that follow the parameters."""
+def _scores(fitted: Fit, forms: Sequence[Block] = ()) -> Scores:
+    """Return the scores of a fit's parameters, and of changes of forms that follow them."""
     count = len(fitted.parameters) + sum(len(one.regressors) for one in forms)
-    scores = Scores(fitted.equations, range(count), held=fitted.at_bounds)
+    return Scores(fitted.equations, range(count), held=fitted.at_bounds)
+
+
+def _chi_square(scores: Scores) -> float:
+    """Return chi-square per value of held-out poses."""
     chi_square, rows = scores.chi_square(held_out=True)
     return chi_square / max(rows, 1)
 
@@ -237,8 +241,7 @@ def _held_out(fitted: Fit, problem: Problem, folds: Mapping[tuple[int, int], int
     A pose's own errors and power are found beside the parameters and the fixed pattern of the other folds,
     in whose pixels they are judged: of the others nothing is known.
     """
-    scores = Scores(fitted.equations, range(len(fitted.parameters)), held=fitted.at_bounds)
-    chi_square, rows = scores.chi_square(held_out=True)
+    scores = _scores(fitted)
     others: list[_Parameters] = []
     parts, pixels = fitted.equations.folds, fitted.equations.pixels
     shape = fitted.camera.shape
@@ -267,4 +270,4 @@ def _held_out(fitted: Fit, problem: Problem, folds: Mapping[tuple[int, int], int
         total += float(np.sum(rest[used] ** 2))
         number += int(used.sum())
     rms = float(np.sqrt(total / number)) if number else 0.0
-    return rms, chi_square / max(rows, 1)
+    return rms, _chi_square(scores)

@@ -103,13 +103,12 @@ def optics_beyond(fitted: Fit) -> str | None:
 
 
 def conditional_on_physics(result: Result) -> Fit:
-    """Return the last fit of a search, its errors of poses and those that a surface's poses share conditional
-    on what physics may do beside it.
+    """Return the last fit of a search, its errors of poses conditional on what physics may do beside it.
 
     On what the forms of the effects found may do otherwise, and on the effect that gains most of those about
-    which poses disagree, if there is any: poses are to blame for what neither takes up. What a large effect
-    of a form not quite its own leaves differs from pose to pose, and poses that were moved err by as much
-    beside it.
+    which poses disagree, if there is any: poses are to blame for what neither takes up, each by itself and
+    those of a surface together. What a large effect leaves whose form is not quite the true one is alike in a
+    pose, or in all; poses that were moved err by as much beside it.
     """
     step = result.explorations[-1]
     disputed = next((one.effect for one in result.refused if one.why == NOT_IN_ALL_POSES), None)

@@ -64,7 +64,7 @@ _AGAINST = (
     "held-out poses got worse with {}: what is missing is something else, which no named effect describes"
 )
 _LITTLE = (
-    "{0} would explain {1.explained:.0%} of what does not fit (chi-square per value of held-out poses "
+    "{0} would explain {1.explained:.0%} of what does not fit (chi-square of all errors of held-out poses "
     "{1.judged[0]:.3g} -> {1.judged[1]:.3g}): most of what is missing is something else"
 )
 _BESIDE_LARGE_GAINS = "not named beside light that goes from pixel to pixel, which may look like it"

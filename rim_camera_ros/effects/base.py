@@ -111,8 +111,8 @@ class Effect(Physics):
         """Return how far a fit may move a parameter at a dotted path that starts at a value.
 
         Widths and lags within a factor of five: readings are far from linear in them. Widths in pixels up to
-        that of the array, of ``shape`` (H, W): what is wider is the same in all its pixels, and only strength
-        over width is identifiable.
+        that of the array, of ``shape`` (H, W): what is wider lays the same light on all its pixels, of whose
+        strength and widths only a quotient is identifiable.
         """
         if not cls.is_shape(path):
             return -np.inf, np.inf

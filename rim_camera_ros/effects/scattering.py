@@ -187,7 +187,8 @@ class Scattering(ComplexEffect):
     def _mirrored(self, reading: Reading) -> Iterator[DiscrepancyColumn]:
         """Yield what light does that falls on the chip mirrored through the optical axis, as a blurred ghost.
 
-        So comes back from surfaces of the lens what the chip reflects (Hullin et al. 2011, on lens flare).
+        So comes back from surfaces of the lens what the chip reflects (Hullin et al. 2011, Physically-based
+        real-time lens flare rendering).
         """
         from scipy.ndimage import gaussian_filter
 

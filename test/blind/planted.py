@@ -186,10 +186,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _all_errors(fit: Mapping[str, float | None]) -> float:
+def _all_errors(fit: Mapping[str, Any]) -> float:
     """Return chi-square per value beside what `visible` allows for, not beside smooth errors of the poses."""
-    every = fit.get("chi2_all_after")
-    return float(fit["chi2_after"] or 0.0) if every is None else every
+    every = fit["chi2_all_after"]
+    return float(fit["chi2_after"] if every is None else every)
 
 
 def _keep(done: list[dict[str, Any]], line: dict[str, Any], results: Path) -> None:
