@@ -16,7 +16,7 @@ from rim_camera_ros.fit.problem import Fit, Problem, freed
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.evidence import Scores
-from rim_camera_ros.select.exploration import LEAST_THRESHOLD
+from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
 
 #: Ratio of errors after to those before from which on they are worse: offsets of pixels that few poses tell
 #: add some of their noise to a file that was right.
@@ -141,7 +141,7 @@ def beyond_form(problem: Problem, solution: Solution) -> str | None:
     gain = by_curve.held_out() - Scores(wide.equations, base, temper=factor, held=held).held_out()
     values = by_curve.values()
     departure = np.array([values[one.label] for one in block.regressors])
-    if gain < LEAST_THRESHOLD or np.ptp(departure) < _MATTERS:
+    if gain < WITHOUT_REPLICATES or np.ptp(departure) < _MATTERS:
         return None
     knots = curve.knots[0]
     low, high = int(np.argmin(departure)), int(np.argmax(departure))

@@ -40,9 +40,10 @@ from rim_camera_ros.fit.views import Views
 from rim_camera_ros.select.candidates import candidates
 from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.evidence import Scores, folds_of
-from rim_camera_ros.select.exploration import LEAST_THRESHOLD, explore
+from rim_camera_ros.select.exploration import explore
 from rim_camera_ros.select.search import search
 from rim_camera_ros.select.subsample import MANY_PIXELS, at_stations, subsample_of
+from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
 
 Say = Callable[[str], None]
 Key = tuple[int, int]
@@ -203,11 +204,11 @@ def exactly(
             probe.spans,
             start=camera_start,
             kept=kept,
-            threshold=LEAST_THRESHOLD,
+            threshold=WITHOUT_REPLICATES,
         )
         return [
             replace(one, status="left out", text=f"not among --effects; {one.text}")
-            if one.status == "absent" and (one.gain or 0.0) > LEAST_THRESHOLD
+            if one.status == "absent" and (one.gain or 0.0) > WITHOUT_REPLICATES
             else one
             for one in found
         ]

@@ -35,6 +35,8 @@ _NO_BETTER = (
 _GROSS = 50.0
 #: Chi-square per value of held-out poses above which something is left.
 LEFT = 1.1
+#: Share of what does not fit that parameters, or another set-up, must explain to be what differs.
+LEAST_EXPLAINED = 0.5
 #: Values of a table that are estimated again without each part of the poses, at most.
 _MOST_VALUES = 150
 _OF_ALL = (

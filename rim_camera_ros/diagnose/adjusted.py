@@ -23,8 +23,9 @@ from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.select.compare import LEAST_SIZE, Result, entry_gain
 from rim_camera_ros.select.effect_sizes import contribution
 from rim_camera_ros.select.evidence import folds_of
-from rim_camera_ros.select.exploration import ALARM_RATE, explore
+from rim_camera_ros.select.exploration import explore
 from rim_camera_ros.select.null_replicates import IMPERFECTIONS
+from rim_camera_ros.select.thresholds import ALARM_RATE
 
 Array = NDArray[Any]
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.accuracy import LEAST_EXPLAINED
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.scene import Scene
@@ -112,8 +113,12 @@ class Hypothesis:
 
     @property
     def wins(self) -> bool:
-        """Whether it is better also than physics: held against it, or as it explains what does not fit."""
-        return self.is_better and not self.fitted and (self.against_physics or self.share > NEARLY_ALL)
+        """Whether it is better also than physics: held against it, or as it explains what does not fit.
+
+        One that explains less than half of that is not what differs, as it is with names.
+        """
+        least = LEAST_EXPLAINED if self.against_physics else NEARLY_ALL
+        return self.is_better and not self.fitted and self.share > least
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from rim_camera_ros.fit.design import BEYOND, COMMON_POSE, OPTICS
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.compare import NOT_IN_ALL_POSES, Result
-from rim_camera_ros.select.exploration import LEAST_THRESHOLD
+from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
 
 #: Poses that a sentence names.
 _MOST_NAMED = 5
@@ -94,7 +94,7 @@ def optics_beyond(fitted: Fit) -> str | None:
     stated = np.array([priors[one] for one in own])
     known = np.array([fitted.sigma[one] for one in own])
     variance = np.maximum(stated**2 - known**2, (_LEAST_MOVE * stated) ** 2)
-    if 0.5 * float(np.sum(moved**2 / variance)) <= LEAST_THRESHOLD:
+    if 0.5 * float(np.sum(moved**2 / variance)) <= WITHOUT_REPLICATES:
         return None
     return (
         f"the optics differ from the camera file by {np.max(np.abs(moved) / stated):.1f} times the sigma of "

@@ -9,7 +9,7 @@ import numpy as np
 
 from rim_camera_ros.calibrate.plan import shipped_experiments
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.accuracy import Accuracy, accuracy, judged_by_all_errors
+from rim_camera_ros.diagnose.accuracy import LEAST_EXPLAINED, Accuracy, accuracy, judged_by_all_errors
 from rim_camera_ros.diagnose.adjusted import Adjusted, adjusted_terms, beyond_file, parameters_matter
 from rim_camera_ros.diagnose.codes import MissingCodes
 from rim_camera_ros.diagnose.described import Described, Rest, of_correlated_errors, unexplained
@@ -191,7 +191,7 @@ def _made_sure(draft: _Draft, found: Findings, measure: Accuracy) -> Accuracy:
     ]
     names = ", ".join(one.effect for one in (sure or draft.adjusted))
     draft.missing = [one for one in sure if one.probability >= LEAST_PROBABILITY]
-    certain = bool(draft.missing) if sure else measure.explained >= LEAST_PROBABILITY
+    certain = bool(draft.missing) if sure else measure.explained >= LEAST_EXPLAINED
     if certain and not measure.got_worse:
         return measure
     draft.notes.append(_AGAINST.format(names) if measure.got_worse else _LITTLE.format(names, measure))

@@ -17,7 +17,8 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.candidate import Candidate
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.select.effect_sizes import effect_size
-from rim_camera_ros.select.exploration import LEAST_THRESHOLD, Exploration
+from rim_camera_ros.select.exploration import Exploration
+from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
 
 #: Paired standard errors over poses that an effect must gain beside those found before it. The null
 #: replicates give the threshold of the first; what forms leave that are not quite true is not in them.
@@ -40,7 +41,7 @@ class Found:
     gain: float
     ties: list[str] = field(default_factory=list)
     step: int = 0
-    threshold: float = LEAST_THRESHOLD
+    threshold: float = WITHOUT_REPLICATES
 
 
 def paired_error(after: Sequence[float], before: Sequence[float]) -> float:

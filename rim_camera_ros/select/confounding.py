@@ -21,7 +21,8 @@ from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.select.candidates import form_blocks
 from rim_camera_ros.select.effect_sizes import change_by
 from rim_camera_ros.select.evidence import Scores
-from rim_camera_ros.select.exploration import LEAST_THRESHOLD, Exploration, further_equations
+from rim_camera_ros.select.exploration import Exploration, further_equations
+from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
 
 Array = NDArray[Any]
 
@@ -69,7 +70,7 @@ def follows_time(
     true = _explained(gram, right, shapes, np.arange(len(poses)))
     every = 0.5 * float(right @ np.linalg.pinv(gram) @ right)
     expected = 0.5 * len(poses)
-    if true < LEAST_THRESHOLD:
+    if true < WITHOUT_REPLICATES:
         return False
     enough = every - true <= expected + _LEFT * np.sqrt(expected) or true >= _MOST * (every - expected)
     others = [_explained(gram, right, shapes, random.permutation(len(poses))) for _ in range(_ORDERS)]
@@ -164,7 +165,7 @@ def shows_in_quiet_pixels(
     if whole <= 0:
         return True
     wanted = float(step.gains[number]) * scores.expected_gain(own, strength) / whole
-    if wanted < 2 * LEAST_THRESHOLD:
+    if wanted < 2 * WITHOUT_REPLICATES:
         return True
     return float(scores.gain(own)) > _LEAST_PART * wanted
 

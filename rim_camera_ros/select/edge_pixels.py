@@ -14,7 +14,8 @@ from rim_camera_ros.fit.pixels import more_pixels
 from rim_camera_ros.fit.problem import Fit, Problem, clean_by
 from rim_camera_ros.fit.views import CROSSED
 from rim_camera_ros.select.compare import Trial
-from rim_camera_ros.select.exploration import LEAST_THRESHOLD, Exploration, explore
+from rim_camera_ros.select.exploration import Exploration, explore
+from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
 
 #: Share of what such an effect must gain that it gains before the other parameters are fitted.
 _AT_FIRST_SIGHT = 0.5
@@ -130,11 +131,11 @@ def sharper(problem: Problem, step: Exploration, fit: Fits) -> tuple[Exploration
     without = with_effects(camera, {n: one for n, one in camera.effects.items() if not one.at_edges})
     first = fit(problem, without, step, edge_candidates(), iterations=0)
     number = next(iter(first.best().values()))
-    if first.gains[number] <= LEAST_THRESHOLD:
+    if first.gains[number] <= WITHOUT_REPLICATES:
         return None
     blur, footprint = (fit(problem, one, step, ()) for one in (camera, first.camera_with([number])))
     gain = footprint.scores.log_likelihood() - blur.scores.log_likelihood()
-    return (blur, footprint) if gain > LEAST_THRESHOLD else None
+    return (blur, footprint) if gain > WITHOUT_REPLICATES else None
 
 
 def _leader(step: Exploration, share: float) -> Candidate | None:

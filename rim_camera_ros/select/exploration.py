@@ -20,19 +20,16 @@ from rim_camera_ros.fit.problem import Fit, Point, Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.select.evidence import Scores
 from rim_camera_ros.select.null_replicates import error_size, null_scores
+from rim_camera_ros.select.thresholds import (
+    WITHOUT_REPLICATES,
+    least_threshold,
+    rate_of_each,
+    thresholds_at,
+)
 
 Array = NDArray[Any]
 
 
-#: Share of nulls that may raise an alarm, and the least threshold in nats.
-ALARM_RATE = 0.02
-
-
-LEAST_THRESHOLD = 8.0
-
-
-#: Candidates that differ as much as independent tries would.
-_INDEPENDENT = 8
 #: Least share of a linear fit's strengths at which an effect is begun.
 _LEAST_SHARE = 1e-3
 
@@ -63,7 +60,7 @@ class Exploration:
     def threshold(self) -> float:
         """Threshold in nats of the best named candidate."""
         leader = int(np.argmax(self.gains[: self.named])) if self.named else 0
-        return float(self.thresholds[leader]) if self.thresholds.size else LEAST_THRESHOLD
+        return float(self.thresholds[leader]) if self.thresholds.size else WITHOUT_REPLICATES
 
     def threshold_of(self, numbers: Sequence[int]) -> float:
         """Return the highest threshold of some candidates in nats."""
@@ -213,18 +210,20 @@ def explored(
         ]
     )
     maxima = np.zeros(0)
-    thresholds = np.full(len(found), LEAST_THRESHOLD)
+    thresholds = np.full(len(found), WITHOUT_REPLICATES)
     if fitted.camera.sensor.width * fitted.camera.sensor.height > MANY_PIXELS:
         # for the memory that they take
         replicates = min(replicates, 60)
     if replicates and scores.trained and found:
         nulls = null_scores(scores, replicates=replicates, seed=seed, errors=fitted.nuisances)
         drawn = _gains_by_chance(nulls, spans)
-        thresholds = np.array([_threshold(one) for one in drawn])
+        widths = [len(one) for one in spans]
         maxima = drawn[: len(named)].max(axis=0) if named else drawn.max(axis=0)
+        rate = rate_of_each(drawn[: len(named)], widths[: len(named)])
+        thresholds = thresholds_at(rate, drawn, widths)
         names = [one.effect for one in named]
         thresholds[: len(named)] = _given_candidate(
-            scores, names, spans, gains, thresholds[: len(named)], replicates=replicates, seed=seed
+            scores, names, spans, gains, thresholds[: len(named)], rate=rate, replicates=replicates, seed=seed
         )
     return Exploration(fitted, found, scores, spans, gains, maxima, thresholds, len(named), beside, forms)
 
@@ -235,10 +234,6 @@ def _gains_by_chance(nulls: Scores, spans: Sequence[Sequence[int]]) -> Array:
     return np.array([nulls.held_out(span) - base for span in spans])
 
 
-def _threshold(by_chance: Array) -> float:
-    return max(LEAST_THRESHOLD, gumbel_quantile(by_chance, 1 - ALARM_RATE / _INDEPENDENT))
-
-
 def _given_candidate(
     scores: Scores,
     names: Sequence[str],
@@ -246,16 +241,17 @@ def _given_candidate(
     gains: Array,
     thresholds: Array,
     *,
+    rate: float,
     replicates: int,
     seed: int,
 ) -> Array:
-    """Return the thresholds, those of the leading effect from errors of poses that are found beside it.
+    """Return the thresholds at a rate, the leading effect's from errors of poses that are found beside it.
 
     What is missing makes errors of poses that pass for larger ones than stated, and replicates with such
     errors hide it. Permuted residuals are those of the model with what is tested (ter Braak 1992), and their
     size is corrected for the parameters that took a part of them up.
     """
-    held_back = [k for k in range(len(names)) if LEAST_THRESHOLD < gains[k] <= thresholds[k]]
+    held_back = [k for k in range(len(names)) if least_threshold(rate) < gains[k] <= thresholds[k]]
     equations = scores.equations
     whole = error_size(equations, scores.errors())
     if not held_back or whole <= 1.0:
@@ -269,8 +265,9 @@ def _given_candidate(
         return thresholds
     nulls = null_scores(scores, replicates=replicates, seed=seed, errors=larger)
     result = thresholds.copy()
-    for k in (k for k, name in enumerate(names) if name == names[leader]):
-        result[k] = min(float(thresholds[k]), _threshold(_gains_by_chance(nulls, [spans[k]])[0]))
+    own = [k for k, name in enumerate(names) if name == names[leader]]
+    by_chance = _gains_by_chance(nulls, [spans[k] for k in own])
+    result[own] = np.minimum(thresholds[own], thresholds_at(rate, by_chance, [len(spans[k]) for k in own]))
     return result
 
 
@@ -299,10 +296,3 @@ def _gain(scores: Scores, candidate: Candidate, span: Sequence[int]) -> float:
         if any(values[label] < limits[label] for label in candidate.positive):
             return 0.0
     return gain
-
-
-def gumbel_quantile(maxima: Array, probability: float) -> float:
-    """Return a quantile of maxima by a Gumbel distribution of their mean and spread."""
-    scale = float(np.std(maxima)) * np.sqrt(6) / np.pi
-    location = float(np.mean(maxima)) - 0.5772 * scale
-    return float(location - scale * np.log(-np.log(probability)))

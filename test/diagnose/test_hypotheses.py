@@ -174,7 +174,15 @@ def test_a_depth_is_left_to_the_fit_of_poses(tmp_path: Path) -> None:
     depth = Hypothesis("depth", "wall", 659.0, 75.0, -43.0, 0.75, fitted=True)
     lid = Hypothesis("scale", "lid", 34.0, 15.0, 1.05, 0.04, against_physics=True)
     assert best_setup([depth, lid]) is None
-    assert best_setup([replace(lid, gain=700.0), depth]) is not None
+    assert best_setup([replace(lid, gain=700.0, share=0.6), depth]) is not None
+
+
+def test_a_setup_that_explains_less_than_half_is_not_what_differs() -> None:
+    """Another lens gained 6,000 nats over the physics found in an SR4000, 15 % of what did not fit."""
+    lens = Hypothesis("other_lens", "", 6000.0, 900.0, 0.93, 0.15, against_physics=True)
+    assert lens.is_better
+    assert best_setup([lens]) is None
+    assert best_setup([replace(lens, share=0.55)]) is not None
 
 
 @pytest.mark.parametrize("seed", [11, 12])

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from rim_camera_ros.diagnose.result import Diagnosis, Ranked
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.reports.diagnosis import words
 from rim_camera_ros.reports.page import Figure, Folded, Part
 from rim_camera_ros.reports.words import joined
-from rim_camera_ros.select.exploration import ALARM_RATE, Exploration, gumbel_quantile
+from rim_camera_ros.select.exploration import Exploration
+from rim_camera_ros.select.thresholds import ALARM_RATE
 
 _MOST_SMOOTH = 3
 #: Share of an effect's energy above which it is plain to see and not stated.
@@ -130,7 +133,7 @@ def nulls(result: Diagnosis) -> list[Part]:
             continue
         leader, k = next(iter(step.best().items()))
         limit = (float(step.thresholds[k]), "its threshold")
-        rare = gumbel_quantile(step.null_maxima, 1 - ALARM_RATE)
+        rare = float(np.quantile(step.null_maxima, 1 - ALARM_RATE))
         score = (float(step.gains[k]), f"best effect, {leader}")
         title = "before" if step is result.baseline else "after: is anything left?"
         items.append((title if len(steps) > 1 else "", step.null_maxima, limit, score, rare))

@@ -1,0 +1,73 @@
+"""What candidates must gain: by chance in few of the recordings in which nothing is missing.
+
+Many candidates are tried, so that the greatest of their gains is large by chance. Each has the same chance to
+exceed its threshold, by its own gains in replicates, and together they raise an alarm in a stated share of
+recordings (the min-P procedure of Westfall & Young 1993, with Sidak's correction for independent tests).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc, chdtri
+
+Array = NDArray[Any]
+
+#: Share of recordings with nothing missing that may raise an alarm.
+ALARM_RATE = 0.02
+#: Threshold [nats] where no replicates say what chance gains: four sigma of one parameter.
+WITHOUT_REPLICATES = 8.0
+#: Share of replicates with the greatest gains, which tell how many independent tests candidates amount to:
+#: those that correlate do so less the rarer their gains are.
+_RARE = 0.1
+#: Spread of gains that says nothing [nats].
+_NO_SPREAD = 1e-9
+
+
+def rate_of_each(by_chance: Array, widths: Sequence[int]) -> float:
+    """Return the rate at which each of several candidates may exceed its threshold by chance.
+
+    ``by_chance`` (C, R) are gains [nats] of candidates of so many regressors (C,) in replicates; all
+    together exceed their thresholds at `ALARM_RATE`.
+    """
+    if not len(by_chance):
+        return ALARM_RATE
+    least = float(np.quantile(_chances(by_chance, widths).min(axis=0), _RARE))
+    # of n independent chances the least is below this one in 1 - (1 - it)^n of replicates
+    tests = np.log1p(-_RARE) / np.log1p(-min(max(least, 1e-9), _RARE))
+    return float(1 - (1 - ALARM_RATE) ** (1 / tests))
+
+
+def thresholds_at(rate: float, by_chance: Array, widths: Sequence[int]) -> Array:
+    """Return the gains (C,) [nats] that candidates exceed at a rate, by their gains (C, R) in replicates.
+
+    No less than `least_threshold`: priors and bounds leave some gains without a spread.
+    """
+    width, mean, scale = _distributions(by_chance, widths)
+    own = mean + scale * (chdtri(width, rate) - width) / 2
+    return np.asarray(np.maximum(own, least_threshold(rate)))
+
+
+def least_threshold(rate: float) -> float:
+    """Return the gain [nats] that one parameter's fit to noise alone exceeds at a rate."""
+    return float(chdtri(1, rate)) / 2
+
+
+def _distributions(by_chance: Array, widths: Sequence[int]) -> tuple[Array, Array, Array]:
+    """Return degrees of freedom, mean and scale (C,) of gains.
+
+    Twice the gain of a fit is distributed as chi-square, with a degree of freedom a regressor (Wilks 1938).
+    That poses are held out, priors, and errors of poses shift and widen it.
+    """
+    width = np.asarray(widths, float)
+    scale = np.std(by_chance, axis=1) / np.sqrt(width / 2)
+    return width, np.mean(by_chance, axis=1), np.maximum(scale, _NO_SPREAD)
+
+
+def _chances(by_chance: Array, widths: Sequence[int]) -> Array:
+    """Return the chances (C, R) of gains at least as great."""
+    width, mean, scale = (one[:, None] for one in _distributions(by_chance, widths))
+    return np.asarray(chdtrc(width, np.maximum(2 * (by_chance - mean) / scale + width, 0.0)))
