@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.hypotheses import DEPTH, LEAST_GAIN
@@ -15,7 +16,7 @@ from rim_camera_ros.fit.design import BEYOND, COMMON_POSE, OPTICS
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.compare import NOT_IN_ALL_POSES, Result
-from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
+from rim_camera_ros.select.thresholds import ALARM_RATE
 
 #: Poses that a sentence names.
 _MOST_NAMED = 5
@@ -80,11 +81,11 @@ def nuisances_of(fitted: Fit, camera: Camera, gains: GainSpread | None = None) -
 
 
 def optics_beyond(fitted: Fit) -> str | None:
-    """Return in words that the optics differ from the file by far more than it states; None: they do not.
+    """Return in words that the optics differ from the file by more than it states; None: they do not.
 
-    By half the sum of their squared pulls: what their stated covariance costs must be what an effect must
-    gain in order to be named. A parameter that the file knows with the variance P and the fit with S moves by
-    a variance of P - S where the file is right (Demortier & Lyons, CDF note 5776, 2002).
+    By chance so with `ALARM_RATE` (Wald's test of the principal axes of their covariance). A parameter that
+    the file knows with the variance P and the fit with S moves by a variance of P - S where the file is right
+    (Demortier & Lyons, CDF note 5776, 2002).
     """
     priors = {one.label: one.prior for one in fitted.equations.regressors}
     own = [one for one in fitted.parameters if one.startswith(OPTICS) and one in priors]
@@ -94,7 +95,7 @@ def optics_beyond(fitted: Fit) -> str | None:
     stated = np.array([priors[one] for one in own])
     known = np.array([fitted.sigma[one] for one in own])
     variance = np.maximum(stated**2 - known**2, (_LEAST_MOVE * stated) ** 2)
-    if 0.5 * float(np.sum(moved**2 / variance)) <= WITHOUT_REPLICATES:
+    if float(np.sum(moved**2 / variance)) <= float(chdtri(len(own), ALARM_RATE)):
         return None
     return (
         f"the optics differ from the camera file by {np.max(np.abs(moved) / stated):.1f} times the sigma of "
