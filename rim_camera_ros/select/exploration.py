@@ -287,12 +287,21 @@ def further_equations(
 
 
 def _gain(scores: Scores, candidate: Candidate, span: Sequence[int]) -> float:
+    """Return the gain of a candidate by what is possible of it.
+
+    Parameters that chance makes negative, though they cannot be, are held at zero. 0 where one is so by more.
+    """
     gain = float(scores.gain(span))
-    if candidate.positive and gain > 0:
-        values = scores.values(span)
-        sigma = np.sqrt(np.diag(scores.covariance(scores.columns(span))))
-        labels = [scores.regressors[int(i)].label for i in scores.columns(span)]
-        limits = dict(zip(labels, -BEYOND_POSSIBLE * sigma, strict=True))
-        if any(values[label] < limits[label] for label in candidate.positive):
-            return 0.0
-    return gain
+    if not candidate.positive or gain <= 0:
+        return gain
+    values = scores.values(span)
+    labels = {scores.regressors[i].label: i for i in span}
+    below = [labels[one] for one in candidate.positive if values[one] < 0]
+    if not below:
+        return gain
+    sigma = np.sqrt(np.diag(scores.covariance(scores.columns(span))))
+    of = dict(zip(scores.columns(span).tolist(), sigma, strict=True))
+    if any(values[scores.regressors[i].label] < -BEYOND_POSSIBLE * of[i] for i in below):
+        return 0.0
+    possible = [i for i in span if i not in below]
+    return float(scores.gain(possible)) if possible else 0.0
