@@ -14,7 +14,7 @@ PIP_INSTALL := -m pip install --quiet --disable-pip-version-check --no-input --n
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-tcp test-all test-blind test-oldest lint docs bench proof soak lock clean
+.PHONY: help venv demo test test-long test-tcp test-all test-blind test-oldest lint docs bench proof soak lock clean
 
 help: ## print this list of targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
@@ -24,15 +24,20 @@ venv: $(VENV)/.installed ## create .venv with everything the other targets need
 demo: $(VENV)/.installed ## run the demonstration
 	@$(RUN) -m rim_camera_ros.demo
 
-test: $(VENV)/.installed ## run the tests, without the slow ones
+QUICK = not slow and not long
+
+test: $(VENV)/.installed ## run the tests, without those that take long
 ifeq ($(PYTEST_ARGS),)
 	@status=0; \
-	$(RUN) -m pytest -m "not slow" -n $(JOBS) --dist loadfile --ignore=test/ros || status=1; \
-	$(RUN) -m pytest -m "not slow" test/ros || status=1; \
+	$(RUN) -m pytest -m "$(QUICK)" -n $(JOBS) --dist loadfile --ignore=test/ros || status=1; \
+	$(RUN) -m pytest -m "$(QUICK)" test/ros || status=1; \
 	exit $$status
 else
-	@$(RUN) -m pytest -m "not slow" $(PYTEST_ARGS)
+	@$(RUN) -m pytest -m "$(QUICK)" $(PYTEST_ARGS)
 endif
+
+test-long: $(VENV)/.installed ## run the tests of 7 seconds to some minutes
+	@$(RUN) -m pytest -m "long and not slow" -n $(JOBS) --dist loadfile $(PYTEST_ARGS)
 
 # Parameters, processes, launch files and documents are the same by any transport.
 NOT_OF_TRANSPORT = documentation home_folder launch launch_several parameters process security unchanged_parameters

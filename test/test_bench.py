@@ -22,6 +22,7 @@ def test_rows_without_a_baseline_run() -> None:
         row.ours()
 
 
+@pytest.mark.long
 def test_the_joint_adjustment_finds_what_general_least_squares_find() -> None:
     given = joint.work(samples=32_000)
     (found, sigma), _, memory = joint.measured(lambda: joint.ours(given))

@@ -121,6 +121,7 @@ def test_sourcing_puts_rim_on_the_path(workspace: Path, prefix: Path) -> None:
     assert "usage: rim" in in_workspace(workspace, f"{prefix}/lib/{NAME}/rim --help")  # ros2 run
 
 
+@pytest.mark.long
 def test_symlink_install_runs_from_the_source(tmp_path: Path) -> None:
     workspace = build(tmp_path, "--symlink-install")
     for executable in EXECUTABLES:

@@ -32,6 +32,7 @@ def completions(line: str, cwd: Path) -> list[str]:
     return sorted(one.strip() for one in (cwd / "offered").read_text().split(_SEPARATOR) if one.strip())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("line", "offered"),
     [

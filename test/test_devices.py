@@ -125,7 +125,8 @@ def test_real_time_has_no_drift_and_stamps_are_now(camera: Camera) -> None:
     device.open()
     device.next_frame()
     frames, late = [], []
-    for _ in range(20):
+    # on a machine that is busy every one of a few may be late
+    while len(frames) < 20 or (min(late) >= 10_000_000 and len(frames) < 2000):
         frames += taken(device, 1)
         late.append(time.time_ns() - frames[-1].stamp)
     steps = np.diff([one.stamp for one in frames])
@@ -137,7 +138,8 @@ def test_real_time_has_no_drift_and_stamps_are_now(camera: Camera) -> None:
     assert np.subtract(uptimes, uptimes[0]) == pytest.approx(since, abs=1e-6)
     assert 5.0 < uptimes[0] < 6.0
     assert len({one.settings.integration_time for one in frames}) == 2
-    assert device.skipped == (frames[-1].stamp - frames[0].stamp) // 10_000_000 - 19 or device.skipped > 0
+    missed = (frames[-1].stamp - frames[0].stamp) // 10_000_000 - (len(frames) - 1)
+    assert device.skipped == missed or device.skipped > 0
 
 
 def test_late_frames_are_skipped_not_queued(camera: Camera) -> None:

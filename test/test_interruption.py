@@ -133,6 +133,7 @@ def test_while_a_library_is_imported(tmp_path: Path, executable: str) -> None:
     assert (running.returncode, errors) == ((130, "rim: interrupted\n") if executable == "rim" else (0, ""))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("after", MOMENTS)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_ends_with_status_130_and_one_line(tmp_path: Path, command: str, after: float) -> None:

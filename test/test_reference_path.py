@@ -374,6 +374,7 @@ def variation(errors: Array, *, step: float) -> float:
     return float(np.ptp(np.convolve(errors, np.ones(n) / n, "valid"))) / 2
 
 
+@pytest.mark.long
 def test_the_climate_cycle_of_chapter_4() -> None:
     """Secs. 4.3.2.1, 4.3.2.3: +-2-3 cm go down to about +-4 mm by eq. 4.4, further with a scale."""
     first = cycle(seed=1, step=20.0, corrections=[])

@@ -123,6 +123,7 @@ def test_the_report_stands_alone(written: tuple[Path, str]) -> None:
     assert "<script" not in page
 
 
+@pytest.mark.long
 def test_a_file_beside_another_harms_nothing(
     folder: Path, written: tuple[Path, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -139,6 +140,7 @@ def test_a_file_beside_another_harms_nothing(
     assert {one: one.read_bytes() for one in folder.glob("out.*")} == first
 
 
+@pytest.mark.long
 def test_replacing_the_file_that_is_read(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     own = folder / "own"
     own.mkdir()
@@ -242,6 +244,7 @@ def test_interrupted_nothing_is_written(folder: Path) -> None:
     assert out == ""
 
 
+@pytest.mark.long
 def test_without_matplotlib_there_is_no_report(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -266,6 +269,7 @@ def test_a_noise_model_is_stated_in_the_file(folder: Path, written: tuple[Path, 
     assert "confirmed: floor 3 mm" in written[1]
 
 
+@pytest.mark.long
 def test_offsets_of_pixels_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Beside a file that other programs keep there and that cannot be read, and without its picture."""
     own = folder / "of pixels"
@@ -281,6 +285,7 @@ def test_offsets_of_pixels_alone(folder: Path, capsys: pytest.CaptureFixture[str
     assert found.effects["cyclic_error"] == TOLD
 
 
+@pytest.mark.long
 def test_a_picture_that_fails_loses_no_calibration(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -294,6 +299,7 @@ def test_a_picture_that_fails_loses_no_calibration(
     assert load_camera(folder / "without.yaml").covariance is not None
 
 
+@pytest.mark.long
 def test_a_table_alone_states_its_own_errors(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The effects that it replaces are told as left out, and nothing of their fit stands beside it."""
     words = arguments(folder, "--effects", "integral_table", out="table.yaml")
@@ -314,6 +320,7 @@ def test_a_table_alone_states_its_own_errors(folder: Path, capsys: pytest.Captur
     assert "beyond 4 sigma" not in out
 
 
+@pytest.mark.long
 def test_a_curve_that_the_file_has_is_fitted_again(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """`empirical` without covariates takes the file's; another one is said to take its place."""
     first = arguments(folder, "--effects", "empirical:distance", out="curve.yaml")

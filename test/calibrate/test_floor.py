@@ -32,6 +32,7 @@ def offset(a: float = TRUE_A) -> AmplitudeOffset:
     return AmplitudeOffset({1.0: Hyperbola(a, TRUE_B)})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("colour", [ONE_COLOUR, UNKNOWN])
 def test_an_offset_by_amplitude_is_found_where_poses_are_alike(colour: str, tmp_path: Path) -> None:
     """It ended in a LinAlgError: offsets of pixels take on all but 1e-6 of what candidates would do."""

@@ -103,6 +103,7 @@ def test_a_calibration_by_every_second_pixel(
     assert region[3] > 25
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("many")
 def test_a_search_is_by_every_second_pixel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 512 x 424 pixels it did not end in twelve minutes; stray light that it finds is stated for all."""

@@ -125,6 +125,7 @@ def test_poses_that_all_err_alike(tmp_path: Path) -> None:
     assert "by 36 mm, 10 times as much as stated" in reason
 
 
+@pytest.mark.long
 def test_the_command_writes_nothing_unless_it_is_forced(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

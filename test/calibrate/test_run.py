@@ -179,6 +179,7 @@ def test_the_table_by_position_is_compared(result: Calibration) -> None:
     assert table.systematic > 2 * result.accuracy.systematic
 
 
+@pytest.mark.long
 def test_a_table_by_position_describes_errors_by_position(folder: Path, given: Camera) -> None:
     plain = camera(folder, CyclicError((Harmonic(4, 0.02, 0.4),)))
     path = write(folder / "cyclic_bag", frames(plain, scene(folder), poses=40, repeats=2, seed=6))
@@ -237,6 +238,7 @@ def test_a_smooth_function_of_amplitude(folder: Path, bag: Path, given: Camera, 
     assert np.all(level[middle] < high[middle] - high[-1] + 0.003)
 
 
+@pytest.mark.long
 def test_effects_without_overlap_with_the_data(folder: Path, bag: Path, given: Camera) -> None:
     match = r"--effects: saturation_bleed cannot be determined.*no pixel of the recordings is saturated"
     with pytest.raises(InputError, match=match):
@@ -368,6 +370,7 @@ def test_a_frequency_that_changes_in_the_recording(folder: Path, given: Camera, 
         calibrate(Request((path,), given, scene(folder)))
 
 
+@pytest.mark.long
 def test_worse_poses_than_stated_are_noticed(folder: Path, given: Camera, truth: Camera) -> None:
     path = write(folder / "shaky", frames(truth, scene(folder), seed=4, wrong=6.0))
     asked = ("cyclic_error", "amplitude_offset")

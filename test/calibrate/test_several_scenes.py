@@ -52,6 +52,7 @@ def calibrated(folder: Path, truth: Camera, start: Camera, *names: str) -> Calib
     return calibrate(request, integral=False)
 
 
+@pytest.mark.long
 def test_a_board_tells_the_cyclic_error_and_a_wall_the_drift(tmp_path: Path) -> None:
     truth = camera(tmp_path, *TRUE)
     start = with_effects(truth, {"cyclic_error": CyclicError((Harmonic(4, 0.01, 0.7),))})
@@ -76,6 +77,7 @@ def _drift(effect: object, first: float, last: float) -> float:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("pixels", [None, (40, 1, 42, 3)])
 def test_the_scale_of_the_reference(tmp_path: Path, pixels: tuple[int, int, int, int] | None) -> None:
     path = ReferencePath(nominal=0.852, scale=0.81, pixels=pixels)
@@ -98,6 +100,7 @@ def test_the_scale_of_the_reference(tmp_path: Path, pixels: tuple[int, int, int,
     assert status.text.startswith(words + "the scene drifts 0.8")
 
 
+@pytest.mark.long
 def test_a_wall_alone_does_for_the_reference(tmp_path: Path) -> None:
     path = ReferencePath(nominal=0.852, scale=0.81)
     truth = camera(tmp_path, *TRUE, path)
@@ -110,6 +113,7 @@ def test_a_wall_alone_does_for_the_reference(tmp_path: Path) -> None:
     assert found.camera.effects["warm_up_drift"] == TRUE[1]
 
 
+@pytest.mark.long
 def test_a_reference_that_does_not_move_is_said(tmp_path: Path) -> None:
     path = ReferencePath(nominal=0.852, scale=0.81)
     truth = camera(tmp_path, TRUE[0], path)

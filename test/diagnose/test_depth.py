@@ -48,6 +48,7 @@ def test_the_normal_of_a_pose_points_away_from_the_camera() -> None:
     assert moved(turned, 0.3 * normal).position[2] == pytest.approx(2.0 + 0.3 * normal[2])
 
 
+@pytest.mark.long
 def test_a_depth_is_measured_beside_offsets_of_pixels(tmp_path: Path) -> None:
     given, board = camera(tmp_path), scene(tmp_path)
     data = displaced(record(given, board, poses=16, seed=5), (0.0, 0.0, -0.045))

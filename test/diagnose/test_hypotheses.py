@@ -89,6 +89,7 @@ def winner(data: Dataset, board: Scene, given: Camera, found: Camera | None = No
     return best_setup(against_physics(setups, data, board, given, found=found or given))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [2, 3, 4])
 def test_missing_physics_is_no_other_setup(tmp_path: Path, seed: int) -> None:
     data, board, given = recorded(tmp_path, seed=seed)
@@ -96,6 +97,7 @@ def test_missing_physics_is_no_other_setup(tmp_path: Path, seed: int) -> None:
     assert winner(data, board, given) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("hypothesis", "change"),
     [
@@ -117,6 +119,7 @@ def test_another_board(tmp_path: Path, hypothesis: str, change: object) -> None:
     assert mended.surfaces[0].texture.cell == pytest.approx((0.31, 0.27), rel=1e-6)  # type: ignore[union-attr]
 
 
+@pytest.mark.long
 def test_greys_in_the_opposite_order_with_errors_of_reflectivities_are_inverted(tmp_path: Path) -> None:
     """Errors of 6 % that the file states with 10 % are no reason for another pattern, which fits them too."""
     data, board, given = recorded(tmp_path)
@@ -134,6 +137,7 @@ def test_greys_in_the_opposite_order_with_errors_of_reflectivities_are_inverted(
     assert best.hypothesis == "other_pattern"
 
 
+@pytest.mark.long
 def test_physics_that_imitates_a_board_of_another_size_is_none_where_it_is_found(tmp_path: Path) -> None:
     """A board said to be 15 % too large wins against the files and against physics that explains nothing."""
     data, board, given = recorded(tmp_path)
@@ -185,6 +189,7 @@ def test_a_setup_that_explains_less_than_half_is_not_what_differs() -> None:
     assert best_setup([replace(lens, share=0.55)]) is not None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [11, 12])
 def test_a_plate_before_a_wall_is_no_larger_than_it_is(tmp_path: Path, seed: int) -> None:
     """Pixels have an area: those that an edge crosses fit no set-up, and are no reason for another size."""
@@ -230,6 +235,7 @@ def test_what_some_poses_do_not_tell_is_decided_by_all(
     assert list(setups._decided([unsure], data, board, given)) == [unsure]
 
 
+@pytest.mark.long
 def test_another_lens(tmp_path: Path) -> None:
     data, board, given = recorded(tmp_path)
     for factor in (1.25, 1.17, 0.77):

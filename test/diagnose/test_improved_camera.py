@@ -71,6 +71,7 @@ def test_correcting_with_it_is_the_better_correction(folder: Path) -> None:
     assert np.std(after) < 0.1 * np.std(before)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "verdict"), [("true", "consistent"), ("known", "missing_physics")])
 def test_against_a_simulation_that_is_a_recording(folder: Path, name: str, verdict: str) -> None:
     """Both scatter: the noise of their difference is that of the two."""

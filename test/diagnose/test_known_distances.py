@@ -22,6 +22,7 @@ from ..calibrate.helpers import camera, record, scene
 TRUE = {16.0: 0.011, 60.0: -0.004, 100.0: 0.002}
 
 
+@pytest.mark.long
 def test_differences_of_settings_are_known_far_better_than_the_offset_of_each(tmp_path: Path) -> None:
     board = scene(tmp_path)
     truth = camera(tmp_path, IntegrationTimeOffset(MappingProxyType(TRUE)))
@@ -43,6 +44,7 @@ def test_differences_of_settings_are_known_far_better_than_the_offset_of_each(tm
     assert 0.4 < np.sqrt(np.mean(np.square(z))) < 1.6
 
 
+@pytest.mark.long
 def test_the_sentence_says_it(tmp_path: Path) -> None:
     board, told = scene(tmp_path), camera(tmp_path)
     truth = camera(tmp_path, IntegrationTimeOffset(MappingProxyType(TRUE)))

@@ -75,6 +75,7 @@ def test_ripples_of_the_amplitude_are_no_missing_physics(tmp_path: Path) -> None
     assert curves.ripple() == pytest.approx(0.0092, abs=0.002)
 
 
+@pytest.mark.long
 def test_rough_surfaces_are_named_with_their_curve(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
     data = lit(record(truth, board, seed=32), board, truth, oren_nayar)
@@ -105,6 +106,7 @@ def true_light(published: np.ndarray) -> np.ndarray:
     return np.interp(published, readout(light), light)
 
 
+@pytest.mark.long
 def test_a_response_of_another_form_is_a_response(tmp_path: Path) -> None:
     """It brightens what is bright: the one parameter of the vocabulary, which is not negative, cannot."""
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
@@ -122,6 +124,7 @@ def test_a_response_of_another_form_is_a_response(tmp_path: Path) -> None:
     assert result.accuracy.chi2_after == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.long
 @pytest.mark.xfail(
     reason="thresholds are of the stated noise: a drift of 0.5 mm is named with three times it"
 )

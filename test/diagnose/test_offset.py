@@ -20,6 +20,7 @@ from .helpers import CAMERA, run, scene_text
 EFFECTS = "effects: {fixed_pattern_offset: {map: offset.npy}}\n"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("metres", [0.03, -0.03, 0.0])
 def test_an_offset_of_all_distances_is_no_other_lens(tmp_path: Path, metres: float) -> None:
     """A shorter focal length makes distances beside the axis longer, which half of an offset looks like."""

@@ -114,6 +114,7 @@ def test_what_all_pixels_have_beside_their_neighbours_is_no_gain_of_lines() -> N
     assert 0.03 < _of_lines(striped, 1) * np.sqrt(0.375) < 0.09
 
 
+@pytest.mark.long
 def test_columns_that_take_a_tenth_of_their_neighbours_light(tmp_path: Path) -> None:
     model, board = camera(tmp_path), scene(tmp_path)
     found = diagnose(record(with_effect(model, Crosstalk(0.1)), board, poses=14, seed=7), board, model)
@@ -141,6 +142,7 @@ def test_one_pose_tells_nothing_of_gains(tmp_path: Path) -> None:
     assert spread_of_gains(fit(Problem(record(model, board, poses=1, seed=4), board), model)) is None
 
 
+@pytest.mark.long
 def test_columns_that_take_light_from_their_neighbours_are_unknown_physics(tmp_path: Path) -> None:
     """On tiles it is a gain of every second column, whatever it is at edges, which no fit looks at."""
     model, board = camera(tmp_path), scene(tmp_path)

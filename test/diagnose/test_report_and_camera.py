@@ -91,6 +91,7 @@ def agrees(found: Files) -> None:
             assert high <= most, path
 
 
+@pytest.mark.long
 def test_a_wrong_focal_length_is_told_as_what_it_is(tmp_path: Path) -> None:
     """The first that is found stands in for it, and is dropped: what is left has gained it all."""
     found = diagnosed(tmp_path, CAMERA, CAMERA.replace("fx: 30.0, fy: 30.0", "fx: 31.0, fy: 31.0"))
@@ -103,6 +104,7 @@ def test_a_wrong_focal_length_is_told_as_what_it_is(tmp_path: Path) -> None:
     assert 0.01 < one["magnitude"] < 0.06
 
 
+@pytest.mark.long
 def test_a_wrong_gain_is_a_wrong_parameter(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, CAMERA, CAMERA.replace("gain: 200.0", "gain: 400.0"))
     assert found.report["verdict"] == "wrong_parameters"
@@ -115,6 +117,7 @@ def test_a_gain_within_what_reflectivities_allow_is_no_fault(tmp_path: Path) -> 
     assert found.report["verdict"] == "consistent"
 
 
+@pytest.mark.long
 def test_another_noise_beside_known_unmodulated_light(tmp_path: Path) -> None:
     """What the light adds is not the noise section's: of one frame 0.3^2 (A + 3000) / A^2 and a floor."""
     known = CAMERA.replace("shot: 0.0, amplitude: 4.0", "shot: 0.3, amplitude: 0.0")
@@ -128,6 +131,7 @@ def test_another_noise_beside_known_unmodulated_light(tmp_path: Path) -> None:
     assert found.report["fit"]["chi2_after"] == pytest.approx(1.0, abs=0.06)
 
 
+@pytest.mark.long
 def test_a_second_table_is_not_told_as_the_first(tmp_path: Path) -> None:
     table = (
         "effects: {empirical: {covariates: [amplitude], knots: [[100, 1000, 5000]], "
@@ -162,6 +166,7 @@ def test_another_noise_beside_unknown_physics_is_adjusted(tmp_path: Path) -> Non
     assert any(one.startswith("beside it, and in camera.yaml: noise") for one in found.report["notes"])
 
 
+@pytest.mark.long
 def test_counts_left_out_hide_what_is_beside_them(tmp_path: Path) -> None:
     found = diagnosed(
         tmp_path,
@@ -177,6 +182,7 @@ def test_counts_left_out_hide_what_is_beside_them(tmp_path: Path) -> None:
     assert any("not told beside counts that are left out" in one for one in found.report["notes"])
 
 
+@pytest.mark.long
 def test_a_large_sensor_is_told_in_its_own_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(decimation, "MANY_PIXELS", 1000)
     monkeypatch.setattr(decimation, "_COARSE_PIXELS", 600)

@@ -107,6 +107,7 @@ def test_poses_without_a_pixel_stop_no_fit_whichever_they_are(tmp_path: Path) ->
         assert fitted.rows > 1000
 
 
+@pytest.mark.long
 def test_few_poses_are_said_to_be_few(tmp_path: Path) -> None:
     truth, board = camera(tmp_path), scene(tmp_path)
     for poses, notes in ((2, 1), (5, 1), (6, 0)):
@@ -115,6 +116,7 @@ def test_few_poses_are_said_to_be_few(tmp_path: Path) -> None:
         assert len(said) == notes
 
 
+@pytest.mark.long
 def test_few_poses_of_which_nothing_is_missing_are_consistent(tmp_path: Path) -> None:
     """A threshold is a quantile of nulls: of ten recordings one may exceed it by chance (seed 7 does)."""
     truth, board = camera(tmp_path), scene(tmp_path)
@@ -209,6 +211,7 @@ def test_a_recording_is_no_simulation_of_itself(tmp_path: Path, capsys: pytest.C
     assert "--against: is the recording itself" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_no_solution_is_no_page_of_warnings(tmp_path: Path) -> None:
     """A board that is told to stand still while it moved, without a warning of scipy."""
     truth, board = camera(tmp_path), scene(tmp_path)

@@ -15,6 +15,7 @@ from rim_camera_ros.parameters import ArrayFile
 from ..calibrate.helpers import camera, record, scene
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("factor", "named"), [(1.002, []), (1.06, ["camera_constant"])])
 def test_a_camera_constant_beside_its_stated_sigma(tmp_path: Path, factor: float, named: list[str]) -> None:
     """Of 0.3 %: wrong by 0.2 % nothing is missing, by 6 % it is named whatever the file states."""

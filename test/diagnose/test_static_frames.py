@@ -157,6 +157,7 @@ def test_a_drift_and_frames_that_begin_otherwise_are_told_apart(count: int) -> N
     assert abs(begun.first - begun.first_where_it_begins) < abs(begun.first - begun.first_in_drift)
 
 
+@pytest.mark.long
 def test_first_frames_that_differ_are_no_motion(tmp_path: Path) -> None:
     """A camera that keeps a little of the exposure before: light in common, in the first frame of a pose."""
     camera = floor_camera(tmp_path, scale=2)
@@ -185,6 +186,7 @@ def test_first_frames_that_differ_are_no_motion(tmp_path: Path) -> None:
     assert "the first frame of each pose differs" in missing["sentence"]
 
 
+@pytest.mark.long
 def test_a_second_camera_before_a_floor_is_still_one(tmp_path: Path) -> None:
     camera = floor_camera(tmp_path, Interference(30.0e6, 25.0), scale=2)
     write_floor(tmp_path / "bag", camera, tmp_path, poses=8, frames=8)
@@ -194,6 +196,7 @@ def test_a_second_camera_before_a_floor_is_still_one(tmp_path: Path) -> None:
     assert [one["effect"] for one in report["missing"]] == ["interference"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("counts", [4.0, 4.0028])
 def test_a_step_that_is_small_beside_the_noise_is_a_note(counts: float, tmp_path: Path) -> None:
     """0.31 mm beside 2 mm: it had been all that was said, "unknown physics: counts that never occur"."""

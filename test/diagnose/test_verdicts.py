@@ -29,6 +29,7 @@ CASES = Path(__file__).resolve().parents[3] / "shared" / "cases"
 KNOWN = (EmissionPattern((-1.3, 0.7)), CyclicError((Harmonic(4, 0.011, 0.7),), (0.004, -0.002)))
 
 
+@pytest.mark.long
 def test_consistent(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
     result = diagnose(record(truth, board, seed=21), board, truth)
@@ -40,6 +41,7 @@ def test_consistent(tmp_path: Path) -> None:
     assert result.camera == truth
 
 
+@pytest.mark.long
 def test_what_nothing_explains_is_not_consistent(tmp_path: Path) -> None:
     """Errors of single pixels that change from pose to pose follow no covariate, and are not in the noise."""
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
@@ -59,6 +61,7 @@ def test_what_nothing_explains_is_not_consistent(tmp_path: Path) -> None:
     assert report["missing"][0]["effect"] == "unknown"
 
 
+@pytest.mark.long
 def test_wrong_parameters_are_not_called_missing_physics(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
     told = with_numbers(truth, {"effects.cyclic_error.harmonics.0.amplitude": 0.025})
@@ -70,6 +73,7 @@ def test_wrong_parameters_are_not_called_missing_physics(tmp_path: Path) -> None
     assert result.accuracy.chi2_after < result.accuracy.chi2_before - 0.1
 
 
+@pytest.mark.long
 def test_a_pose_that_is_off_is_no_physics(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
     data = record(truth, board, seed=23)
@@ -87,6 +91,7 @@ def test_a_pose_that_is_off_is_no_physics(tmp_path: Path) -> None:
     assert report["reason"] == result.reason
 
 
+@pytest.mark.long
 def test_one_pose_that_is_off_is_left_out(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
     data = record(truth, board, seed=26)
@@ -109,6 +114,7 @@ def test_of_one_pose_nothing_is_named(tmp_path: Path) -> None:
     assert any(re.match("only one pose: .* record 20 poses or more", note) for note in result.notes)
 
 
+@pytest.mark.long
 def test_a_small_part_of_the_picture_may_be_described(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
     small = replace(board, surfaces=(replace(board.surfaces[0], type="rectangle", size=(0.12, 0.1)),))
@@ -117,6 +123,7 @@ def test_a_small_part_of_the_picture_may_be_described(tmp_path: Path) -> None:
     assert result.verdict == "consistent", result.reason
 
 
+@pytest.mark.long
 def test_noise_is_examined(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
     told = replace(truth, noise=replace(truth.noise, amplitude=0.7 * truth.noise.amplitude))
@@ -191,8 +198,8 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     "name",
     [
-        "nothing_missing",
-        "amplitude_offset",
+        pytest.param("nothing_missing", marks=pytest.mark.long),
+        pytest.param("amplitude_offset", marks=pytest.mark.long),
         pytest.param("scattering", marks=pytest.mark.slow),
         pytest.param("cancelled_pair", marks=pytest.mark.slow),
         pytest.param("incidence_angle_concealed", marks=pytest.mark.slow),
@@ -231,6 +238,7 @@ def test_poses_to_leave_out_are_numbers(given: str, message: str, capsys: pytest
     assert re.search(message, capsys.readouterr().err)
 
 
+@pytest.mark.long
 def test_stray_light_on_a_board_is_told_from_what_darkens_slopes(tmp_path: Path) -> None:
     """From a linear guess its widths once left for good, and surfaces unlike Lambert's took its place."""
     light = Scattering((Kernel(0.05, (5.0, 4.0)), Kernel(0.04, (17.0, 14.0))))

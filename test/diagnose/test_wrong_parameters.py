@@ -30,6 +30,7 @@ def cyclic(amplitude: float) -> CyclicError:
     return CyclicError((Harmonic(4, amplitude, 0.7),))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("stated", "verdict", "adjusted"),
     [(0.012, "consistent", []), (0.016, "wrong_parameters", ["cyclic_error"])],
@@ -56,6 +57,7 @@ def test_an_error_of_amplitudes_that_is_stated_is_not_estimated(tmp_path: Path) 
     assert fit(Problem(data, board), camera(tmp_path)).forward.amplitude_model.tau < 0.02
 
 
+@pytest.mark.long
 def test_poses_that_moved_are_a_set_up_however_many_rounds_find_them(tmp_path: Path) -> None:
     """Two of twenty by 60 and 25 mm: one alone is left out with a note, two are too many for that."""
     board, truth = scene(tmp_path), camera(tmp_path)
@@ -100,6 +102,7 @@ def test_parameters_that_strain_stated_errors_of_poses_gain_less(
     assert parameters_matter(told, result, [moved]) is matter
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("sigma", "verdict"),
     [(0.002, "consistent"), (0.0005, "wrong_parameters")],  # 16 mm are stated where 12 mm are true

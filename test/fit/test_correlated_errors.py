@@ -65,6 +65,7 @@ def test_independent_pixels_have_no_correlated_error(tmp_path: Path, noise: floa
     assert likely_correlated_error(problem, fit(problem, truth)) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 4])
 def test_smooth_errors_are_found_by_their_size_and_move_poses_no_more(tmp_path: Path, seed: int) -> None:
     truth, board = camera(tmp_path, HYPERBOLA), scene(tmp_path)
@@ -88,6 +89,7 @@ def test_smooth_errors_are_found_by_their_size_and_move_poses_no_more(tmp_path: 
     assert chi[1] < 1.2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 4])
 def test_smooth_errors_of_poses_are_no_set_up_and_no_physics_by_name(tmp_path: Path, seed: int) -> None:
     """Independent pixels would make them a depth, or a drift and a cyclic error."""
@@ -122,6 +124,7 @@ def adjusted(folder: Path, dataset: Dataset, words: tuple[str, ...]) -> Adjustme
     )
 
 
+@pytest.mark.long
 def test_a_coarser_grid_tells_as_much_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A quarter of the pixels gives the parameter that all of them give, with no smaller sigma."""
     words = ("amplitude_offset",)
@@ -213,6 +216,7 @@ def test_waves_have_mean_squares_of_one_and_are_independent(tmp_path: Path) -> N
     assert waves @ waves.T / waves.shape[1] == pytest.approx(np.eye(len(waves)), abs=1e-9)
 
 
+@pytest.mark.long
 def test_a_diagnosis_of_a_large_sensor_looks_at_a_coarser_grid_still(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -84,6 +84,7 @@ def test_a_warm_fit_begins_where_the_free_pose_was(tmp_path: Path) -> None:
         assert warm.chi_square / warm.rows == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("effect", [None, CyclicError(harmonics=(Harmonic(4, 0.006, 0.7),))])
 def test_a_search_finds_the_same_wherever_the_file_puts_the_wall(
     tmp_path: Path, effect: Effect | None

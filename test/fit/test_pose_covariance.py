@@ -121,6 +121,7 @@ def test_larger_errors_that_are_stated_are_not_noticed(shaky: tuple[Path, list[R
     assert not any("err by" in note for note in found.notes)
 
 
+@pytest.mark.long
 def test_errors_larger_than_stated_are_noticed(shaky: tuple[Path, list[RawFrame]]) -> None:
     folder, taken = shaky
     path = write(folder / "smaller", iter(_stated(taken, 1.0)))

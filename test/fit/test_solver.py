@@ -140,6 +140,7 @@ def test_nothing_is_found_where_nothing_is_missing(tmp_path: Path) -> None:
         assert result.found == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "hidden",
     [

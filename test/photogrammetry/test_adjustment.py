@@ -78,6 +78,7 @@ def test_same_solution_as_opencv() -> None:
         assert turn.magnitude() < 2e-6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "options",
     [

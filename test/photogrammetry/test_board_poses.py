@@ -127,6 +127,7 @@ schedule:
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("true", "told", "opposite", "said"),
     [

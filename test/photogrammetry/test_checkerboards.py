@@ -45,6 +45,7 @@ def board(cell: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return image, corners, np.stack([project(1, 0) - corners, project(0, 1) - corners], axis=-2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("cell", "limit"), [(6.0, 0.012), (8.0, 0.01), (12.0, 0.01)])
 def test_corners_of_small_squares(cell: float, limit: float) -> None:
     errors, sigmas = [], []

@@ -51,6 +51,7 @@ def test_offset_is_nothing_for_points_and_facing_circles_and_nan_behind_the_came
     assert np.isnan(offsets[2]).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("diameter", "limit"), [(6.0, 0.03), (9.0, 0.02), (15.0, 0.012)])
 def test_circles_of_a_plate_in_simulated_images(diameter: float, limit: float) -> None:
     """All are found, nothing else is, to the precision that they state; sizes as of 6-15 px."""

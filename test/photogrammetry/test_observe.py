@@ -79,6 +79,7 @@ def test_circles_are_identified_and_stations_told_apart() -> None:
     np.testing.assert_allclose(found.poses[2].position, first, atol=1e-9)
 
 
+@pytest.mark.long
 def test_optics_from_a_recording(tmp_path: Path) -> None:
     """Written, read, found and adjusted; point-sampled edges give 0.05 px and the optics within 3.5 sigma."""
     bag = tmp_path / "field"

@@ -44,6 +44,7 @@ def check_wall(result: dict[str, float]) -> None:
     assert result["noise"] * 1e3 == pytest.approx(0.9, abs=0.5)
 
 
+@pytest.mark.long
 def test_kinect_black_squares() -> None:
     correction = Correction(load_camera(RECORDINGS / "kinect2_checkerboard" / "camera.yaml"))
     frames = []

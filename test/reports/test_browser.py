@@ -28,7 +28,7 @@ VERDICTS = ("consistent", "parameters", "unknown")
 NAMES = ("calibration", "diagnosis", "setup", *VERDICTS, "reproduction", "comparison")
 LONG = "a_folder_with_a_name_that_has_no_place_to_break/" * 3 + "recording"
 #: A calibration and a diagnosis come first, on machines that are busy.
-pytestmark = pytest.mark.timeout(1200)
+pytestmark = [pytest.mark.long, pytest.mark.timeout(1200)]
 #: Said where there is no browser.
 WITHOUT = "chromium is not installed (Debian: apt install chromium): only the HTML was checked"
 

@@ -45,6 +45,7 @@ def test_dynamic_range_of_eq_2_13() -> None:
     assert rows["dynamic range"].ours == pytest.approx(88.98, abs=0.01)
 
 
+@pytest.mark.long
 def test_pmd_sensors_of_table_2_3() -> None:
     """Dynamic ranges by light and noise, and by area: 3.27 times that of the 3k-S is 5.15 dB more."""
     rows = rows_of("pmd_sensors")
@@ -119,6 +120,7 @@ def test_json_has_printed_ours_and_deviation(capsys: pytest.CaptureFixture[str])
     assert "RMS over the frames" in row["how"]
 
 
+@pytest.mark.long
 def test_folder_page_and_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, page = tmp_path / "pictures", tmp_path / "page.md"
     arguments = ["reproduce", "--only", *FAST, "--out", str(out), "--page", str(page)]

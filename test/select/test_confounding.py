@@ -42,6 +42,7 @@ def test_a_drift_follows_time(tmp_path: Path) -> None:
     assert follows_time(fitted_with_drift(tmp_path, problem), "warm_up_drift", pool, folds, problem)
 
 
+@pytest.mark.long
 def test_errors_of_poses_do_not(tmp_path: Path) -> None:
     """Poses told wrongly by five sigmas: a fitted drift explains some of it, as any order would."""
     found = []
@@ -67,6 +68,7 @@ def test_few_poses_cannot_tell(tmp_path: Path) -> None:
     assert follows_time(fitted, "warm_up_drift", empty, folds, problem)
 
 
+@pytest.mark.long
 def test_where_a_cyclic_error_does_not_act_a_drift_still_shows(tmp_path: Path) -> None:
     """The form fitted lacks a harmonic, which moves poses, but not where the other one is zero, too."""
     cyclic = CyclicError((Harmonic(4, 0.02, 0.7), Harmonic(8, 0.006, 1.4)))

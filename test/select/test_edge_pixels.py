@@ -19,6 +19,7 @@ from rim_camera_ros.select.search import search
 from ..calibrate.helpers import camera, record, scene, with_footprints
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("width", "found"), [(0.0, []), (0.5, ["mixed_pixels"])])
 def test_a_footprint_of_a_pixel_is_found_beside_edges(tmp_path: Path, width: float, found: list[str]) -> None:
     """Pixels within half a footprint of an edge are mixed, those within 0.3 px left out of all else."""
@@ -34,6 +35,7 @@ def test_a_footprint_of_a_pixel_is_found_beside_edges(tmp_path: Path, width: flo
     assert result.gained == pytest.approx(sum(one.gain for one in result.found), rel=1e-2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("width", "found"), [(0.0, []), (0.5, ["mixed_pixels"])])
 def test_a_large_drift_does_not_hide_mixed_pixels(tmp_path: Path, width: float, found: list[str]) -> None:
     """Mixed pixels move distances by 1.2 mm, the drift by 27 mm: its form leaves nothing at edges."""
@@ -59,6 +61,7 @@ def before_a_wall(tmp_path: Path) -> Scene:
     return Scene((board, wall))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("width", [0.4, 0.9])
 def test_the_footprint_of_a_pixel_is_found_by_the_pixels_that_edges_cross(
     tmp_path: Path, width: float
@@ -80,6 +83,7 @@ def test_the_footprint_of_a_pixel_is_found_by_the_pixels_that_edges_cross(
     assert mixed.share * mixed.footprint == pytest.approx(width, abs=0.04)
 
 
+@pytest.mark.long
 def test_a_footprint_beside_stray_light(tmp_path: Path) -> None:
     """Where pixels alone are mixed that edges cross, the form of the stray light does not leave it."""
     told, before = camera(tmp_path), before_a_wall(tmp_path)
@@ -105,6 +109,7 @@ def test_a_footprint_beside_stray_light(tmp_path: Path) -> None:
     assert mixed.footprint == pytest.approx(0.6, abs=0.08)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("weight", [0.0, 0.05])
 def test_neither_errors_of_poses_nor_stray_light_are_a_footprint(tmp_path: Path, weight: float) -> None:
     """Poses three times as wrong as told let edges fall on other pixels, which then measure one surface."""

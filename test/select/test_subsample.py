@@ -124,6 +124,7 @@ def found(spread: tuple[Problem, Any], effects: list[str]) -> tuple[Any, list[st
     return result, [one.partition(" (")[0] for one in said if re.match(r"fitting \S+ to ", one)]
 
 
+@pytest.mark.long
 def test_a_few_poses_change_no_answer(spread: tuple[Problem, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """The same effect with the same parameters to half of their sigma; rivals need not be fitted."""
     effects = ["scattering", "amplitude_nonlinearity", "radiometry", "incidence_angle"]
@@ -144,6 +145,7 @@ def test_a_few_poses_change_no_answer(spread: tuple[Problem, Any], monkeypatch: 
     assert few.log_likelihood > alone.log_likelihood - 0.5
 
 
+@pytest.mark.long
 def test_a_search_goes_on_from_what_some_poses_found(spread: tuple[Problem, Any]) -> None:
     """Nothing is fitted anew, and what it found is that of a search of all."""
     problem, told = spread
@@ -165,6 +167,7 @@ def test_a_search_goes_on_from_what_some_poses_found(spread: tuple[Problem, Any]
     assert len(result.problem.masks) == len(problem.dataset.stations)
 
 
+@pytest.mark.long
 def test_what_some_poses_found_leaves_where_all_explain_it_otherwise(
     spread: tuple[Problem, Any], tmp_path: Path
 ) -> None:
@@ -198,6 +201,7 @@ def test_what_some_poses_found_leaves_where_it_ends_at_nothing(
     assert result.camera.effects.keys() == told.effects.keys()
 
 
+@pytest.mark.long
 def test_a_large_calibration_is_searched_by_some_of_its_poses_first(
     spread: tuple[Problem, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -229,6 +233,7 @@ def test_a_large_calibration_is_searched_by_some_of_its_poses_first(
     assert "stations first" not in " ".join(said)
 
 
+@pytest.mark.long
 def test_what_follows_time_or_moves_rays_is_fitted_to_all_poses(
     spread: tuple[Problem, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -239,6 +244,7 @@ def test_what_follows_time_or_moves_rays_is_fitted_to_all_poses(
     assert not any("few" in one for one in said)
 
 
+@pytest.mark.long
 def test_near_the_solution_widths_move_at_once(spread: tuple[Problem, Any], tmp_path: Path) -> None:
     """From widths a third too wide: the same solution, in fewer steps than from a guess."""
     problem, told = spread
