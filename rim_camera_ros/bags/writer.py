@@ -90,7 +90,7 @@ class RecordingWriter:
         self._writer: Writer | None = None
         self._work: Temporary | None = None
         self._connections: dict[str, Connection] = {}
-        self._told: dict[str, float | None] = {}
+        self._last_values: dict[str, float | None] = {}
         self._poses: dict[str, tuple[Pose, int]] = {}
         self._done: set[str] = set()
         self._stamp: int | None = None
@@ -218,8 +218,8 @@ class RecordingWriter:
             ("ambient", settings.ambient_temperature, messages.temperature_message),
             ("reference", settings.reference_distance, messages.range_message),
         ):
-            if self._told.get(role) != value:
-                self._told[role] = value
+            if self._last_values.get(role) != value:
+                self._last_values[role] = value
                 self._write_role(role, stamp, make(value, stamp, self.frame_id))
 
     def _write_intrinsics(self, intrinsics: Intrinsics, stamp: int, beside: tuple[str, ...]) -> None:

@@ -163,11 +163,11 @@ def require_fixed_poses(dataset: Dataset, scene: Scene, path: str | PathLike[str
     if scene.camera_motion.moves:
         return
     for surface in scene.surfaces:
-        told = [one.truth[surface.name] for one in dataset.stations if surface.name in one.truth]
-        if not isinstance(surface.pose, ScenePose) or len(told) < 2:
+        stated = [one.truth[surface.name] for one in dataset.stations if surface.name in one.truth]
+        if not isinstance(surface.pose, ScenePose) or len(stated) < 2:
             continue
-        positions = np.array([one.position for one in told])
-        axes = np.array([rotation_matrix(one.orientation)[:, 2] for one in told])
+        positions = np.array([one.position for one in stated])
+        axes = np.array([rotation_matrix(one.orientation)[:, 2] for one in stated])
         moved, turned = (float(np.linalg.norm(one - one[0], axis=1).max()) for one in (positions, axes))
         if moved > _STILL_METRES or turned > _STILL_RADIANS:
             raise InputError(

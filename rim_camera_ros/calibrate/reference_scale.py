@@ -100,12 +100,12 @@ def fit_reference(solution: Solution, *, asked: bool) -> FittedReference | None:
     assert start is None or isinstance(start, InternalReference)
     region = None if start is None else start.region()
     readings = [_reading(one, region) for one in solution.fit.forward.dataset.stations]
-    told = sum(one is not None for one in readings)
-    if told == 0 and start is None and not asked:
+    available = sum(one is not None for one in readings)
+    if available == 0 and start is None and not asked:
         return None
-    if told < _FEWEST:
+    if available < _FEWEST:
         source = "topic /reference" if region is None else "reference pixels"
-        text = f"{told} stations have a reading of the {source}, {_FEWEST} are needed"
+        text = f"{available} stations have a reading of the {source}, {_FEWEST} are needed"
         return FittedReference(_undetermined(text, known=start is not None))
     measured = _drifts(solution, readings)
     try:

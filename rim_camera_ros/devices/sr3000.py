@@ -104,7 +104,7 @@ class SwissRanger:
     def _forget(self) -> None:
         """Begin without a history of faults."""
         self._pause = 0.0
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._hangs = 0
         self._dropped = self._short = 0
         self._arrived = 0
@@ -164,8 +164,8 @@ class SwissRanger:
                     if self._closed.is_set():
                         return None
                     error = self._explained(error)
-                    if str(error) not in self._told:
-                        self._told.add(str(error))
+                    if str(error) not in self._reported:
+                        self._reported.add(str(error))
                         raise error from None
             if self._closed.is_set():
                 return None
@@ -318,7 +318,7 @@ class SwissRanger:
             message["frame"], rows=stream.rows, columns=stream.columns
         )
         self._pause, self._hangs = 0.0, 0
-        self._told.clear()
+        self._reported.clear()
         self._count(message)
         took = message["arrived"] - message["begun"]
         state = message["state"]

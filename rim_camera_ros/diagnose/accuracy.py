@@ -252,10 +252,10 @@ def _held_out(fitted: Fit, problem: Problem, folds: Mapping[tuple[int, int], int
         values = np.array([own[r.label] for r in scores.regressors])
         _, flat, gains = trained.recover(values)
         gains = None if gains is None else pixels.where_seen(gains)
-        beside = parts[k].errors_beside(values, pixels.where_seen(flat), gains)
+        own_errors = parts[k].errors_given(values, pixels.where_seen(flat), gains)
         weight = np.sum([one.weight for i, one in enumerate(parts) if i != k], axis=0)
         known = pixels.everywhere(weight) > 0
-        others.append((own, beside, np.where(known, flat, np.nan).reshape(shape)))
+        others.append((own, own_errors, np.where(known, flat, np.nan).reshape(shape)))
     blocks = blocks_of(problem, fitted.camera, fitted.scene) if others else []
     all_poses: _Parameters = ({}, fitted.nuisances, fitted.pattern)
     total, number = 0.0, 0

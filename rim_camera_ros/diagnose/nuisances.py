@@ -117,12 +117,12 @@ def conditional_on_physics(result: Result) -> Fit:
     if number is None and not step.forms:
         return step.fit
     extra = [] if number is None else step.spans[number]
-    values = step.beside.values(extra)
+    values = step.conditional.values(extra)
     shared = {label: values[label] for label in step.fit.parameters if label.startswith(COMMON_POSE)}
     return replace(
         step.fit,
         parameters=step.fit.parameters | shared,
-        nuisances=step.fit.nuisances | step.beside.errors(extra),
+        nuisances=step.fit.nuisances | step.conditional.errors(extra),
     )
 
 

@@ -269,7 +269,7 @@ def _name(draft: _Draft, found: Findings) -> None:
                 distance_sigma=known.get(one.effect),
             )
         )
-    beyond = change_of_forms(draft.model, names, final.forms, final.beside.values())
+    beyond = change_of_forms(draft.model, names, final.forms, final.conditional.values())
     draft.where = of_terms(fitted, names, found.camera, rest=beyond)
     draft.notes += notes_of_refused(result)
 

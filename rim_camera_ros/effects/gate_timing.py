@@ -119,10 +119,10 @@ def _table(
     light = _LIGHT * true.shares(grid) + background * true.windows[:, None]
     found = _estimator(shutter, background).estimate(light).distance - grid
     # where a neighbour's light is seen, nothing is told of this distance
-    told = np.isfinite(found) & (np.abs(found) < 0.25 * shutter.ambiguity)
-    if not told.any():
+    known = np.isfinite(found) & (np.abs(found) < 0.25 * shutter.ambiguity)
+    if not known.any():
         return np.zeros(_PLACES)
-    return np.asarray(np.interp(grid, grid[told], found[told]))
+    return np.asarray(np.interp(grid, grid[known], found[known]))
 
 
 @lru_cache(maxsize=16)

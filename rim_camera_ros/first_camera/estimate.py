@@ -276,8 +276,8 @@ def _gain(camera: Camera, sums: _Means, stated: Stated, why: dict[str, str], not
         region=stated.region,
     )
     where = f"{gain.pixels} pixels at {gain.distance:.3g} m, {np.degrees(gain.angle):.0f} degrees"
-    told = f"reflectivity {stated.reflectivity:g}" if known else f"an ASSUMED reflectivity of {ASSUMED:g}"
-    why["radiometry.gain"] = f"+- {gain.relative_sigma:.0%}, by {told}, {where}"
+    basis = f"reflectivity {stated.reflectivity:g}" if known else f"an ASSUMED reflectivity of {ASSUMED:g}"
+    why["radiometry.gain"] = f"+- {gain.relative_sigma:.0%}, by {basis}, {where}"
     if not known:
         notes.append(
             "the gain is by an assumed reflectivity of 0.5 in the middle of the image;"

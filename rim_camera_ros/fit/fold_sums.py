@@ -43,7 +43,7 @@ class Fold:
     expected: float | None = None
     robust: float = 0.0
 
-    def errors_beside(self, values: Array, offsets: Array, gains: Array | None) -> dict[str, float]:
+    def errors_given(self, values: Array, offsets: Array, gains: Array | None) -> dict[str, float]:
         """Return the nuisances for regressors (K,), offsets and gains of pixels (P,) that others found.
 
         What the poses have in common and the offsets can trade with each other: errors that were found with

@@ -159,7 +159,7 @@ def reduce_frames(
     """
     start: int | None = None
     poses: dict[tuple[tuple[str, int], ...], int] = {}
-    placement, told = -1, None
+    placement, stated = -1, None
     block: _Block | None = None
     key: Any = None
     for frame in frames:
@@ -168,9 +168,9 @@ def reduce_frames(
         check_frame(frame, camera)
         if surfaces is not None:
             frame = frame.with_truth_of(surfaces)
-        if frame.truth != told:
+        if frame.truth != stated:
             # a pose that is told again unchanged is the same placement, with the same error
-            placement, told = placement + 1, frame.truth
+            placement, stated = placement + 1, frame.truth
         messages = tuple(sorted(frame.pose_stamps.items()))
         own = (messages, frame.settings.integration_time)
         late = block is not None and frame.stamp - block.first.stamp > block_seconds * NANOSECONDS

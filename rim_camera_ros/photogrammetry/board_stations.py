@@ -64,15 +64,15 @@ class BoardStations:
                     remedy="give the camera file that belongs to the recording",
                 )
             image = np.nan_to_num(np.asarray(frame.amplitude, np.float32))
-            told = frame.pose_stamps.get(self.surface.name)
-            if not (reference is not None and reference[2] == told and self._rests(reference, image)):
+            pose_stamp = frame.pose_stamps.get(self.surface.name)
+            if not (reference is not None and reference[2] == pose_stamp and self._rests(reference, image)):
                 found = find_board(image, self.surface, self.targets, self.camera.optics, near=last)
                 if found is None:
                     self._miss(image)
                     reference = None
                     continue
                 self.ambiguous += found.ambiguous
-                reference = (image, found, told)
+                reference = (image, found, pose_stamp)
                 self.first.append(frame.stamp)
             assert reference is not None
             last = reference[1].pose

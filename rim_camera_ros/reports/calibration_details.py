@@ -111,15 +111,15 @@ def parameters(result: Calibration) -> list[Part]:
             digits = significant(after.get(path), sigma[path])
             rows.append([name, number_of(before.get(path)), *digits, unit_of(result.camera, path)])
     words: list[Part] = []
-    untold = [] if result.integral else result.solution.undetermined()
-    kept = [one for one in untold if one in before and before[one] == after.get(one)]
+    undetermined = [] if result.integral else result.solution.undetermined()
+    kept = [one for one in undetermined if one in before and before[one] == after.get(one)]
     for names, why in (
         (kept, "as in the file before"),
-        ([one for one in untold if one not in kept], "set by what was known before"),
+        ([one for one in undetermined if one not in kept], "set by what was known before"),
     ):
         if names:
-            told = ", ".join(one.removeprefix("effects.") for one in names)
-            words.append(Text(f"Not determined by these recordings, {why}: {told}."))
+            names_said = ", ".join(one.removeprefix("effects.") for one in names)
+            words.append(Text(f"Not determined by these recordings, {why}: {names_said}."))
     factor = result.solution.factor
     said = "Sigma is one standard deviation, errors of poses and fixed pattern included."
     if factor > 1.01:

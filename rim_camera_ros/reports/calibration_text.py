@@ -31,8 +31,12 @@ def calibration_text(result: Calibration) -> str:
         ("kept as in the file", ("kept",)),
     ):
         lines = [(one.effect, _plain(one.text)) for one in result.statuses if one.status in status]
-        if status == ("undetermined",) and not result.integral and (untold := result.solution.undetermined()):
-            lines.append(("of the parameters", ", ".join(_short(one) for one in untold)))
+        if (
+            status == ("undetermined",)
+            and not result.integral
+            and (undetermined := result.solution.undetermined())
+        ):
+            lines.append(("of the parameters", ", ".join(_short(one) for one in undetermined)))
         if lines:
             parts.append(section(heading, lines))
     return "\n\n".join(parts)

@@ -44,8 +44,8 @@ class Trials:
         A pair must beat the leader alone by what a further effect must gain: linearly, one that bends the
         light much looks worse than it is.
         """
-        beside = near_rivals(self.step, numbers, leader, self.failed)
-        choices, starts = self._ahead([numbers, *beside][:_MOST_TRIALS])
+        rivals = near_rivals(self.step, numbers, leader, self.failed)
+        choices, starts = self._ahead([numbers, *rivals][:_MOST_TRIALS])
         trials: dict[tuple[int, ...], Trial] = {}
         became: dict[tuple[int, ...], tuple[int, ...] | None] = {}
         while len(trials) < len(choices):

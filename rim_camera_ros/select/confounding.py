@@ -46,7 +46,7 @@ def follows_time(
     folds: Mapping[tuple[int, int], int],
     problem: Problem,
     *,
-    beside: Sequence[Block] = (),
+    conditional_on: Sequence[Block] = (),
     seed: int = 0,
 ) -> bool:
     """Return whether the drift ``name`` of a fit explains more than in nearly all random orders of poses.
@@ -59,11 +59,11 @@ def follows_time(
     if len(poses) < _LEAST_POSES or not variants:
         return True
     shifts, shapes = _by_pose(fitted, name, variants, poses)
-    with_poses = further_equations(fitted, [*beside, _pose_block(poses)], folds, problem)
+    with_poses = further_equations(fitted, [*conditional_on, _pose_block(poses)], folds, problem)
     count = len(with_poses.equations.regressors)
     own = range(count - len(poses), count)
     base = [i for i in range(count) if i not in own and with_poses.equations.regressors[i].owner != name]
-    gram, right = Scores(with_poses.equations, base).beside_base(own)
+    gram, right = Scores(with_poses.equations, base).conditional_on_base(own)
     # as if the drift had not been fitted
     right = right + gram @ shifts
     random = np.random.default_rng(seed)
@@ -211,7 +211,7 @@ def follows_time_in_quiet_pixels(
     effects = [fitted.camera.effects[one] for one in found if one in fitted.camera.effects]
     covariates = {covariate for one in effects for covariate in one.own_covariates()}
     own = [one.block for one in curves if one.variant in covariates]
-    beside = [*own, *form_blocks(fitted, found, variants)]
+    conditional_on = [*own, *form_blocks(fitted, found, variants)]
     masks = quiet_pixels(fitted, [one.name for one in effects])
     there = problem if masks is None else replace(problem, masks=masks)
-    return follows_time(fitted, name, drifts, folds, there, beside=beside, seed=seed)
+    return follows_time(fitted, name, drifts, folds, there, conditional_on=conditional_on, seed=seed)

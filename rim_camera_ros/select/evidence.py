@@ -214,7 +214,7 @@ class Scores:
         scaled = strength / self.prior[list(extra)]
         return float(0.5 * scaled @ (self._conditional(extra) - np.eye(len(scaled))) @ scaled)
 
-    def beside_base(self, extra: Sequence[int]) -> tuple[Array, Array]:
+    def conditional_on_base(self, extra: Sequence[int]) -> tuple[Array, Array]:
         """Return normal matrix (K, K) and right side (K,) of some regressors after the base is eliminated.
 
         Without the regressors' own priors.

@@ -39,10 +39,10 @@ class Exploration:
     """Scores of all candidates at one fit.
 
     ``gains`` in nats of held-out log likelihood and ``thresholds``, one per candidate, the latter from its
-    gains in replicates in which nothing is left out, of the noise and the errors that are stated;
+    gains in replicates in which nothing is missing, of the noise and the errors that are stated;
     ``null_maxima`` is the greatest gain in each of them. The first ``named`` candidates are of the
-    vocabulary, the others stand for what is not. ``beside`` scores the named ones beside changes of the
-    ``forms`` of effects found before them, where there are such.
+    vocabulary, the others stand for what is not. ``conditional`` scores the named ones conditional on changes
+    of the ``forms`` of effects found before them, where there are such.
     """
 
     fit: Fit
@@ -53,7 +53,7 @@ class Exploration:
     null_maxima: Array
     thresholds: Array
     named: int
-    beside: Scores
+    conditional: Scores
     forms: Sequence[Block] = ()
 
     @property
@@ -98,7 +98,7 @@ class Exploration:
 
     def joint(self, *numbers: int) -> float:
         """Return the gain of several candidates together."""
-        return float(self.beside.gain([i for k in numbers for i in self.spans[k]]))
+        return float(self.conditional.gain([i for k in numbers for i in self.spans[k]]))
 
     def best_pair(
         self, most: int = 12, *, without: Set[str] = frozenset()
@@ -202,10 +202,10 @@ def explored(
     held = fitted.at_bounds
     scores = Scores(fitted.equations, range(count), held=held)
     changes = range(start, start + sum(len(one.regressors) for one in forms))
-    beside = Scores(fitted.equations, [*range(count), *changes], held=held) if forms else scores
+    conditional = Scores(fitted.equations, [*range(count), *changes], held=held) if forms else scores
     gains = np.array(
         [
-            _gain(beside if k < len(named) else scores, one, span)
+            _gain(conditional if k < len(named) else scores, one, span)
             for k, (one, span) in enumerate(zip(found, spans, strict=True))
         ]
     )
@@ -225,7 +225,9 @@ def explored(
         thresholds[: len(named)] = _given_candidate(
             scores, names, spans, gains, thresholds[: len(named)], rate=rate, replicates=replicates, seed=seed
         )
-    return Exploration(fitted, found, scores, spans, gains, maxima, thresholds, len(named), beside, forms)
+    return Exploration(
+        fitted, found, scores, spans, gains, maxima, thresholds, len(named), conditional, forms
+    )
 
 
 def _gains_by_chance(nulls: Scores, spans: Sequence[Sequence[int]]) -> Array:

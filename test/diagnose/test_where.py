@@ -73,7 +73,7 @@ def located(data: Dataset, board: Scene, told: Camera, name: str) -> tuple[Fit, 
     fitted = fit(problem, told, fold_of=folds)
     forms = form_blocks(fitted, [name], [])
     step = explored(further_equations(fitted, forms, folds, problem), [], forms=forms, replicates=0)
-    rest = change_of_forms(fitted.camera, [name], step.forms, step.beside.values())
+    rest = change_of_forms(fitted.camera, [name], step.forms, step.conditional.values())
     plain, with_rest = (of_terms(fitted, [name], told, rest=one).pixels for one in (None, rest))
     return fitted, plain, with_rest
 

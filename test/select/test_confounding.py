@@ -96,7 +96,7 @@ def test_equations_after_the_base_is_eliminated(tmp_path: Path) -> None:
     count = len(fitted.parameters)
     extra = list(range(count, count + len(block.regressors)))
     scores = Scores(fitted.equations, range(count))
-    gram, right = scores.beside_base(extra)
+    gram, right = scores.conditional_on_base(extra)
     every = [*range(count), *extra]
     covariance = scores.covariance(np.array(every))[count:, count:]
     priors = np.array([one.prior for one in block.regressors])

@@ -112,4 +112,4 @@ def test_likelihoods_take_no_step_beyond_a_bound(regression: tuple[np.ndarray, n
     assert held.chi_square(held_out=True) == pytest.approx(absent.chi_square(held_out=True))
     beside, without = Scores(equations, [0, 1], held=[1]), Scores(equations, [0])
     assert beside.identifiability([2]) == pytest.approx(without.identifiability([2]))
-    assert beside.beside_base([2])[0] == pytest.approx(without.beside_base([2])[0])
+    assert beside.conditional_on_base([2])[0] == pytest.approx(without.conditional_on_base([2])[0])

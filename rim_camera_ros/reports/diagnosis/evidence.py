@@ -149,8 +149,8 @@ def evidence(result: Diagnosis) -> Evidence:
             pictures.append(_as_set_up(new))
     samples = _samples(stations, kept, drawn, covariates)
     if result.step > 1:
-        told = {name: full_covariate(name, x, result.step) for name, x in samples.covariates.items()}
-        samples = replace(samples, covariates=told)
+        known = {name: full_covariate(name, x, result.step) for name, x in samples.covariates.items()}
+        samples = replace(samples, covariates=known)
     _centre(stations, shape)
     after = np.stack([one.after / one.sigma for one in stations])
     without = np.stack([(one.after + one.change) / one.sigma for one in stations])

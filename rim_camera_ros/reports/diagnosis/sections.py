@@ -118,11 +118,11 @@ def poses(result: Diagnosis, found: Evidence) -> list[Part]:
     """Return how well each pose agrees, and a table of those that do not."""
     from rim_camera_ros.reports.diagnosis import figures
 
-    told = errors_of_placements(found.errors)
+    greatest = errors_of_placements(found.errors)
     errors = {
         int(pose): (size, name.removeprefix("pose.").replace(".", ", "))
         for pose, placed in zip(found.poses, found.placements, strict=True)
-        for size, name in [told.get(placed, (0.0, "-"))]
+        for size, name in [greatest.get(placed, (0.0, "-"))]
     }
     located = found.strength is not None and bool(result.missing)
     # the light of a second camera moves a pose as a whole: that says nothing of its instrument
@@ -173,7 +173,7 @@ def poses(result: Diagnosis, found: Evidence) -> list[Part]:
         parts.append(Table(headings, rows, numbers=(0, 1, 2, 3)))
     elif second:
         parts.append(Text("The light of a second camera hides whether the poses agree."))
-    elif told and result.verdict != "inconsistent_setup":
+    elif greatest and result.verdict != "inconsistent_setup":
         pose, (size, name) = max(errors.items(), key=lambda one: one[1][0])
         parts.append(
             Text(
