@@ -218,8 +218,10 @@ def explored(
         nulls = null_scores(scores, replicates=replicates, seed=seed, errors=fitted.nuisances)
         drawn = _gains_by_chance(nulls, spans)
         widths = [len(one) for one in spans]
-        maxima = drawn[: len(named)].max(axis=0) if named else drawn.max(axis=0)
-        rate = rate_of_each(drawn[: len(named)], widths[: len(named)])
+        # terms that are not of the vocabulary raise no alarm by themselves beside it
+        family = len(named) or len(found)
+        maxima = drawn[:family].max(axis=0)
+        rate = rate_of_each(drawn[:family], widths[:family])
         thresholds = thresholds_at(rate, drawn, widths)
         names = [one.effect for one in named]
         thresholds[: len(named)] = _given_candidate(

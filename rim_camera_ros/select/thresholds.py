@@ -33,8 +33,6 @@ def rate_of_each(by_chance: Array, widths: Sequence[int]) -> float:
     ``by_chance`` (C, R) are gains [nats] of candidates of so many regressors (C,) in replicates; all
     together exceed their thresholds at `ALARM_RATE`.
     """
-    if not len(by_chance):
-        return ALARM_RATE
     least = float(np.quantile(_chances(by_chance, widths).min(axis=0), _RARE))
     # of n independent chances the least is below this one in 1 - (1 - it)^n of replicates
     tests = np.log1p(-_RARE) / np.log1p(-min(max(least, 1e-9), _RARE))
