@@ -296,7 +296,7 @@ class Result:
             self,
             camera=start.fit.camera,
             found=[],
-            explorations=[start],
+            explorations=[start.recalled(problem, self.folds)],
             log_likelihood=self.start_log_likelihood,
             problem=problem,
             refused=[],

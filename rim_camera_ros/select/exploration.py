@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -78,6 +78,13 @@ class Exploration:
             # a view would keep them
             fold.pixel = fold.pixel[:, :0].copy()
             fold.gain = None if fold.gain is None else fold.gain[:, :0].copy()
+
+    def recalled(self, problem: Problem, folds: Mapping[tuple[int, int], int]) -> Exploration:
+        """Return the exploration with the sums per pixel of its parameters, also where it let go of them."""
+        folded = self.fit.equations.folds
+        if all(one.pixel.shape[1] for one in folded):
+            return self
+        return replace(self, fit=further_equations(self.fit, [], folds, problem))
 
     def best(self) -> dict[str, int]:
         """Return the best variant of each effect, the best effect first; further candidates left out."""

@@ -140,6 +140,10 @@ def test_the_gain_of_what_was_withdrawn_is_none() -> None:
             class forward:
                 masks = "masks"
 
+        @staticmethod
+        def recalled(problem: Problem, folds: Any) -> Any:
+            return start
+
     start: Any = Start
     board: Any = "board"
     found: Any = ["mixed_pixels"]

@@ -14,12 +14,14 @@ from rim_camera_ros.camera import Covariance
 from rim_camera_ros.diagnose import adjusted as adjusting
 from rim_camera_ros.diagnose.adjusted import Adjusted, file_covariance, parameters_matter
 from rim_camera_ros.diagnose.run import diagnose
+from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.parameters import ArrayFile
+from rim_camera_ros.select.search import search
 
 from ..calibrate.helpers import camera, record, scene
 from .test_setup import told_wrongly
@@ -134,3 +136,20 @@ def test_without_a_covariance_a_file_is_known_as_by_plain_least_squares(tmp_path
     own = [list(fitted.parameters).index("effects.distance_scale.scale")]
     known = float(np.sqrt(file_covariance(truth, fitted, own)[0, 0]))
     assert known == pytest.approx(float(np.std(plain)), rel=0.25)
+
+
+def test_what_the_file_knows_is_said_also_where_effects_were_withdrawn(tmp_path: Path) -> None:
+    """A search lets go of the sums of each pixel of its first fit once an effect has joined."""
+    told = camera(tmp_path, cyclic(0.011))
+    truth = camera(tmp_path, cyclic(0.011), DistanceScale(0.02))
+    board = scene(tmp_path)
+    data = record(truth, board, poses=10, seed=6)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
+    problem = Problem(data, board)
+    untouched = search(problem, told, facts, effects=["distance_scale"], most=0).fit
+    result = search(problem, told, facts, effects=["distance_scale"])
+    assert [one.effect for one in result.found] == ["distance_scale"]
+    left = result.withdrawn().fit
+    own = [k for k, path in enumerate(left.parameters) if path.startswith("effects.cyclic_error.")]
+    known = file_covariance(told, left, own)
+    assert known == pytest.approx(file_covariance(told, untouched, own), rel=1e-6)
