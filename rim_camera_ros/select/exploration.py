@@ -225,7 +225,7 @@ def explored(
         nulls = null_scores(scores, replicates=replicates, seed=seed, errors=fitted.nuisances)
         drawn = _gains_by_chance(nulls, spans)
         widths = [len(one) for one in spans]
-        # terms that are not of the vocabulary raise no alarm by themselves beside it
+        # beside effects, terms that are not of the vocabulary raise no alarm of their own
         family = len(named) or len(found)
         maxima = drawn[:family].max(axis=0)
         rate = rate_of_each(drawn[:family], widths[:family])
@@ -310,9 +310,9 @@ def _gain(scores: Scores, candidate: Candidate, span: Sequence[int]) -> float:
     below = [labels[one] for one in candidate.positive if values[one] < 0]
     if not below:
         return gain
-    sigma = np.sqrt(np.diag(scores.covariance(scores.columns(span))))
-    of = dict(zip(scores.columns(span).tolist(), sigma, strict=True))
-    if any(values[scores.regressors[i].label] < -BEYOND_POSSIBLE * of[i] for i in below):
+    columns = scores.columns(span)
+    sigma = dict(zip(columns.tolist(), np.sqrt(np.diag(scores.covariance(columns))), strict=True))
+    if any(values[scores.regressors[i].label] < -BEYOND_POSSIBLE * sigma[i] for i in below):
         return 0.0
     possible = [i for i in span if i not in below]
     return float(scores.gain(possible)) if possible else 0.0

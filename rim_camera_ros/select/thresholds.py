@@ -21,7 +21,7 @@ ALARM_RATE = 0.02
 #: Threshold [nats] where no replicates say what chance gains: four sigma of one parameter.
 WITHOUT_REPLICATES = 8.0
 #: Share of replicates with the greatest gains, which tell how many independent tests candidates amount to:
-#: those that correlate do so less the rarer their gains are.
+#: of all replicates they would be too few, as gains that correlate do so less the rarer they are.
 _RARE = 0.1
 #: Spread of gains that says nothing [nats].
 _NO_SPREAD = 1e-9

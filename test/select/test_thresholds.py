@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.select.candidates import candidates
 from rim_camera_ros.select.evidence import folds_of
-from rim_camera_ros.select.exploration import Exploration, _given_candidate, explore
+from rim_camera_ros.select.exploration import Exploration, _gain, _given_candidate, explore
 from rim_camera_ros.select.null_replicates import error_size
 from rim_camera_ros.select.thresholds import (
     ALARM_RATE,
@@ -108,3 +110,22 @@ def test_a_scale_does_not_hide_behind_the_errors_of_poses_that_it_makes(tmp_path
     assert error_size(equations, found.scores.errors(found.spans[k])) < 1.4
     assert found.thresholds[k] > 30.0
     assert given_itself(found, k) < 15.0
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"),
+    [(0.4, 9.0), (-2.9, 6.5), (-3.1, 0.0)],
+    ids=["possible", "negative by chance", "negative by more"],
+)
+def test_a_share_of_light_that_chance_makes_negative_gains_nothing(share: float, expected: float) -> None:
+    """Its sigma is 1; without it the other parameter of the candidate gains 6.5 nats."""
+    labels = ["effects.x.share", "effects.x.width"]
+    scores: Any = SimpleNamespace(
+        regressors=[SimpleNamespace(label=one) for one in labels],
+        gain=lambda span: {(0, 1): 9.0, (1,): 6.5}[tuple(span)],
+        values=lambda span: {labels[0]: share, labels[1]: -7.0},
+        columns=lambda span: np.array([*span]),
+        covariance=lambda columns: np.diag([1.0, 4.0]),
+    )
+    candidate: Any = SimpleNamespace(positive=(labels[0],))
+    assert _gain(scores, candidate, [0, 1]) == expected
