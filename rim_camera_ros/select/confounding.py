@@ -48,12 +48,13 @@ def follows_time(
     *,
     conditional_on: Sequence[Block] = (),
     seed: int = 0,
-) -> bool:
+) -> bool | None:
     """Return whether the drift ``name`` of a fit explains more than in nearly all random orders of poses.
 
     And whether poses are then as good as stated, or nearly all that moved them is explained.
-    ``variants`` are its candidates in the library; ``beside`` are further regressors that stand beside it.
-    True where there are too few poses to tell.
+    ``variants`` are its candidates in the library; ``conditional_on`` are further regressors beside it.
+    True where there are too few poses to tell, None where the pixels of the ``problem`` know too little of
+    the poses to show even the drift as it was fitted.
     """
     poses = list(dict.fromkeys((one.recording, one.placed) for one in problem.dataset.stations))
     if len(poses) < _LEAST_POSES or not variants:
@@ -68,6 +69,8 @@ def follows_time(
     right = right + gram @ shifts
     random = np.random.default_rng(seed)
     true = _explained(gram, right, shapes, np.arange(len(poses)))
+    if 0.5 * float(shifts @ gram @ shifts) < 2 * WITHOUT_REPLICATES:
+        return None
     every = 0.5 * float(right @ np.linalg.pinv(gram) @ right)
     expected = 0.5 * len(poses)
     if true < WITHOUT_REPLICATES:
@@ -205,7 +208,8 @@ def follows_time_in_quiet_pixels(
 
     These are the effects ``found`` before it, whose form is never quite the true one: beside it stand
     ``curves`` of what they depend on, and changes of their forms by their ``variants``. ``drifts`` are its
-    own candidates.
+    own candidates. Where such pixels tell too little, as those of one integration time do where that of the
+    others has another offset, all pixels are asked.
     """
     # such a form leaves what changes with its own covariates, and these with time
     effects = [fitted.camera.effects[one] for one in found if one in fitted.camera.effects]
@@ -213,5 +217,9 @@ def follows_time_in_quiet_pixels(
     own = [one.block for one in curves if one.variant in covariates]
     conditional_on = [*own, *form_blocks(fitted, found, variants)]
     masks = quiet_pixels(fitted, [one.name for one in effects])
-    there = problem if masks is None else replace(problem, masks=masks)
-    return follows_time(fitted, name, drifts, folds, there, conditional_on=conditional_on, seed=seed)
+    quiet = [] if masks is None else [replace(problem, masks=masks)]
+    for there in (*quiet, problem):
+        follows = follows_time(fitted, name, drifts, folds, there, conditional_on=conditional_on, seed=seed)
+        if follows is not None:
+            return follows
+    return False

@@ -15,6 +15,7 @@ from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.warm_up_drift import Exponential, WarmUpDrift
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.solver import fit
+from rim_camera_ros.select import confounding
 from rim_camera_ros.select.candidates import candidates
 from rim_camera_ros.select.confounding import follows_time, quiet_pixels
 from rim_camera_ros.select.evidence import Scores, folds_of
@@ -84,6 +85,27 @@ def test_where_a_cyclic_error_does_not_act_a_drift_still_shows(tmp_path: Path) -
         assert 0.05 < kept / used < 0.5
         quiet = replace(problem, masks=masks)
         assert follows_time(fitted, "warm_up_drift", pool, folds, quiet) is follows
+
+
+@pytest.mark.parametrize(("size", "follows"), [(0.009, True), (1e-5, False)])
+def test_where_quiet_pixels_know_too_little_all_pixels_are_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: float, follows: bool
+) -> None:
+    """As those of one integration time, where that of the others has another offset: here of two poses."""
+    drift = WarmUpDrift(terms=(Exponential(size, 400.0),))
+    _, problem, pool, folds = setting(tmp_path, drift)
+    fitted = fitted_with_drift(tmp_path, problem)
+    masks = [
+        (one.used & (k in (11, 19)), one.amplitude_used & (k in (11, 19)))
+        for k, one in enumerate(fitted.forward.predictions(slopes=False))
+    ]
+    few = replace(problem, masks=masks)
+    assert follows_time(fitted, "warm_up_drift", pool, folds, few) is None
+    monkeypatch.setattr(confounding, "quiet_pixels", lambda fitted, names: masks)
+    asked = confounding.follows_time_in_quiet_pixels(
+        fitted, "warm_up_drift", problem, folds, found=[], drifts=pool, curves=[], variants=[], seed=1
+    )
+    assert asked is follows
 
 
 def test_equations_after_the_base_is_eliminated(tmp_path: Path) -> None:
