@@ -47,13 +47,31 @@ class Pose:
     covariance: tuple[float, ...] | None = None
 
 
+@dataclass(eq=False, slots=True)
+class Readings:
+    """The readings of a sensor in order: ``stamps`` in nanoseconds, ``values`` in its unit.
+
+    They grow while a recording is read: what depends on the past takes those up to its own stamp.
+    """
+
+    stamps: list[int] = field(default_factory=list)
+    values: list[float] = field(default_factory=list)
+
+    def add(self, stamp: int, value: float) -> None:
+        """Add a reading that is newer than all before; others are passed over."""
+        if not self.stamps or stamp > self.stamps[-1]:
+            self.stamps.append(stamp)
+            self.values.append(value)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
     """The camera's settings and state with one frame; None where unknown.
 
     ``integration_time`` in the device's own unit, ``modulation_frequency`` in Hz, ``uptime`` in s
     since power-on, temperatures in degC, ``reference_distance`` (internal reference path) in m.
-    ``extra`` holds the further key/value pairs of the frame_info message.
+    ``ambient_readings`` are all of the recording's readings of the ambient temperature, where they are at
+    hand. ``extra`` holds the further key/value pairs of the frame_info message.
     """
 
     integration_time: float | None = None
@@ -63,6 +81,7 @@ class Settings:
     ambient_temperature: float | None = None
     reference_distance: float | None = None
     extra: Mapping[str, str] = _NOTHING
+    ambient_readings: Readings | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -202,6 +202,9 @@ def test_temperatures_and_reference_are_the_last_ones(tmp_path: Path) -> None:
     frames, _, _ = read(write_bag(tmp_path / "bag", lines))
     assert [frame.settings.body_temperature for frame in frames] == [31.5, 31.5, 32.25, 32.25]
     assert [frame.settings.ambient_temperature for frame in frames] == [None, 20.125, 20.125, None]
+    readings = frames[-1].settings.ambient_readings
+    assert readings is not None
+    assert (readings.stamps, readings.values) == ([stamp_at(1)], [20.125])
     assert [frame.settings.reference_distance for frame in frames] == [None, None, None, 0.375]
 
 

@@ -190,7 +190,7 @@ def settings_from(message: Any, place: str | None = None) -> tuple[Settings, str
         device = device or str(status.hardware_id)
         for pair in status.values:
             pairs.setdefault(str(pair.key), str(pair.value))
-    numbers: dict[str, float | None] = {}
+    numbers: dict[str, Any] = {}
     for key in ("integration_time", "modulation_frequency", "uptime"):
         text = pairs.pop(key, None)
         numbers[key] = None if text is None else _setting(key, text, place)

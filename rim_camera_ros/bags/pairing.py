@@ -14,7 +14,7 @@ from rim_camera_ros.bags import messages
 from rim_camera_ros.bags.images import ENCODINGS
 from rim_camera_ros.bags.topics import POSE_ROLES, SAMPLES, is_swissranger_intensity
 from rim_camera_ros.errors import InputError
-from rim_camera_ros.frame import Intrinsics, Pose, RawFrame, Settings
+from rim_camera_ros.frame import Intrinsics, Pose, RawFrame, Readings, Settings
 
 #: What a stamp that is not after the one before means: bad input, or one more to count.
 Backwards = Literal["error", "count"]
@@ -91,6 +91,7 @@ class Pairing:
         self._last: int | None = None
         self._layout: dict[str, tuple[tuple[int, ...], str]] = {}
         self._sides: dict[str, History] = {}
+        self._ambient = Readings()
         self._poses: dict[str, History] = {}
         self._covariances: dict[str, History] = {}
         self._pose_frames: dict[str, str] = {}
@@ -115,7 +116,10 @@ class Pairing:
             return []
         if role in ("temperature", "ambient", "reference"):
             read = messages.range_from if role == "reference" else messages.temperature_from
-            self._sides.setdefault(role, History()).add(stamp, read(message))
+            value = read(message)
+            self._sides.setdefault(role, History()).add(stamp, value)
+            if role == "ambient" and value is not None:
+                self._ambient.add(stamp, value)
             return []
         try:
             value = self._value(role, topic, message, place, stamp)
@@ -308,6 +312,7 @@ class Pairing:
             ambient_temperature=sides.get("ambient"),
             reference_distance=sides.get("reference"),
             extra=settings.extra,
+            ambient_readings=self._ambient if self._ambient.stamps else None,
         )
 
     def _fitting(self, intrinsics: Intrinsics, exposure: _Exposure) -> Intrinsics | None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from bisect import bisect_right
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,18 +13,22 @@ from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.effects.candidate import Candidate, Facts, linear
 from rim_camera_ros.effects.graph import POINTS, Graph, Line
 from rim_camera_ros.effects.signal import Column, Context, Image, Signal
-from rim_camera_ros.frame import NANOSECONDS
+from rim_camera_ros.frame import NANOSECONDS, Readings
 from rim_camera_ros.parameters import quantity
+
+#: 1-sigma of how far a thermometer lags behind the air [s]: in still air they take 10 to 60 s.
+_THERMOMETER_LAG = 30.0
 
 
 @dataclass(frozen=True)
 class _Filter:
-    """State of the first-order lag and of its derivative by the time constant."""
+    """State of the first-order lag and of its derivative by the time constant, after so many readings."""
 
     stamp: int
     ambient: float
     lagged: float
     by_constant: float
+    count: int = 0
 
 
 @dataclass(frozen=True)
@@ -30,7 +36,9 @@ class AmbientTemperature(DistanceTerm):
     """+ coefficient * (T_f - reference), dT_f/dt = (T_a - T_f) / time_constant.
 
     T_f starts at the first sample; between samples T_a is taken as linear in time, for which the
-    lag is solved in closed form. Without the topic T_a = reference. A stamp that jumps back starts anew.
+    lag is solved in closed form. Samples are the recording's readings, also those between and before its
+    frames; where these are not at hand, as on a live camera, the one that came last with each frame. Without
+    the topic T_a = reference. A stamp that jumps back starts anew.
     """
 
     name = "ambient_temperature"
@@ -60,27 +68,45 @@ class AmbientTemperature(DistanceTerm):
                 f"ambient_temperature: no ambient temperature recorded, taken as {self.reference:g} degC"
             )
             ambient = self.reference
+        if self.time_constant == 0:
+            return _Filter(context.stamp, ambient, ambient, 0.0)
         key = f"{self.name}:{self.time_constant:.17g}"
         state: _Filter | None = context.memory.get(key)
-        if state is None or context.stamp < state.stamp:
+        if state is not None and context.stamp < state.stamp:
+            state = None
+        readings = context.settings.ambient_readings
+        if readings is not None and readings.stamps and readings.stamps[0] <= context.stamp:
+            state = context.memory[key] = self._after(readings, context.stamp, state)
+            # the reading holds until the next one
+            return self._advance(state, context.stamp, state.ambient)
+        if state is None:
             state = _Filter(context.stamp, ambient, ambient, 0.0)
         elif context.stamp > state.stamp:
             state = self._advance(state, context.stamp, ambient)
         context.memory[key] = state
         return state
 
+    def _after(self, readings: Readings, stamp: int, state: _Filter | None) -> _Filter:
+        """Return the state at the last reading that is not later than a stamp."""
+        if state is None or state.count == 0:
+            first = readings.values[0]
+            state = _Filter(readings.stamps[0], first, first, 0.0, count=1)
+        for i in range(state.count, bisect_right(readings.stamps, stamp)):
+            state = replace(self._advance(state, readings.stamps[i], readings.values[i]), count=i + 1)
+        return state
+
     def _advance(self, state: _Filter, stamp: int, ambient: float) -> _Filter:
         seconds = (stamp - state.stamp) / NANOSECONDS
         tau = self.time_constant
-        if tau == 0:
-            return _Filter(stamp, ambient, ambient, 0.0)
+        if seconds == 0:
+            return state
         slope = (ambient - state.ambient) / seconds
-        decay = np.exp(-seconds / tau)
+        decay = math.exp(-seconds / tau)
         behind = state.lagged - state.ambient + slope * tau
         lagged = ambient - slope * tau + behind * decay
         # derivative of the line above by tau, the state's own derivative included
         by_constant = -slope + (state.by_constant + slope) * decay + behind * decay * seconds / tau**2
-        return _Filter(stamp, ambient, float(lagged), float(by_constant))
+        return _Filter(stamp, ambient, lagged, by_constant)
 
     def term(self, distance: Image, amplitude: Image, context: Context) -> Image | float:
         return self.coefficient * (self._lagged(context).lagged - self.reference)
@@ -94,6 +120,20 @@ class AmbientTemperature(DistanceTerm):
             "reference": (ones * (0.0 if unknown else -self.coefficient), 0.0),
             "time_constant": (ones * self.coefficient * state.by_constant, 0.0),
         }
+
+    def sensor_sigmas(self) -> dict[str, float]:
+        """Return the 1-sigma of the lag [s] of the thermometer behind the air."""
+        return {"lag": _THERMOMETER_LAG} if self.time_constant else {}
+
+    def sensor_columns(self, context: Context) -> dict[str, Column]:
+        """Return what a lagging thermometer does: the air is warmer than it says by lag * dT / dt."""
+        readings = context.settings.ambient_readings
+        if readings is None or not self.time_constant:
+            return {"lag": (np.zeros(()), 0.0)}
+        state = self._lagged(context)
+        # the filter is linear: its response to dT / dt is the rate of T_f
+        rate = (state.ambient - state.lagged) / self.time_constant
+        return {"lag": (np.asarray(self.coefficient * rate), 0.0)}
 
     def sentence(self) -> str:
         lag = f", lagging by {self.time_constant:.0f} s" if self.time_constant else ""

@@ -83,6 +83,14 @@ class Effect(Physics):
         """
         return {}
 
+    def sensor_sigmas(self) -> dict[str, float]:
+        """Return the 1-sigma of errors of a sensor whose readings the effect depends on, by name."""
+        return {}
+
+    def sensor_columns(self, context: Context) -> dict[str, Column]:
+        """Return the derivatives of measured distance and published amplitude by each of these errors."""
+        return {}
+
     @abstractmethod
     def sentence(self) -> str:
         """Return in words, with numbers, what the effect does."""

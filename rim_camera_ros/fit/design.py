@@ -77,6 +77,8 @@ Array = NDArray[Any]
 BEYOND = 3.0
 #: Labels of errors that all poses of a surface share, and of the optics within their covariance.
 COMMON_POSE, OPTICS = "common_pose.", "optics_covariance."
+#: Labels of errors of sensors whose readings effects depend on.
+SENSOR = "sensor."
 #: Labels of the smooth field of the pixels' offsets: powers of row and column over the array.
 PATTERN_FIELD = "pattern_field."
 _POWERS = ((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))
@@ -88,7 +90,7 @@ _DIRECTIONS = ("offset", "tilt_x", "tilt_y")
 def imperfection_blocks(
     camera: Camera, scene: Scene, *, lobe: bool = True, pattern_field: bool = False
 ) -> list[Block]:
-    """Return the regressors of reflectivities, a weak lobe, common errors of poses, and known optics.
+    """Return the regressors of reflectivities, a weak lobe, errors of poses and sensors, and known optics.
 
     Sizes are those of the files: ``reflectivity_sigma``, ``pose_sigma`` with ``pose_common``, and the
     covariance of the optics; that of the lobe is `light_curves.LOBE_SIGMA`. Without ``lobe`` surfaces have
@@ -105,7 +107,7 @@ def imperfection_blocks(
 
 def linear_blocks(camera: Camera, scene: Scene, *, pattern_field: bool = False) -> list[Block]:
     """Return those of the blocks whose effect on the predictions is added as it is, without a step."""
-    blocks = [common_pose_block(scene), known_optics(camera)]
+    blocks = [common_pose_block(scene), known_optics(camera), sensor_block(camera)]
     if pattern_field:
         blocks.append(pattern_field_block(camera.shape))
     return [one for one in blocks if one.regressors]
@@ -223,6 +225,26 @@ def known_optics(camera: Camera) -> Block:
     return Block(regressors, columns)
 
 
+def sensor_block(camera: Camera) -> Block:
+    """Return the errors of sensors whose readings effects of the camera depend on."""
+    errors = [
+        (effect, name, sigma)
+        for effect in camera.effects.values()
+        for name, sigma in effect.sensor_sigmas().items()
+    ]
+    regressors = tuple(Regressor(f"{SENSOR}{effect.name}.{name}", "sensor", s) for effect, name, s in errors)
+
+    def columns(prediction: Prediction) -> list[Column]:
+        result: list[Column] = []
+        for effect, name, _ in errors:
+            distance, amplitude = effect.sensor_columns(prediction.context)[name]
+            zero = np.zeros(prediction.distance.shape)
+            result.append((zero + distance, zero + amplitude))
+        return result
+
+    return Block(regressors, columns, in_order=any(effect.remembers for effect, *_ in errors))
+
+
 def is_linear(path: str) -> bool:
     """Whether a regressor is a nuisance whose value is no parameter of camera or light."""
-    return path.startswith((COMMON_POSE, OPTICS, PATTERN_FIELD))
+    return path.startswith((COMMON_POSE, OPTICS, PATTERN_FIELD, SENSOR))

@@ -7,7 +7,6 @@ a replicate of noise, pose errors and powers costs a few products instead of a s
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -77,16 +76,14 @@ def null_scores(
         for side, part in zip(sides, eliminated, strict=True):
             side -= part
     rights = [one.right(rng) for one in drawn]
-    nulls = copy(scores)
-    nulls.temper, nulls.away = 1.0, np.zeros(count)
-    nulls.full, *nulls.trained = (
+    full, *trained = (
         replace(
             reduced,
             right=reduced.without_errors(side + stacked_sides(count, _kept(rights, out))),
         )
         for reduced, side, out in zip(observed, sides, outs, strict=True)
     )
-    return nulls
+    return scores.of_replicates(full, trained)
 
 
 def _kept[Item](items: Sequence[Item], leave_out: int | None) -> list[Item]:
@@ -122,7 +119,7 @@ def kind_of_error(name: str) -> str:
 
 
 #: Owners of regressors that stand for what every set-up has, whatever the camera: replicates contain them.
-IMPERFECTIONS = ("reflectivity.", "common_pose.", "optics_covariance.", "radiometry.lobe.")
+IMPERFECTIONS = ("reflectivity.", "common_pose.", "optics_covariance.", "radiometry.lobe.", "sensor.")
 
 
 def _errors(

@@ -37,7 +37,7 @@ from rim_camera_ros.effects.warm_up_drift import Exponential, WarmUpDrift
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera
 from rim_camera_ros.fit.decimation import decimated_camera, full_camera
-from rim_camera_ros.frame import Settings
+from rim_camera_ros.frame import Readings, Settings
 from rim_camera_ros.parameters import ArrayFile, NestedList, encode
 from rim_camera_ros.pipeline.correct import Correction
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
@@ -97,6 +97,45 @@ def test_ambient_lag_solves_its_differential_equation(tau: float) -> None:
         max_step=0.5,
     )
     assert found == pytest.approx((0.008 * (solution.y[0] - 22.0)).tolist(), abs=2e-6)
+
+
+@pytest.mark.parametrize("tau", [40.0, 300.0])
+def test_ambient_follows_readings_between_and_before_the_frames(tau: float) -> None:
+    """A recording whose first frame comes 75 s after the first reading, in air that changes by the minute."""
+    seconds = np.arange(0.0, 500.0, 10.0)
+    ambient = 22.0 + 3.0 * np.sin(seconds / 40.0) + 0.01 * seconds
+    readings = Readings()
+    for t, value in zip(seconds, ambient, strict=True):
+        readings.add(10**18 + round(t * 1e9), float(value))
+    readings.add(10**18, -40.0)  # older than all: passed over
+    frames = np.array([75.0, 170.0, 210.0, 430.0])
+    effect = AmbientTemperature(coefficient=0.008, reference=22.0, time_constant=tau)
+    signal, _ = ideal(wall())
+    step = 1e-3 * tau
+    found, by_constant = [], []
+    memory: dict[str, Any] = {}
+    for t in frames:
+        one = context(ambient_temperature=21.0, ambient_readings=readings)
+        one.stamp, one.memory = 10**18 + round(t * 1e9), memory
+        found.append(effect.term(EMPTY, EMPTY, one))
+        more, less = (
+            replace(effect, time_constant=tau + sign * step).term(EMPTY, EMPTY, one) for sign in (1, -1)
+        )
+        column = effect.columns(signal, one)["time_constant"][0]
+        by_constant.append((float(np.ravel(column)[0]), float(more - less) / (2 * step)))
+    solution = solve_ivp(
+        lambda t, y: (np.interp(t, seconds, ambient) - y) / tau,
+        (0, 430),
+        [22.0],
+        t_eval=frames,
+        rtol=1e-9,
+        atol=1e-9,
+        max_step=0.5,
+    )
+    # the last reading holds until the next one: at most 5 s of 0.1 degC a second
+    assert found == pytest.approx((0.008 * (solution.y[0] - 22.0)).tolist(), abs=0.008 * 0.4 * 5 / tau)
+    for analytic, numeric in by_constant:
+        assert analytic == pytest.approx(numeric, rel=1e-4, abs=1e-9)
 
 
 def test_ambient_without_lag_and_without_topic() -> None:
