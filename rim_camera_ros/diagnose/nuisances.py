@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtri
@@ -12,7 +12,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.hypotheses import DEPTH, LEAST_GAIN
 from rim_camera_ros.diagnose.pixel_gains import GainSpread
 from rim_camera_ros.effects.light_curves import PREFIX, TILES
-from rim_camera_ros.fit.design import BEYOND, COMMON_POSE, OPTICS
+from rim_camera_ros.fit.design import BEYOND, COMMON_POSE, OPTICS, SENSOR
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.compare import NOT_IN_ALL_POSES, Result
@@ -45,6 +45,7 @@ _KINDS = (
     ("common_pose_offset", COMMON_POSE, "m"),
     ("common_pose_tilt", COMMON_POSE, "rad"),
     ("optics", OPTICS, "px"),
+    ("sensor_lag", SENSOR, "s"),
 )
 
 
@@ -116,14 +117,7 @@ def conditional_on_physics(result: Result) -> Fit:
     number = None if disputed is None else step.best().get(disputed)
     if number is None and not step.forms:
         return step.fit
-    extra = [] if number is None else step.spans[number]
-    values = step.conditional.values(extra)
-    shared = {label: values[label] for label in step.fit.parameters if label.startswith(COMMON_POSE)}
-    return replace(
-        step.fit,
-        parameters=step.fit.parameters | shared,
-        nuisances=step.fit.nuisances | step.conditional.errors(extra),
-    )
+    return step.conditional_fit(result.problem, [] if number is None else [number])
 
 
 def poses_beyond(fitted: Fit, camera: Camera, errors: Mapping[tuple[int, int], float]) -> str | None:

@@ -9,6 +9,8 @@ matrices, so that thousands of sets cost a second.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from copy import copy
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -44,6 +46,58 @@ def folds_of(dataset: Dataset, count: int = 5) -> dict[Key, int]:
     return {(one.recording, one.pose): dealt[one.recording, one.placed] for one in dataset.stations}
 
 
+def _scaled(
+    reduced: Reduced, columns: Array, scale: Array, temper: float, away: Array
+) -> tuple[Array, Array]:
+    matrix = reduced.gram[np.ix_(columns, columns)] * scale[:, None] * scale[None, :] / temper
+    matrix[np.diag_indices_from(matrix)] += 1.0
+    right = reduced.right[columns]
+    return matrix, ((right.T * scale) / temper - away[columns] / scale).T
+
+
+@dataclass(frozen=True)
+class _Base:
+    """The evidence of a base, whose Cholesky factor serves all that is scored beside it.
+
+    ``factor`` (B, B) of its equations in units of the priors ``scale`` (B,), ``solved`` (B,) or (B, R) by it.
+    """
+
+    reduced: Reduced
+    columns: Array
+    scale: Array
+    temper: float
+    away: Array
+    factor: Array
+    solved: Array
+    evidence: Any
+
+    @classmethod
+    def of(cls, reduced: Reduced, columns: Array, scale: Array, temper: float, away: Array) -> _Base:
+        matrix, right = _scaled(reduced, columns, scale, temper, away)
+        if not len(columns):  # scipy 1.11 solves no empty equations
+            nothing = np.zeros(right.shape[1:])
+            return cls(reduced, columns, scale, temper, away, matrix, right, nothing)
+        factor, solved, evidence = _evidence(matrix, right)
+        return cls(reduced, columns, scale, temper, away, factor, solved, evidence)
+
+    def of_further(self, own: Array, scale: Array) -> Any:
+        """Return what further columns (E,) with priors ``scale`` (E,) add to the evidence."""
+        matrix, right = _scaled(self.reduced, own, scale, self.temper, self.away)
+        if len(self.columns):
+            cross = self.reduced.gram[np.ix_(self.columns, own)] * self.scale[:, None] * scale / self.temper
+            by_base = linalg.solve_triangular(self.factor, cross, lower=True, check_finite=False)
+            matrix = matrix - by_base.T @ by_base
+            right = right - by_base.T @ self.solved
+        return _evidence(matrix, right)[2]
+
+
+def _evidence(matrix: Array, right: Array) -> tuple[Array, Array, Any]:
+    """Return the Cholesky factor of equations, their right sides solved by it, and their log evidence."""
+    factor = linalg.cholesky(matrix, lower=True, check_finite=False)
+    solved = linalg.solve_triangular(factor, right, lower=True, check_finite=False)
+    return factor, solved, 0.5 * np.sum(solved * solved, axis=0) - np.sum(np.log(np.diag(factor)))
+
+
 class Scores:
     """Scores of sets of regressors beside a base that is always there.
 
@@ -62,6 +116,8 @@ class Scores:
         self.equations, self.regressors = equations, equations.regressors
         self.base = np.array(sorted(base), int)
         self._held = frozenset(held)
+        self._in_base = frozenset(self.base.tolist())
+        self._bases: dict[tuple[int | None, bool], _Base] = {}
         self.prior = priors_of(equations.regressors)
         folds = range(len(equations.folds)) if len(equations.folds) > 1 else ()
         self.full, *self.trained = in_order(equations.reduced, (None, *folds), threads=equations.threads)
@@ -70,38 +126,51 @@ class Scores:
         count = len(equations.regressors)
         self._energy = sum((one.gram[:count, :count] for one in equations.folds), np.zeros((count, count)))
 
+    def of_replicates(self, full: Reduced, trained: Sequence[Reduced]) -> Scores:
+        """Return the scores of replicates: right-hand sides (K, R) drawn about the middle of the priors."""
+        result = copy(self)
+        result.temper, result.away = 1.0, np.zeros(len(self.regressors))
+        result.full, result.trained, result._bases = full, list(trained), {}
+        return result
+
+    def with_priors(self, prior: Array) -> Scores:
+        """Return the scores with other 1-sigmas of the priors (K,), about the same middles."""
+        result = copy(self)
+        result.prior, result._bases = prior, {}
+        return result
+
     def columns(self, extra: Iterable[int]) -> Array:
         """Return the indices of base and extra regressors that are not held."""
         return np.array(sorted({*self.base.tolist(), *extra} - self._held), int)
 
-    def _scaled(self, reduced: Reduced, columns: Array, unstated: Array | None = None) -> tuple[Array, Array]:
-        """Return the equations in units of the priors, which keeps them well conditioned.
+    def _scaled(self, reduced: Reduced, columns: Array) -> tuple[Array, Array]:
+        """Return the equations in units of the priors, which keeps them well conditioned."""
+        return _scaled(reduced, columns, self.prior[columns], self.temper, self.away)
 
-        Priors of ``unstated`` columns are wide.
-        """
-        scale = self.prior[columns]
-        if unstated is not None:
-            scale = np.where(np.isin(columns, unstated), UNSTATED * scale, scale)
-        matrix = reduced.gram[np.ix_(columns, columns)] * scale[:, None] * scale[None, :] / self.temper
-        matrix[np.diag_indices_from(matrix)] += 1.0
-        right = reduced.right[columns]
-        return matrix, ((right.T * scale) / self.temper - self.away[columns] / scale).T
+    def _of_base(self, number: int | None, unstated: bool) -> _Base:
+        """Return the base's part of the evidence of all folds (None), or of all but one."""
+        if (number, unstated) not in self._bases:
+            reduced = self.full if number is None else self.trained[number]
+            columns = self.columns([])
+            labels = [self.regressors[i].label for i in columns]
+            hardly = unstated & np.array([one.startswith(COMMON_POSE) for one in labels], bool)
+            scale = np.where(hardly, UNSTATED, 1.0) * self.prior[columns]
+            self._bases[number, unstated] = _Base.of(reduced, columns, scale, self.temper, self.away)
+        return self._bases[number, unstated]
 
-    def _evidence(self, reduced: Reduced, columns: Array, unstated: Array | None = None) -> Any:
-        matrix, right = self._scaled(reduced, columns, unstated)
-        if not len(columns):  # scipy 1.11 solves no empty equations
-            return np.zeros(right.shape[1:])
-        factor = linalg.cholesky(matrix, lower=True, check_finite=False)
-        solved = linalg.solve_triangular(factor, right, lower=True, check_finite=False)
-        return 0.5 * np.sum(solved * solved, axis=0) - np.sum(np.log(np.diag(factor)))
+    def _evidence(self, number: int | None, extra: Iterable[int] = (), *, unstated: bool = False) -> Any:
+        """Return the log evidence of all folds (None) or all but one; ``unstated`` as in `stated`."""
+        base = self._of_base(number, unstated)
+        own = np.array(sorted({*extra} - self._held - self._in_base), int)
+        return base.evidence if not own.size else base.evidence + base.of_further(own, self.prior[own])
 
     def held_out(self, extra: Iterable[int] = ()) -> Any:
         """Return the held-out log likelihood in nats, up to a constant; (R,) for replicates."""
-        columns = self.columns(extra)
-        everything = self._evidence(self.full, columns)
+        extra = list(extra)
+        everything = self._evidence(None, extra)
         if not self.trained:
             return everything
-        of_folds = sum(everything - self._evidence(one, columns) for one in self.trained)
+        of_folds = sum(everything - self._evidence(i, extra) for i in range(len(self.trained)))
         return of_folds + self.stated(extra)
 
     def stated(self, extra: Iterable[int] = ()) -> Any:
@@ -110,10 +179,8 @@ class Scores:
         Up to a constant; (R,) for replicates. An effect that these errors imitate gains here, and a fit that
         strains them loses.
         """
-        columns = self.columns(extra)
-        shared = [i for i in self.base if self.regressors[i].label.startswith(COMMON_POSE)]
-        without = self._evidence(self.full, columns, np.array(shared, int))
-        return self._evidence(self.full, columns) - without
+        extra = list(extra)
+        return self._evidence(None, extra) - self._evidence(None, extra, unstated=True)
 
     def log_likelihood(self, extra: Iterable[int] = ()) -> float:
         """Return the held-out log likelihood in nats with all its constants but the number of values.
@@ -126,14 +193,14 @@ class Scores:
 
     def log_likelihoods(self, extra: Iterable[int] = ()) -> list[float]:
         """Return what each fold adds to `log_likelihood`, given the others."""
-        columns = self.columns(extra)
-        everything = float(self._evidence(self.full, columns))
+        extra = list(extra)
+        everything = float(self._evidence(None, extra))
         return [
             everything
-            - float(self._evidence(one, columns))
+            - float(self._evidence(i, extra))
             - 0.5 * float(self.full.square - one.square) / self.temper
             - (self.full.log_norm - one.log_norm)
-            for one in self.trained
+            for i, one in enumerate(self.trained)
         ]
 
     def gain(self, extra: Iterable[int]) -> Any:
@@ -150,10 +217,14 @@ class Scores:
 
     def errors(self, extra: Iterable[int] = ()) -> dict[str, float]:
         """Return the errors of poses and powers that go with the coefficients of base and extra."""
+        return self.errors_and_offsets(extra)[0]
+
+    def errors_and_offsets(self, extra: Iterable[int] = ()) -> tuple[dict[str, float], Array]:
+        """Return these errors, and the offsets of all pixels (P,) [m]."""
         columns = self.columns(extra)
         values = np.zeros(len(self.regressors))
         values[columns] = self._solve(self.full, columns)
-        return self.full.recover(values)[0]
+        return self.full.recover(values)[:2]
 
     def _solve(self, reduced: Reduced, columns: Array) -> Array:
         matrix, right = self._scaled(reduced, columns)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
+from copy import copy
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -15,10 +16,12 @@ from rim_camera_ros.camera_file import in_order
 from rim_camera_ros.effects.candidate import MANY_PIXELS, Block, Candidate
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.bounds import BEYOND_POSSIBLE
+from rim_camera_ros.fit.design import is_linear
 from rim_camera_ros.fit.gauss_newton import TOLERANCE
-from rim_camera_ros.fit.problem import Fit, Point, Problem
+from rim_camera_ros.fit.problem import Fit, Point, Problem, blocks_of
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.select.evidence import Scores
+from rim_camera_ros.select.form_sizes import ConditionalOnForms
 from rim_camera_ros.select.null_replicates import error_size, null_scores
 from rim_camera_ros.select.thresholds import (
     WITHOUT_REPLICATES,
@@ -85,6 +88,28 @@ class Exploration:
         if all(one.pixel.shape[1] for one in folded):
             return self
         return replace(self, fit=further_equations(self.fit, [], folds, problem))
+
+    def conditional_fit(self, problem: Problem, numbers: Sequence[int] = ()) -> Fit:
+        """Return the fit conditional on changes of the ``forms``, and on some candidates.
+
+        Residuals and errors of poses are then what neither takes up: the changes, and what they make of the
+        parameters, are added to the predictions linearly.
+        """
+        fitted, forward = self.fit, copy(self.fit.forward)
+        columns = [i for k in numbers for i in self.spans[k]]
+        values = self.conditional.values(columns)
+        errors, pattern = self.conditional.errors_and_offsets(columns)
+        own = blocks_of(problem, fitted.camera, fitted.scene)
+        stepped = [one for one in own if not is_linear(one.regressors[0].label)]
+        changes = [*stepped, *self.forms, *(self.candidates[k].block for k in numbers)]
+        forward.linear = [*forward.linear, *changes]
+        return replace(
+            fitted,
+            forward=forward,
+            pattern=pattern.reshape(fitted.pattern.shape) if problem.pattern else fitted.pattern,
+            parameters=fitted.parameters | {one: values[one] for one in fitted.parameters if is_linear(one)},
+            nuisances=fitted.nuisances | errors | values,
+        )
 
     def best(self) -> dict[str, int]:
         """Return the best variant of each effect, the best effect first; further candidates left out."""
@@ -209,7 +234,7 @@ def explored(
     held = fitted.at_bounds
     scores = Scores(fitted.equations, range(count), held=held)
     changes = range(start, start + sum(len(one.regressors) for one in forms))
-    conditional = Scores(fitted.equations, [*range(count), *changes], held=held) if forms else scores
+    conditional = ConditionalOnForms(fitted.equations, range(count), changes, held=held) if forms else scores
     gains = np.array(
         [
             _gain(conditional if k < len(named) else scores, one, span)

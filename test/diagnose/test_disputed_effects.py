@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.diagnose.nuisances import common_pose_beyond, conditional_on_physics, poses_beyond
+from rim_camera_ros.diagnose.setup import check_poses, check_setup
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.emitter_offset import EmitterOffset
@@ -59,8 +60,10 @@ def test_poses_are_to_blame_for_what_no_disputed_effect_takes_up(
     data = moved(record(truth, board, poses=24, seed=9), poses, 0.03)
     facts = Facts.of(data, moves=False, surfaces=1, camera=told)
     pool = candidates(told, facts, effects=["distance_scale"])
-    step = explore(Problem(data, board), told, pool, folds_of(data), replicates=0)
-    result: Any = SimpleNamespace(explorations=[step], refused=[Refused("distance_scale", 60.0, 20.0, why)])
+    problem = Problem(data, board)
+    step = explore(problem, told, pool, folds_of(data), replicates=0)
+    refused = [Refused("distance_scale", 60.0, 20.0, why)]
+    result: Any = SimpleNamespace(explorations=[step], refused=refused, problem=problem)
     assert (poses_beyond(step.fit, told, {}) is not None) is alone
     said = poses_beyond(conditional_on_physics(result), told, {(0, 9): 12.0})
     assert (said is not None) is beside
@@ -69,6 +72,9 @@ def test_poses_are_to_blame_for_what_no_disputed_effect_takes_up(
     result.refused = []
     assert conditional_on_physics(result) is step.fit
     assert np.isfinite([*step.fit.nuisances.values()]).all()
+
+
+STRANGE = EmitterOffset((0.25, -0.15, 0.06))
 
 
 def beside_a_strange_emitter(
@@ -89,7 +95,7 @@ def beside_a_strange_emitter(
     fitted = fit(problem, camera(folder, emitter))
     forms = form_blocks(fitted, ["emitter_offset"], [])
     step = explored(further_equations(fitted, forms, folds, problem), [], forms=forms, replicates=0)
-    return step, SimpleNamespace(explorations=[step], refused=[])
+    return step, SimpleNamespace(explorations=[step], refused=[], problem=problem)
 
 
 @pytest.mark.parametrize(("poses", "beside"), [((), False), ((2, 9, 17), True)])
@@ -112,3 +118,18 @@ def test_a_surface_is_not_to_blame_for_what_the_form_of_an_effect_leaves(
     step, result = beside_a_strange_emitter(tmp_path, emitter, growth=0.4, poses=poses)
     assert common_pose_beyond(step.fit, camera(tmp_path)) is not None
     assert (common_pose_beyond(conditional_on_physics(result), camera(tmp_path)) is not None) is beside
+
+
+def test_what_the_form_of_an_effect_leaves_makes_no_pose_stand_out(tmp_path: Path) -> None:
+    """Residuals and errors conditional on changes of the form, against the fit without them."""
+    step, result = beside_a_strange_emitter(tmp_path, STRANGE, growth=0.15, poses=())
+    alone, conditional = check_poses(step.fit), check_poses(conditional_on_physics(result))
+    assert max(one.error for one in alone) > 4.0
+    assert max(one.error for one in conditional) < 3.0
+    assert max(one.chi_square for one in conditional) < max(one.chi_square for one in alone) - 0.3
+
+
+def test_moved_poses_stand_out_beside_the_form_of_an_effect(tmp_path: Path) -> None:
+    step, result = beside_a_strange_emitter(tmp_path, STRANGE, growth=0.15, poses=(2, 9, 17))
+    found = check_setup(conditional_on_physics(result), physics=["emitter_offset"], before=step.fit)
+    assert {2, 17} <= {pose for _, pose in found.bad} <= {2, 9, 17}

@@ -1,0 +1,68 @@
+"""Evidence conditional on changes of the forms of effects, whose size the data tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from rim_camera_ros.fit.normal_equations import NormalEquations
+from rim_camera_ros.select.evidence import Scores
+
+Array = NDArray[Any]
+
+#: The least size of changes of form, in that of their priors, `candidates.SHARE` of an effect.
+LEAST_SIZE = 0.03
+#: Sizes over which likelihoods are means: evenly spaced in their logarithm, as a scale parameter's prior is.
+SIZES = tuple(np.geomspace(1.0, LEAST_SIZE, 4).tolist())
+
+
+class ConditionalOnForms(Scores):
+    """Scores conditional on ``changes`` of forms beside the base.
+
+    Their size is a hyperparameter: likelihoods are means over `SIZES`, coefficients those of the likeliest
+    (MacKay, Bayesian interpolation, Neural Computation 4, 1992). Where an effect does what its form says,
+    changes of a third of it would take up most of what another effect does.
+    """
+
+    def __init__(
+        self,
+        equations: NormalEquations,
+        base: Iterable[int],
+        changes: Sequence[int],
+        *,
+        held: Iterable[int] = (),
+    ) -> None:
+        super().__init__(equations, [*base, *changes], held=held)
+        factors = np.ones((len(SIZES), len(self.regressors)))
+        factors[:, list(changes)] = np.array(SIZES)[:, None]
+        plain = Scores(equations, self.base.tolist(), held=held)
+        self._of_sizes = [plain.with_priors(self.prior * one) for one in factors]
+
+    def held_out(self, extra: Iterable[int] = ()) -> Any:
+        """Return the held-out log likelihood in nats, up to a constant."""
+        extra = list(extra)
+        if not extra:
+            return self._of_base_alone
+        return logsumexp([one.held_out(extra) for one in self._of_sizes]) - np.log(len(SIZES))
+
+    @cached_property
+    def _of_base_alone(self) -> float:
+        every = [float(one.held_out()) for one in self._of_sizes]
+        return float(logsumexp(every) - np.log(len(SIZES)))
+
+    def _likeliest(self, extra: Iterable[int]) -> Scores:
+        extra = list(extra)
+        return max(self._of_sizes, key=lambda one: float(one.held_out(extra)))
+
+    def values(self, extra: Iterable[int] = (), *, leave_out: int | None = None) -> dict[str, float]:
+        """Return the coefficients of base and extra by label, those of the likeliest size."""
+        return self._likeliest(extra).values(extra, leave_out=leave_out)
+
+    def errors_and_offsets(self, extra: Iterable[int] = ()) -> tuple[dict[str, float], Array]:
+        """Return the errors of poses and powers and the offsets of pixels [m], by the likeliest size."""
+        return self._likeliest(extra).errors_and_offsets(extra)
