@@ -36,6 +36,7 @@ class Hyperbola:
 class AmplitudeOffset(DistanceTerm):
     """+ a / (A - b), by rows per integration time; no measurement where A <= b + 1 count."""
 
+    has_discrepancy = True
     name = "amplitude_offset"
     title = "amplitude-dependent distance"
     observable = "patches of different reflectivity side by side on one plane (a grey wedge)"

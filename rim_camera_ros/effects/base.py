@@ -54,7 +54,7 @@ class Effect(Physics):
     constant_in_setting: ClassVar[bool] = False
     #: whether saturated pixels make it
     from_saturated: ClassVar[bool] = False
-    #: whether its form may do otherwise than it says; a free function could do what another effect does
+    #: whether its form may do otherwise than it says, by smooth factors over array, light and distance
     has_discrepancy: ClassVar[bool] = True
     #: whether the columns of its discrepancy are determined also where the data are that it acts on most
     discrepancy_is_determined: ClassVar[bool] = True

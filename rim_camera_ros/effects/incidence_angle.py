@@ -34,6 +34,7 @@ class IncidenceAngle(IncidenceTerm):
     correction is added). In a correction the normals come from the frame itself.
     """
 
+    has_discrepancy = True
     name = "incidence_angle"
     title = "angle of incidence"
     observable = "planes of different tilt and of different reflectivity (else the amplitude term cancels it)"

@@ -90,15 +90,23 @@ def test_changes_of_a_form_are_shares_of_what_the_effect_does(tmp_path: Path) ->
     assert shares == pytest.approx([SHARE] * len(shares), rel=1e-6)
 
 
-def test_terms_of_distance_amplitude_and_angle_have_no_other_form(tmp_path: Path) -> None:
+def test_a_power_of_the_amplitude_is_a_form_of_a_hyperbola(tmp_path: Path) -> None:
+    """Changes of form take up what another law of the amplitude leaves; what has no other law has none."""
     rows = MappingProxyType(dict.fromkeys((16.0, 60.0, 100.0), Hyperbola(3.0, 1.0)))
-    model, board = camera(tmp_path, AmplitudeOffset(hyperbola=rows), STEEP), scene(tmp_path)
+    model = camera(tmp_path, AmplitudeOffset(hyperbola=rows), STEEP, DistanceScale(0.001))
+    board = scene(tmp_path)
     data = record(model, board, poses=4, seed=2)
     step = explore(Problem(data, board), model, [], folds_of(data), replicates=0)
-    assert (
-        form_blocks(step.fit, ["amplitude_offset", "incidence_angle", "radiometry", "lens_distortion"], [])
-        == []
-    )
+    assert form_blocks(step.fit, ["distance_scale", "radiometry", "lens_distortion"], []) == []
+    blocks = form_blocks(step.fit, ["amplitude_offset", "incidence_angle"], [])
+    assert len(blocks) == 2
+    one = next(iter(step.fit.forward.predictions()))
+    lit = one.used
+    power = (0.02 * (100.0 / np.maximum(one.amplitude, 5.0)) ** 0.9)[lit]
+    own = change_by(one, "amplitude_offset")[0][lit]
+    design = np.stack([own, *(d[lit] for d, _ in blocks[0].columns(one))], axis=1)
+    rest = [power - x @ np.linalg.lstsq(x, power, rcond=None)[0] for x in (design[:, :1], design)]
+    assert np.std(rest[1]) < 0.1 * np.std(rest[0])
 
 
 def test_a_beam_may_point_elsewhere(tmp_path: Path) -> None:
