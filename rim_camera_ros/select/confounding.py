@@ -53,8 +53,8 @@ def follows_time(
 
     And whether poses are then as good as stated, or nearly all that moved them is explained.
     ``variants`` are its candidates in the library; ``conditional_on`` are further regressors beside it.
-    True where there are too few poses to tell, None where the pixels of the ``problem`` know too little of
-    the poses to show even the drift as it was fitted.
+    True where there are too few poses to tell, None where the pixels of the ``problem`` show nothing of it,
+    and know too little of the poses to show even the drift as it was fitted.
     """
     poses = list(dict.fromkeys((one.recording, one.placed) for one in problem.dataset.stations))
     if len(poses) < _LEAST_POSES or not variants:
@@ -69,12 +69,11 @@ def follows_time(
     right = right + gram @ shifts
     random = np.random.default_rng(seed)
     true = _explained(gram, right, shapes, np.arange(len(poses)))
-    if 0.5 * float(shifts @ gram @ shifts) < 2 * WITHOUT_REPLICATES:
-        return None
     every = 0.5 * float(right @ np.linalg.pinv(gram) @ right)
     expected = 0.5 * len(poses)
     if true < WITHOUT_REPLICATES:
-        return False
+        expected_of_fitted = 0.5 * float(shifts @ gram @ shifts)
+        return None if expected_of_fitted < 2 * WITHOUT_REPLICATES else False
     enough = every - true <= expected + _LEFT * np.sqrt(expected) or true >= _MOST * (every - expected)
     others = [_explained(gram, right, shapes, random.permutation(len(poses))) for _ in range(_ORDERS)]
     return bool(enough and np.mean(np.array(others) >= true) <= _SHARE)

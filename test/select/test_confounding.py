@@ -84,7 +84,19 @@ def test_where_a_cyclic_error_does_not_act_a_drift_still_shows(tmp_path: Path) -
         used = sum(int(one.used.sum()) for one in fitted.forward.predictions(slopes=False))
         assert 0.05 < kept / used < 0.5
         quiet = replace(problem, masks=masks)
-        assert follows_time(fitted, "warm_up_drift", pool, folds, quiet) is follows
+        assert (follows_time(fitted, "warm_up_drift", pool, folds, quiet) is True) is follows
+        in_all = confounding.follows_time_in_quiet_pixels(
+            fitted,
+            "warm_up_drift",
+            problem,
+            folds,
+            found=["cyclic_error"],
+            drifts=pool,
+            curves=[],
+            variants=[],
+            seed=1,
+        )
+        assert in_all is follows
 
 
 @pytest.mark.parametrize(("size", "follows"), [(0.009, True), (1e-5, False)])
