@@ -105,7 +105,7 @@ def optics_beyond(fitted: Fit) -> str | None:
 
 
 def conditional_on_physics(result: Result) -> Fit:
-    """Return the last fit of a search, its errors of poses conditional on what physics may do beside it.
+    """Return the last fit of a search, its residuals and errors conditional on what physics may do otherwise.
 
     On what the forms of the effects found may do otherwise, and on the effect that gains most of those about
     which poses disagree, if there is any: poses are to blame for what neither takes up, each by itself and

@@ -107,7 +107,7 @@ class Setup:
 def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:
     """Return how well each pose agrees with a fit, after the errors of poses and the fixed pattern.
 
-    ``physics`` are effects of the camera that were found. Poses told with the same values share their error.
+    ``physics`` are effects of the camera that were found. Poses stated with the same values share an error.
     """
     worst = errors_of_placements(standard_errors(fitted))
     found: dict[tuple[int, int], _Sums] = {}
@@ -196,6 +196,8 @@ def check_setup(
 ) -> Setup:
     """Say whether scene, poses and camera belong to the recording.
 
+    ``fitted`` has the residuals and errors to be judged: where physics was found they are conditional on what
+    its forms may do otherwise (`nuisances.conditional_on_physics`).
     ``explained`` is the share of the excess chi-square that the physics found explains: what it explains is
     no fault of the setup. Where ``physics`` was found at all, effects of the camera, its form may be wrong
     enough to strain a few poses: then they must stand out by far more, or already in the fit ``before`` and
