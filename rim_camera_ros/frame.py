@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from bisect import bisect_left
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -58,10 +59,13 @@ class Readings:
     values: list[float] = field(default_factory=list)
 
     def add(self, stamp: int, value: float) -> None:
-        """Add a reading that is newer than all before; others are passed over."""
-        if not self.stamps or stamp > self.stamps[-1]:
-            self.stamps.append(stamp)
-            self.values.append(value)
+        """Add a reading at its place; of two with one stamp the later one holds."""
+        place = bisect_left(self.stamps, stamp)
+        if place < len(self.stamps) and self.stamps[place] == stamp:
+            self.values[place] = value
+        else:
+            self.stamps.insert(place, stamp)
+            self.values.insert(place, value)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -190,11 +190,18 @@ def settings_from(message: Any, place: str | None = None) -> tuple[Settings, str
         device = device or str(status.hardware_id)
         for pair in status.values:
             pairs.setdefault(str(pair.key), str(pair.value))
-    numbers: dict[str, Any] = {}
-    for key in ("integration_time", "modulation_frequency", "uptime"):
+
+    def number(key: str) -> float | None:
         text = pairs.pop(key, None)
-        numbers[key] = None if text is None else _setting(key, text, place)
-    return Settings(**numbers, extra=pairs), device
+        return None if text is None else _setting(key, text, place)
+
+    settings = Settings(
+        integration_time=number("integration_time"),
+        modulation_frequency=number("modulation_frequency"),
+        uptime=number("uptime"),
+        extra=pairs,
+    )
+    return settings, device
 
 
 def _setting(key: str, text: str, place: str | None) -> float:

@@ -234,9 +234,9 @@ def _diagnose(
             except (RimError, np.linalg.LinAlgError):
                 return with_setups(hopeless(problem, camera, variance, seed), setups)
     best_fit = final.fit if described is None else described.fit
-    blamed = conditional_on_physics(result) if described is None else best_fit
+    conditional = conditional_on_physics(result) if described is None else best_fit
     setup = check_setup(
-        blamed,
+        conditional,
         explained=explained,
         physics=[one.effect for one in result.found] if described is None else [CovariateTable.name],
         before=baseline.fit,
@@ -259,9 +259,9 @@ def _diagnose(
     if reason is None and described is None:
         # what was so before any physics was fitted, and stays
         of_board = reflectivities_beyond(baseline.fit, scene) and reflectivities_beyond(final.fit, scene)
-        astray = {key: error for key, error in errors_of_poses(blamed).items() if error > BEYOND}
-        of_surface = common_pose_beyond(blamed, camera)
-        reason = of_board or of_surface or poses_beyond(blamed, camera, astray)
+        astray = {key: error for key, error in errors_of_poses(conditional).items() if error > BEYOND}
+        of_surface = common_pose_beyond(conditional, camera)
+        reason = of_board or of_surface or poses_beyond(conditional, camera, astray)
         if reason is not None and not of_board and not of_surface:
             setups = by_gain([*setups, moved_poses(astray)])
     elif setup.bad:

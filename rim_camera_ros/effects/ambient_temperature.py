@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,13 +22,12 @@ _THERMOMETER_LAG = 30.0
 
 @dataclass(frozen=True)
 class _Filter:
-    """State of the first-order lag and of its derivative by the time constant, after so many readings."""
+    """State of the first-order lag and of its derivative by the time constant."""
 
     stamp: int
     ambient: float
     lagged: float
     by_constant: float
-    count: int = 0
 
 
 @dataclass(frozen=True)
@@ -88,11 +87,11 @@ class AmbientTemperature(DistanceTerm):
 
     def _after(self, readings: Readings, stamp: int, state: _Filter | None) -> _Filter:
         """Return the state at the last reading that is not later than a stamp."""
-        if state is None or state.count == 0:
-            first = readings.values[0]
-            state = _Filter(readings.stamps[0], first, first, 0.0, count=1)
-        for i in range(state.count, bisect_right(readings.stamps, stamp)):
-            state = replace(self._advance(state, readings.stamps[i], readings.values[i]), count=i + 1)
+        stamps, values = readings.stamps, readings.values
+        if state is None or state.stamp < stamps[0]:
+            state = _Filter(stamps[0], values[0], values[0], 0.0)
+        for i in range(bisect_right(stamps, state.stamp), bisect_right(stamps, stamp)):
+            state = self._advance(state, stamps[i], values[i])
         return state
 
     def _advance(self, state: _Filter, stamp: int, ambient: float) -> _Filter:

@@ -63,6 +63,10 @@ class ConditionalOnForms(Scores):
         """Return the coefficients of base and extra by label, those of the likeliest size."""
         return self._likeliest(extra).values(extra, leave_out=leave_out)
 
+    def covariance(self, columns: Array) -> Array:
+        """Return the posterior covariance (K, K) of some regressors together, by the likeliest size."""
+        return self._likeliest(columns.tolist()).covariance(columns)
+
     def errors_and_offsets(self, extra: Iterable[int] = ()) -> tuple[dict[str, float], Array]:
         """Return the errors of poses and powers and the offsets of pixels [m], by the likeliest size."""
         return self._likeliest(extra).errors_and_offsets(extra)

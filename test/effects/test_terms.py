@@ -73,6 +73,20 @@ def ideal(scene: Scene, camera: Camera = CAMERA) -> tuple[Signal, Context]:
 # --- drift --------------------------------------------------------------------------------------
 
 
+def lagging(tau: float, seconds: Any, ambient: Any, *, at: Any) -> Any:
+    """A body behind air that is linear between samples, from the first of them on."""
+    solution = solve_ivp(
+        lambda t, y: (np.interp(t, seconds, ambient) - y) / tau,
+        (0.0, float(at[-1])),
+        [float(ambient[0])],
+        t_eval=at,
+        rtol=1e-9,
+        atol=1e-9,
+        max_step=0.5,
+    )
+    return solution.y[0]
+
+
 @pytest.mark.parametrize("tau", [40.0, 900.0])
 def test_ambient_lag_solves_its_differential_equation(tau: float) -> None:
     """dT_f/dt = (T_a - T_f) / tau from the first sample on, T_a linear between samples."""
@@ -87,16 +101,8 @@ def test_ambient_lag_solves_its_differential_equation(tau: float) -> None:
         found.append(effect.term(EMPTY, EMPTY, one))
         # asking twice for one frame changes nothing
         assert effect.term(EMPTY, EMPTY, one) == found[-1]
-    solution = solve_ivp(
-        lambda t, y: (np.interp(t, seconds, ambient) - y) / tau,
-        (0, 400),
-        [20.0],
-        t_eval=seconds,
-        rtol=1e-9,
-        atol=1e-9,
-        max_step=0.5,
-    )
-    assert found == pytest.approx((0.008 * (solution.y[0] - 22.0)).tolist(), abs=2e-6)
+    body = lagging(tau, seconds, ambient, at=seconds)
+    assert found == pytest.approx((0.008 * (body - 22.0)).tolist(), abs=2e-6)
 
 
 @pytest.mark.parametrize("tau", [40.0, 300.0])
@@ -107,7 +113,9 @@ def test_ambient_follows_readings_between_and_before_the_frames(tau: float) -> N
     readings = Readings()
     for t, value in zip(seconds, ambient, strict=True):
         readings.add(10**18 + round(t * 1e9), float(value))
-    readings.add(10**18, -40.0)  # older than all: passed over
+    readings.add(10**18 + 10**15, -40.0)  # by a clock that is 11 days ahead
+    readings.add(10**18 + 495 * 10**9, 21.0)
+    assert readings.stamps == sorted(readings.stamps)
     frames = np.array([75.0, 170.0, 210.0, 430.0])
     effect = AmbientTemperature(coefficient=0.008, reference=22.0, time_constant=tau)
     signal, _ = ideal(wall())
@@ -123,17 +131,9 @@ def test_ambient_follows_readings_between_and_before_the_frames(tau: float) -> N
         )
         column = effect.columns(signal, one)["time_constant"][0]
         by_constant.append((float(np.ravel(column)[0]), float(more - less) / (2 * step)))
-    solution = solve_ivp(
-        lambda t, y: (np.interp(t, seconds, ambient) - y) / tau,
-        (0, 430),
-        [22.0],
-        t_eval=frames,
-        rtol=1e-9,
-        atol=1e-9,
-        max_step=0.5,
-    )
-    # the last reading holds until the next one: at most 5 s of 0.1 degC a second
-    assert found == pytest.approx((0.008 * (solution.y[0] - 22.0)).tolist(), abs=0.008 * 0.4 * 5 / tau)
+    body = lagging(tau, seconds, ambient, at=frames)
+    # the last reading holds until the next one: 5 s at most, in which the air changes by 0.43 degC
+    assert found == pytest.approx((0.008 * (body - 22.0)).tolist(), abs=0.008 * 0.43 * 5 / tau)
     for analytic, numeric in by_constant:
         assert analytic == pytest.approx(numeric, rel=1e-4, abs=1e-9)
 
