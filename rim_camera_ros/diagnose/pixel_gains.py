@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.fit.amplitudes import AMPLITUDE_MODEL
 from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.select.compare import PAIRED_ERRORS
@@ -23,6 +22,10 @@ Array = NDArray[Any]
 #: Variance of a pixel's logarithm less the mean of its four neighbours', of independent gains of variance 1,
 #: and of the mean of that over a row or column, of independent gains of rows or columns.
 _OF_DIFFERENCE, _OF_LINES = 1.25, 0.375
+
+
+#: Relative 1-sigma of gains, of pixels and of lines, that no sensor is said to be without.
+ORDINARY_GAINS = 0.01
 
 
 @dataclass(frozen=True)
@@ -42,13 +45,13 @@ class GainSpread:
 
     @property
     def is_beyond(self) -> bool:
-        """Whether gains are larger than the camera file allows, and than amplitudes are predicted."""
-        return self.least > BEYOND * max(self.stated, AMPLITUDE_MODEL) or self.are_of_lines
+        """Whether gains are larger than the camera file allows, and than a sensor is without."""
+        return self.least > BEYOND * max(self.stated, ORDINARY_GAINS) or self.are_of_lines
 
     @property
     def are_of_lines(self) -> bool:
-        """Whether rows or columns differ, of which no file states gains, by more than amplitudes' errors."""
-        return self.lines > BEYOND * AMPLITUDE_MODEL
+        """Whether rows or columns differ, of which no file states gains, by more than a sensor is without."""
+        return self.lines > BEYOND * ORDINARY_GAINS
 
     @property
     def of_line_means(self) -> float:

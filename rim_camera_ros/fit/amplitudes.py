@@ -15,7 +15,7 @@ from rim_camera_ros.fit.robust import excess
 Array = NDArray[Any]
 
 #: Relative 1-sigma to which amplitudes are predicted at best; what areas, flatness and dust do is estimated.
-AMPLITUDE_MODEL = 0.01
+AMPLITUDE_MODEL = 0.005
 
 
 @dataclass
@@ -48,7 +48,8 @@ def gains_and_error(
         pixels = one.amplitude_used & (one.model_amplitude > 0) & (one.station.amplitude > 0)
         if not pixels.any():
             continue
-        measured = expanded(one.station.amplitude[pixels].astype(float))
+        gain = np.broadcast_to(one.pixel_gain, pixels.shape)[pixels]
+        measured = expanded(one.station.amplitude[pixels] / gain) * gain
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = np.log(measured / one.model_amplitude[pixels])
         noise = one.amplitude_sigma[pixels] / one.model_amplitude[pixels]

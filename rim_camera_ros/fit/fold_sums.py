@@ -182,7 +182,9 @@ def share_of(
     nuisances = random_effects(prediction, gain_sigma=gain_sigma, stray_light=stray_light)
     weight = 1.0 / np.take(prediction.sigma, pixels) ** 2
     weight_a = 1.0 / np.take(prediction.amplitude_sigma, lit) ** 2
-    share = np.take(prediction.amplitude_share, lit)
+    share, freedom = (np.take(one, lit) for one in (prediction.amplitude_share, prediction.amplitude_freedom))
+    # noise within patches: as a response scales it, by which none may gain, less what is expected of squares
+    log_within = (1.0 - share) * freedom @ (np.log(np.take(prediction.slope_published, lit)) - 0.5)
     robust = 0.0
     if factors is not None:
         factor, factor_a = np.take(factors[0], pixels), np.take(factors[1], lit)
@@ -209,8 +211,8 @@ def share_of(
         weight=weight,
         pixels=pixels,
         rows=len(weight) + round(float(share.sum())),
-        expected=len(weight) + float(np.take(prediction.amplitude_freedom, lit).sum()),
-        log_sigma=-0.5 * float(np.log(weight).sum() + (share * np.log(weight_a)).sum()),
+        expected=len(weight) + float(freedom.sum()),
+        log_sigma=float(log_within - 0.5 * (np.log(weight).sum() + share @ np.log(weight_a))),
         gain=_gain_share(prediction, distances, light) if gains else None,
         robust=robust,
     )
@@ -229,8 +231,7 @@ def _channel(
     dense *= root
     index = np.array([i for i, _ in columns])
     if grouped is None:
-        nothing = np.full(pixels.size, -1)
-        return _Channel(pixels, root, index, dense, nothing, np.zeros(pixels.size))
+        return _Channel(pixels, root, index, dense, np.full(pixels.size, -1), np.zeros(pixels.size))
     number = np.take(grouped.number, pixels)
     value = np.take(grouped.amplitude if light else grouped.distance, pixels)
     group = np.where(number >= 0, number + grouped.first, -1)
@@ -238,7 +239,7 @@ def _channel(
 
 
 def _gain_share(prediction: Prediction, distances: _Channel, light: _Channel) -> GainShare:
-    by_distance, by_amplitude = prediction.gain_column()
+    by_distance, by_amplitude = prediction.pixel_gain_column()
     slope = np.nan_to_num(np.take(by_distance, distances.pixels))
     factor = np.nan_to_num(np.take(by_amplitude, light.pixels))
     weight = distances.root**2

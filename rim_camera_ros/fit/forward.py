@@ -237,10 +237,12 @@ class Forward:
             # nobody said how much these surfaces reflect: their light is what was measured
             measured = self._noise_amplitude(station, signal.amplitude)
             signal = Signal(signal.distance, np.where(nameless, measured, signal.amplitude))
+        pixel_gain: Array | float = 1.0
         if model.pixels is not None:
-            lighter = np.where(nameless, 1.0, np.exp(model.pixels))
-            signal = Signal(signal.distance, signal.amplitude * lighter)
-        return self._compare(station, view, context, before, signal, model, slopes, gain, nameless)
+            pixel_gain = np.where(nameless, 1.0, np.exp(model.pixels))
+        return self._compare(
+            station, view, context, before, signal, model, slopes, gain, nameless, pixel_gain
+        )
 
     def _compare(
         self,
@@ -253,23 +255,27 @@ class Forward:
         slopes: bool,
         gain: float,
         nameless: Array,
+        pixel_gain: Array | float,
     ) -> Prediction:
         camera = self.camera
         n = np.maximum(station.count, 1)
         lit = light.amplitude > 0
-        safe = np.where(lit, light.amplitude, 1.0)
-        latent, follows = self._latent(station, safe, n, model)
+        # gains of pixels are those of readings: a response of another power would else make all of them less
+        before_response = np.where(lit, light.amplitude, 1.0)
+        safe = before_response * pixel_gain
+        latent, follows = self._latent(station, safe, n, model, pixel_gain)
         delivered = Signal(light.distance, np.where(lit, latent, 0.0))
         terms = self._chain.evaluated(delivered.distance, latent, context, slopes=slopes)
         distance = delivered.distance + terms.total
         residual = station.distance - distance
         if camera.sensor.wraps:
             residual = wrap_residual(residual, context.ambiguity)
-        response, model_reading = self._chain.response, self._chain.published(safe)
-        slope_published: Any = 1.0 if response is None else response.slope(latent)
+        response, model_reading = self._chain.response, self._chain.published(before_response)
+        slope_published: Any = 1.0 if response is None else response.slope(latent / pixel_gain)
         if response is not None and self.light_curves is not None:
-            model_reading = model_reading * self.light_curves.response(safe)
-            slope_published = slope_published * self.light_curves.response(latent)
+            model_reading = model_reading * self.light_curves.response(before_response)
+            slope_published = slope_published * self.light_curves.response(latent / pixel_gain)
+        model_reading = model_reading * pixel_gain
         variance, amplitude_variance = self._variances(
             self._noise_amplitude(station, latent), light.distance, station.settings
         )
@@ -311,11 +317,12 @@ class Forward:
             amplitude_used=amplitude_used,
             slope_distance=1.0 + terms.by_distance,
             slope_amplitude=terms.by_amplitude,
-            slope_published=slope_published,
+            slope_published=np.broadcast_to(slope_published, safe.shape),
             pose_columns=[*view.pose_columns, *self._correlated_columns(view)],
             model_amplitude=safe,
             model_reading=model_reading,
             gain=gain,
+            pixel_gain=pixel_gain,
             amplitude_follows=np.where(nameless, 0.0, follows),
             spread=[one for one in self._chain.light if one.spreads],
             light_curves=self.light_curves,
@@ -343,7 +350,12 @@ class Forward:
         return whole**2, by_amplitude**2
 
     def _latent(
-        self, station: Station, predicted: Array, n: Array, model: AmplitudeModel
+        self,
+        station: Station,
+        predicted: Array,
+        n: Array,
+        model: AmplitudeModel,
+        pixel_gain: Array | float,
     ) -> tuple[Array, Array | float]:
         """Weigh the predicted amplitude against the measured one by their variances.
 
@@ -356,7 +368,7 @@ class Forward:
         sigma = self.camera.sigma_distance(predicted)
         noise = 2 * np.pi / self.camera.noise_range * sigma / np.sqrt(n)
         share = model.tau**2 / (model.tau**2 + noise**2)
-        measured = self._expanded(station.amplitude.astype(float))
+        measured = self._expanded(station.amplitude / pixel_gain) * pixel_gain
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.log(np.where(measured > 0, measured / predicted, 1.0))
         return predicted * np.exp(share * np.clip(ratio, -3.0, 3.0)), 1.0 - share

@@ -154,7 +154,7 @@ class GaussNewton:
                 self._offsets[GAIN] = float(np.log(self._camera.radiometry.gain / self._numbers[GAIN]))
                 self._gains = dict.fromkeys(self._gains, 1.0)
                 forward = self._forward()
-        elif count <= self._settled and self._iterations:
+        elif problem.amplitude_error is None and count <= self._settled and self._iterations:
             forward.amplitude_model = AmplitudeModel(dict(self._gains), self._tau, self._pixels)
             self._tau = amplitude_error(forward, self._nuisances)
         if problem.amplitude_error is not None:

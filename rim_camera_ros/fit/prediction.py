@@ -60,11 +60,12 @@ class Prediction:
     amplitude_used: NDArray[np.bool_]
     slope_distance: Array | float
     slope_amplitude: Array | float
-    slope_published: Array | float
+    slope_published: Array
     pose_columns: list[PoseColumn]
     model_amplitude: Array
     model_reading: Array
     gain: float
+    pixel_gain: Array | float = 1.0
     amplitude_follows: Array | float = 1.0
     spread: list[Effect] = field(default_factory=list)
     light_curves: LightCurves | None = None
@@ -126,10 +127,12 @@ class Prediction:
         """
         name = effect.name
         signal = self.before_effect(name)
+        if isinstance(effect, ResponseEffect):
+            return self._of_response(effect, signal)
         columns = effect.columns(signal, self.context)
         if effect.remembers_geometry and name in self.context.memory:
             self.view.memory[name] = self.context.memory[name]
-        if isinstance(effect, DistanceTerm | ResponseEffect):
+        if isinstance(effect, DistanceTerm):
             zero = np.zeros(self.distance.shape)
             return {path: (zero + d, zero + a) for path, (d, a) in columns.items()}
         after = effect.simulate(signal, self.context).amplitude
@@ -140,6 +143,12 @@ class Prediction:
             change = relative + 1j * (2 * np.pi / self.context.ambiguity) * np.nan_to_num(d)
             result[path] = self.light_change(name, change)
         return result
+
+    def _of_response(self, effect: ResponseEffect, signal: Signal) -> dict[str, tuple[Array, Array]]:
+        light = Signal(signal.distance, signal.amplitude / self.pixel_gain)
+        zero = np.zeros(self.distance.shape)
+        columns = effect.columns(light, self.context)
+        return {path: (zero + d, zero + a * self.pixel_gain) for path, (d, a) in columns.items()}
 
     def before_effect(self, name: str) -> Signal:
         """Return the light just before an effect, which need not be one of the camera's."""
@@ -157,12 +166,16 @@ class Prediction:
             self._changes[_POWER] = self.reading_change(0.0, np.ones(self.distance.shape))
         return self._changes[_POWER]
 
+    def pixel_gain_column(self) -> tuple[Array, Array]:
+        """Return the derivatives by the relative gain of each pixel, which is one of readings."""
+        return self.gain_column()[0], self.model_reading
+
     def curve_columns(self, labels: Sequence[str]) -> list[tuple[Array, Array]]:
         """Return the derivatives by curves of the light, in the order of their labels."""
         curves = self.light_curves or LightCurves()
         if labels[0] in RESPONSE:
             zero = np.zeros(self.distance.shape)
-            changes = curves.response_columns(self.model_amplitude)
+            changes = curves.response_columns(self.model_amplitude / self.pixel_gain)
             return [(zero, self.model_reading * one) for one in changes]
         changes = curves.columns(self.view.geometry, self.context.ambiguity, labels)
         if not self.spread:

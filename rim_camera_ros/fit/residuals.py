@@ -18,6 +18,8 @@ Array = NDArray[Any]
 
 #: Residuals beyond this many sigma weigh less (Huber), the more the farther.
 ROBUST_LIMIT = 4.0
+#: The least pixels whose scatter tells the variance of their mean.
+LEAST_IN_PATCH = 8
 
 
 def huber(pattern: Array, nuisances: Mapping[str, float]) -> Callable[[Prediction], tuple[Array, Array]]:
@@ -46,24 +48,40 @@ def beyond_limit(factors: Array) -> float:
 
 
 def amplitude_error(forward: Forward, nuisances: Mapping[str, float]) -> float:
-    """Return the relative 1-sigma of predicted amplitudes beyond noise and errors of poses (robustly)."""
+    """Return the relative 1-sigma of predicted amplitudes that the pixels of a patch share (robustly).
+
+    It is what means of patches scatter beyond what the pixels in them do: noise and gains of pixels are
+    independent errors, and no shared ones.
+    """
     pattern = np.zeros(forward.camera.shape)
 
-    def sharpest(one: Prediction) -> tuple[Array, Array]:
+    def means(one: Prediction) -> tuple[Array, Array]:
         pixels = one.amplitude_used
         if not pixels.any():
             return np.zeros(0), np.zeros(0)
         _, amplitude = after_nuisances(one, pattern, nuisances)
         reading = one.station.amplitude[pixels] - one.amplitude_residual[pixels]
-        relative = np.maximum((one.amplitude_noise[pixels] / reading) ** 2, 1e-12)
-        sharp = relative <= np.quantile(relative, 0.5)
-        return (amplitude[pixels] / reading)[sharp], relative[sharp]
+        return _means(amplitude[pixels] / reading, forward.views.patches(one.view)[pixels])
 
-    found = list(in_order(sharpest, forward.predictions(slopes=False), threads=forward.threads))
+    found = list(in_order(means, forward.predictions(slopes=False), threads=forward.threads))
     if not found:
         return AMPLITUDE_MODEL
     deviations, variances = (np.concatenate(part) for part in zip(*found, strict=True))
-    return max(AMPLITUDE_MODEL, excess(deviations, variances) if deviations.size else 0.0)
+    if not deviations.size:
+        return AMPLITUDE_MODEL
+    sharp = variances <= np.quantile(variances, 0.5)
+    return max(AMPLITUDE_MODEL, excess(deviations[sharp], variances[sharp]))
+
+
+def _means(values: Array, patches: Array) -> tuple[Array, Array]:
+    """Return the means of patches of enough pixels, and their variances by the scatter within them."""
+    group = np.unique(patches, return_inverse=True)[1]
+    count = np.bincount(group)
+    mean = np.bincount(group, values) / count
+    square = np.bincount(group, (values - mean[group]) ** 2)
+    enough = count >= LEAST_IN_PATCH
+    count = count[enough]
+    return mean[enough], square[enough] / (count - 1) / count
 
 
 def after_nuisances(

@@ -58,7 +58,7 @@ def fit(
         if final:
             break
         if progress is not None:
-            square = here.square / max(here.reduced.rows, 1)
+            square = here.square / max(here.reduced.expected, 1)
             progress(f"iteration {count + 1}: chi-square per value {square:.4f}")
         work.advance(here, count)
     assert best is not None

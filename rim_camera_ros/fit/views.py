@@ -144,16 +144,24 @@ class Views:
         """Return the pixels (H, W) of a view that are clean by other margins."""
         return self._clean(view.geometry, view.poses, margins)
 
-    def alike(self, view: View) -> Array:
-        """Return how many clean pixels (H, W) share a pixel's tile and its part of the array."""
-        found = view.memory.get("alike")
+    def patches(self, view: View) -> NDArray[np.int64]:
+        """Return the numbers of patches (H, W): pixels of one tile and of one part of the array."""
+        found = view.memory.get("patches")
         if found is None:
             height, width = self.camera.shape
             side = max(PATCH * width, 1.0)
             rows, columns = (np.arange(n) // side for n in (height, width))
             patch = (rows[:, None] * width + columns[None, :]).astype(np.int64)
             patch = patch + height * width * view.geometry.tile.astype(np.int64)
-            group = np.unique(patch, return_inverse=True)[1].reshape(height, width)
+            found = np.unique(patch, return_inverse=True)[1].reshape(height, width)
+            view.memory["patches"] = found
+        return np.asarray(found, np.int64)
+
+    def alike(self, view: View) -> Array:
+        """Return how many clean pixels (H, W) are in the patch of each pixel."""
+        found = view.memory.get("alike")
+        if found is None:
+            group = self.patches(view)
             found = np.maximum(np.bincount(group[view.clean], minlength=int(group.max()) + 1)[group], 1)
             view.memory["alike"] = found
         return np.asarray(found)

@@ -11,7 +11,7 @@ from rim_camera_ros.camera_file import lean_camera, with_effects
 from rim_camera_ros.effects import vocabulary
 from rim_camera_ros.effects.candidate import Candidate
 from rim_camera_ros.errors import InputError
-from rim_camera_ros.fit.problem import Fit, Problem, clean_by, keeps_amplitude_error
+from rim_camera_ros.fit.problem import Fit, Problem, clean_by
 from rim_camera_ros.select.best_trial import Trials
 from rim_camera_ros.select.candidates import form_blocks
 from rim_camera_ros.select.compare import (
@@ -267,11 +267,8 @@ class Search:
             joined = Found(name, gain, ties, step=len(self.explorations) - 1, threshold=own_threshold)
             self.found.append(joined)
         self.problem = trial.problem
-        camera, lean = fitted.fit.camera, lean_camera(fitted.fit.camera)
-        ended = lean is camera and fitted.fit.converged
-        if not ended or keeps_amplitude_error(self.step.fit.camera, camera):
-            # or the next effect, whose fit goes on or estimates it anew, would gain what this one did
-            fitted = self._fitted(self.problem, lean, fitted)
+        # or the next effect, whose fit goes on and estimates errors of amplitudes anew, gained what this did
+        fitted = self._fitted(self.problem, lean_camera(fitted.fit.camera), fitted)
         # the largest arrays of a search: not twice at once
         self.step.forget()
         final = self._explored(fitted.fit, [one.effect for one in self.found], self.step, self.problem)
@@ -326,7 +323,8 @@ class Search:
         except InputError:
             # by the rays without the further effects they are impossible
             start = step.fit.camera
-        return self._fitted(self.problem, start, after)
+        alike = replace(self.problem, amplitude_error=after.fit.forward.amplitude_model.tau)
+        return self._fitted(alike, start, after)
 
     def _fitted(
         self,

@@ -68,10 +68,12 @@ def fit_trial(trial: TrialFit) -> Exploration:
     Where rays move, edges move to other pixels. Those that one has reached say where it is: they hold the
     rays where they were. A first fit is of pixels that no edge comes near, that of all begins where it ended.
     """
+    # likelihoods are compared with that of the step: they are of the same noise
+    error = trial.point.amplitude_model.tau
 
     def fitted_to(problem: Problem, camera: Camera, views: Views | None, point: Point) -> Exploration:
         return explore(
-            problem,
+            replace(problem, amplitude_error=error),
             camera,
             [],
             trial.folds,
@@ -93,7 +95,8 @@ def fit_trial(trial: TrialFit) -> Exploration:
     if trial.response is not trial.problem:
         # its one parameter first: together with a free response it would not find the way
         camera, views = fitted.fit.camera, fitted.fit.forward.views
-        fitted = explore(trial.response, camera, [], trial.folds, views=views, warm=fitted.fit, replicates=0)
+        response = replace(trial.response, amplitude_error=error)
+        fitted = explore(response, camera, [], trial.folds, views=views, warm=fitted.fit, replicates=0)
     return fitted
 
 

@@ -165,7 +165,7 @@ def test_columns_that_take_light_from_their_neighbours_are_unknown_physics(tmp_p
     weight = np.mean(np.concatenate([model.sigma_distance(one) ** -2.0 for one in lit]))
     at_gains = (np.log(1.3) / 2 * model.sensor.ambiguity / (2 * np.pi)) ** 2 * weight
     assert np.median(seen) == pytest.approx(at_gains, rel=0.5)
-    assert seen.size > 0.8 * model.shape[0] * model.shape[1]
+    assert seen.size > 0.7 * model.shape[0] * model.shape[1]
 
 
 def test_the_map_of_gains_is_what_pixels_have_beside_their_neighbours(tmp_path: Path) -> None:

@@ -52,9 +52,9 @@ def test_a_gradient_that_follows_the_temperature_is_no_tilt_of_poses(tmp_path: P
     step = explored(tmp_path, slope=SLOPE, seed=1)
     found = above(step)
     assert max(found, key=lambda one: found[one]) == "ambient_temperature,column"
-    # its mean over the array is none: functions of one covariate hardly show it
+    # its mean over the array is none: functions of one covariate show less of it
     best = max((gain for one, gain in found.items() if "," not in one), default=0.0)
-    assert best < found["ambient_temperature,column"] / 3
+    assert best < found["ambient_temperature,column"] / 2
     number = next(k for k, one in enumerate(step.candidates) if one.variant == "ambient_temperature,column")
     table = step.candidates[number].build(step.fit.camera, step.scores.values(step.spans[number]))
     term = table.effects["empirical"]

@@ -1,14 +1,22 @@
-"""Powers of the poses and how well amplitudes are predicted."""
+"""Powers of the poses, gains of pixels, a response, and how well amplitudes are predicted. Nulls first."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
+from rim_camera_ros.effects.light_curves import RESPONSE
+from rim_camera_ros.fit.amplitudes import AMPLITUDE_MODEL, AmplitudeModel
+from rim_camera_ros.fit.fold_sums import share_of
 from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.residuals import amplitude_error
+from rim_camera_ros.fit.solver import fit
 
 from ..calibrate.helpers import camera, record, scene
 
@@ -27,3 +35,86 @@ def test_amplitudes_beyond_what_a_response_can_reach_tell_no_power(tmp_path: Pat
     # without a response all are known: powers as simulated, to the 1 % that they vary
     straight = Forward(data, board, camera(tmp_path)).estimate_amplitudes()
     assert list(straight.gains.values()) == pytest.approx([1.0] * 4, abs=0.04)
+
+
+def test_gains_of_pixels_are_those_of_readings_whatever_the_response(tmp_path: Path) -> None:
+    """Ln P = g + ln R(A): derivatives by a response hold no gain, which a prior of gains would pull at."""
+    told, board = camera(tmp_path, AmplitudeNonlinearity(compression=3e-5)), scene(tmp_path)
+    data = record(told, board, poses=2, frames=2, seed=3)
+    gains = 0.05 * np.random.default_rng(8).standard_normal(told.shape)
+    forward = Forward(data, board, told)
+    plain, uneven = (
+        next(iter(forward.predictions(AmplitudeModel({}, 0.0, one)))) for one in (np.zeros(told.shape), gains)
+    )
+    used = plain.amplitude_used & uneven.amplitude_used
+    assert used.sum() > 500
+    assert (uneven.model_reading / plain.model_reading)[used] == pytest.approx(np.exp(gains[used]))
+    assert uneven.pixel_gain_column()[1][used] == pytest.approx(uneven.model_reading[used])
+    by_compression = [
+        one.columns(AmplitudeNonlinearity(compression=3e-5))["compression"][1] / one.model_reading
+        for one in (plain, uneven)
+    ]
+    assert by_compression[1][used] == pytest.approx(by_compression[0][used])
+    for before, after in zip(plain.curve_columns(RESPONSE), uneven.curve_columns(RESPONSE), strict=True):
+        relative = [(one[1] / at.model_reading)[used] for one, at in ((before, plain), (after, uneven))]
+        assert relative[1] == pytest.approx(relative[0])
+
+
+@pytest.mark.parametrize("size", [0.005, 0.015])
+def test_gains_smaller_than_stated_bend_no_response(tmp_path: Path, size: float) -> None:
+    """Of 2 % stated: a power above 1 made all gains smaller, which 1,584 of them would be gladly."""
+    told, board = camera(tmp_path, AmplitudeNonlinearity(compression=1e-8)), scene(tmp_path)
+    assert told.radiometry.pattern_sigma == 0.02
+    data = record(told, board, seed=7)
+    gains = size * np.random.default_rng(4).standard_normal(told.shape)
+    data.stations = [replace(one, amplitude=one.amplitude * np.exp(gains)) for one in data.stations]
+    found = fit(Problem(data, board, response=1000.0), told)
+    labels = [label for label in RESPONSE if found.sigma[label] < 0.15]
+    assert len(labels) >= 4
+    ratios = [found.parameters[label] / found.sigma[label] for label in labels]
+    assert np.abs(ratios).max() < 3.0
+
+
+def test_gains_of_pixels_are_no_error_that_neighbours_share(tmp_path: Path) -> None:
+    told, board = camera(tmp_path), scene(tmp_path)
+    data = record(told, board, seed=7)
+    gains = 0.03 * np.random.default_rng(4).standard_normal(told.shape)
+    data.stations = [replace(one, amplitude=one.amplitude * np.exp(gains)) for one in data.stations]
+    forward = Forward(data, board, told)
+    forward.estimate_amplitudes()
+    assert amplitude_error(forward, {}) < 0.01
+
+
+@pytest.mark.parametrize("size", [0.01, 0.03])
+def test_errors_that_the_pixels_of_a_patch_share_are_found(tmp_path: Path, size: float) -> None:
+    told, board = camera(tmp_path), scene(tmp_path)
+    data = record(told, board, seed=7)
+    rng = np.random.default_rng(5)
+    forward = Forward(data, board, told)
+    forward.estimate_amplitudes()
+    quiet = amplitude_error(forward, {})
+    stations = []
+    for one in forward.predictions():
+        patches = forward.views.patches(one.view)
+        factor = np.exp(size * rng.standard_normal(patches.max() + 1))[patches]
+        stations.append(replace(one.station, amplitude=one.station.amplitude * factor))
+    data.stations = stations
+    assert np.hypot(quiet, size) == pytest.approx(amplitude_error(forward, {}), rel=0.15)
+    assert AMPLITUDE_MODEL <= quiet < 0.006
+
+
+def test_a_response_scales_densities_of_independent_amplitudes_as_it_does_noise(tmp_path: Path) -> None:
+    """The likelihood of a response over none is that of normal distributions, by scipy."""
+    told, board = camera(tmp_path), scene(tmp_path)
+    data = record(told, board, poses=2, frames=2, seed=3)
+    seen, exact = [], []
+    for camera_file in (told, camera(tmp_path, AmplitudeNonlinearity(compression=3e-5))):
+        one = next(iter(Forward(data, board, camera_file).predictions(AmplitudeModel())))
+        share = share_of(one, [], gain_sigma=0.0, stray_light=0.0, factors=None)
+        seen.append(-0.5 * share.gram[-1, -1] - share.log_sigma)
+        lit = one.amplitude_used
+        log_density = stats.norm.logpdf(one.amplitude_residual[lit], scale=one.amplitude_noise[lit])
+        distance = stats.norm.logpdf(one.residual[one.used], scale=one.sigma[one.used])
+        exact.append(log_density.sum() + distance.sum())
+    assert exact[1] < exact[0] - 1000
+    assert seen[1] - seen[0] == pytest.approx(exact[1] - exact[0], rel=1e-3)

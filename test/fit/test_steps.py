@@ -191,7 +191,7 @@ def test_a_halo_is_no_wider_than_the_array(tmp_path: Path) -> None:
     found = fit(problem, camera(tmp_path, Scattering((Kernel(0.05, (30.0, 30.0)),))))
     assert found.converged
     assert found.parameters["effects.scattering.kernels.0.sigma.0"] == 44.0
-    assert found.chi_square / found.rows == pytest.approx(0.75, abs=0.02)
+    assert found.chi_square / found.reduced.expected == pytest.approx(0.75, abs=0.02)
 
 
 def test_a_step_that_goes_too_far_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -125,16 +125,17 @@ def test_halos_without_light_are_left_out(tmp_path: Path) -> None:
 
 
 def test_stray_light_of_one_halo_is_found_as_such(tmp_path: Path) -> None:
-    """Candidates are pairs of halos: the second gets no light, and is not told."""
+    """Candidates are pairs of halos: the second gets no light to speak of."""
     board, true = scene(tmp_path), Scattering((Kernel(0.03, (5.0, 6.0)),))
     told = camera(tmp_path, CYCLIC)
     problem = Problem(record(camera(tmp_path, true, CYCLIC), board, poses=9, seed=2), board)
     facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=told)
     effect = search(problem, told, facts, effects=["scattering"], most=1).camera.effects["scattering"]
     assert isinstance(effect, Scattering)
-    (kernel,) = effect.kernels
+    kernel, *others = effect.kernels
     assert kernel.weight == pytest.approx(0.03, rel=0.06)
     assert kernel.sigma == pytest.approx((5.0, 6.0), rel=0.12)
+    assert sum(one.weight for one in others) < 0.001
 
 
 def test_effects_that_would_gain_and_were_not_added_are_told_with_the_reason() -> None:
@@ -432,9 +433,12 @@ def test_rays_that_make_what_was_found_impossible_are_no_start(
         best_of=lambda names: [0],
         joint=lambda *_: 10.0,
     )
-    after: Any = SimpleNamespace(fit=SimpleNamespace(camera=fitted))
+    model = SimpleNamespace(tau=0.01)
+    after: Any = SimpleNamespace(
+        fit=SimpleNamespace(camera=fitted, forward=SimpleNamespace(amplitude_model=model))
+    )
     nothing: Any = None
-    state = Search(nothing, wide, [step], {}, found=[Found("emission_pattern", 900.0)])
+    state = Search(Problem(nothing, nothing), wide, [step], {}, found=[Found("emission_pattern", 900.0)])
     assert state._without(["camera_constant"], after, 19.0) is None
     state._without(["camera_constant"], after, 21.0)
     assert [list(one.effects) for one in begun] == [["cyclic_error"]]
