@@ -81,7 +81,7 @@ def _means(values: Array, patches: Array) -> tuple[Array, Array]:
     square = np.bincount(group, (values - mean[group]) ** 2)
     enough = count >= LEAST_IN_PATCH
     count = count[enough]
-    return mean[enough], square[enough] / (count - 1) / count
+    return mean[enough], np.maximum(square[enough] / (count - 1) / count, 1e-12)
 
 
 def after_nuisances(
