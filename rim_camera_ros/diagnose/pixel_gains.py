@@ -22,9 +22,7 @@ Array = NDArray[Any]
 #: Variance of a pixel's logarithm less the mean of its four neighbours', of independent gains of variance 1,
 #: and of the mean of that over a row or column, of independent gains of rows or columns.
 _OF_DIFFERENCE, _OF_LINES = 1.25, 0.375
-
-
-#: Relative 1-sigma of gains, of pixels and of lines, that no sensor is said to be without.
+#: Relative 1-sigma of gains, of pixels and of lines, that is ordinary whatever a camera file states.
 ORDINARY_GAINS = 0.01
 
 
@@ -45,12 +43,12 @@ class GainSpread:
 
     @property
     def is_beyond(self) -> bool:
-        """Whether gains are larger than the camera file allows, and than a sensor is without."""
+        """Whether gains are larger than the camera file allows, and than is ordinary."""
         return self.least > BEYOND * max(self.stated, ORDINARY_GAINS) or self.are_of_lines
 
     @property
     def are_of_lines(self) -> bool:
-        """Whether rows or columns differ, of which no file states gains, by more than a sensor is without."""
+        """Whether rows or columns differ, of which no file states gains, by more than is ordinary."""
         return self.lines > BEYOND * ORDINARY_GAINS
 
     @property
