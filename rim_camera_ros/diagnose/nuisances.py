@@ -11,7 +11,7 @@ from scipy.special import chdtri
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.hypotheses import DEPTH, LEAST_GAIN
 from rim_camera_ros.diagnose.pixel_gains import GainSpread
-from rim_camera_ros.effects.light_curves import PREFIX, TILES
+from rim_camera_ros.effects.light_curves import LOBE_PREFIX, TILES
 from rim_camera_ros.fit.design import BEYOND, COMMON_POSE, OPTICS, SENSOR
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.scene import Scene
@@ -41,7 +41,7 @@ class Nuisance:
 #: Names by the beginning of the labels of their parameters, with the unit.
 _KINDS = (
     ("reflectivity", TILES, "-"),
-    ("lobe", f"{PREFIX}lobe.", "-"),
+    ("lobe", LOBE_PREFIX, "-"),
     ("common_pose_offset", COMMON_POSE, "m"),
     ("common_pose_tilt", COMMON_POSE, "rad"),
     ("optics", OPTICS, "px"),

@@ -12,10 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from rim_camera_ros.geometry import Geometry
 from rim_camera_ros.phasor import cosine_and_sine
@@ -25,11 +27,11 @@ Array = NDArray[Any]
 
 PREFIX = "radiometry."
 _DEGREES = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
-_KNOTS = np.radians(_DEGREES)
 _PERIODS = (4, 8)
 #: Reflectivity to which the gloss is referred, and the least factor on the light.
 _REFERENCE = 0.3
 _LEAST = 0.1
+LOBE_PREFIX = f"{PREFIX}lobe."
 #: Labels by curve; the one in proportion to the reflectivity is 0 at normal incidence, where it could not be
 #: told from the power.
 RIPPLES = tuple(f"{PREFIX}ripple.{n}.{part}" for n in _PERIODS for part in ("cosine", "sine"))
@@ -42,14 +44,13 @@ _LOGARITHMS = (-2.0, -1.6, -1.2, -0.8, -0.4, 0.0, 0.4, 0.8, 1.2, 1.6, 2.0)
 RESPONSE = tuple(f"{PREFIX}response.{k:+.1f}" for k in _LOGARITHMS if k != 0.0)
 #: A weak lobe that every surface may have beside Lambert's law, at coarser angles, and its 1-sigma.
 _LOBE_DEGREES = (0.0, 10.0, 20.0, 35.0, 55.0, 80.0)
-_LOBE_KNOTS = np.radians(_LOBE_DEGREES)
-LOBE_SIGMA = 0.1
-LOBE_DIFFUSE = tuple(f"{PREFIX}lobe.diffuse.{k:.0f}" for k in _LOBE_DEGREES[1:])
-LOBE_GLOSS = tuple(f"{PREFIX}lobe.gloss.{k:.0f}" for k in _LOBE_DEGREES)
+LOBE_SIGMA = 0.03
+LOBE_DIFFUSE = tuple(f"{LOBE_PREFIX}diffuse.{k:.0f}" for k in _LOBE_DEGREES[1:])
+LOBE_GLOSS = tuple(f"{LOBE_PREFIX}gloss.{k:.0f}" for k in _LOBE_DEGREES)
 #: Emitters are extended and stand beside the lens: light falls off a little otherwise than with 1 / d^2.
 _FALLOFF_DISTANCES = (0.35, 0.7, 1.4, 2.8, 5.6)
 _FALLOFF_KNOTS = np.log(_FALLOFF_DISTANCES)
-FALLOFF = tuple(f"{PREFIX}lobe.falloff.{k:g}" for k in _FALLOFF_DISTANCES)
+FALLOFF = tuple(f"{LOBE_PREFIX}falloff.{k:g}" for k in _FALLOFF_DISTANCES)
 LOBE = (*LOBE_DIFFUSE, *LOBE_GLOSS, *FALLOFF)
 #: Labels of the relative errors of reflectivities begin so; then surface and tile.
 TILES = "reflectivity."
@@ -89,8 +90,9 @@ class LightCurves:
         factor = np.ones(geometry.distance.shape)
         if not self.values.keys().isdisjoint(LOBE):
             angle, ratio = _angle_and_ratio(geometry)
-            diffuse = np.interp(angle, _LOBE_KNOTS, [0.0, *(self.values.get(k, 0.0) for k in LOBE_DIFFUSE)])
-            gloss = np.interp(angle, _LOBE_KNOTS, [self.values.get(k, 0.0) for k in LOBE_GLOSS])
+            basis = _weights(_LOBE_DEGREES, angle)
+            diffuse = basis[..., 1:] @ np.array([self.values.get(k, 0.0) for k in LOBE_DIFFUSE])
+            gloss = basis @ np.array([self.values.get(k, 0.0) for k in LOBE_GLOSS])
             falloff = np.interp(
                 _log_distance(geometry), _FALLOFF_KNOTS, [self.values.get(k, 0.0) for k in FALLOFF]
             )
@@ -117,8 +119,7 @@ class LightCurves:
 
     def _curve(self, labels: Sequence[str], angle: Array) -> Array:
         heights = [self.values.get(label, 0.0) for label in labels]
-        heights = [0.0] * (len(_KNOTS) - len(heights)) + heights
-        return np.asarray(np.interp(angle, _KNOTS, heights))
+        return np.asarray(_weights(_DEGREES, angle)[..., -len(heights) :] @ np.array(heights))
 
     def columns(self, geometry: Geometry, ambiguity: float, labels: Sequence[str]) -> list[Array]:
         """Return the derivatives (H, W) of the logarithm of the light by `RIPPLES`, `SURFACES` or `LOBE`."""
@@ -130,12 +131,12 @@ class LightCurves:
             far = _log_distance(geometry)
             return [np.interp(far, _FALLOFF_KNOTS, row) for row in np.eye(len(_FALLOFF_KNOTS))]
         if labels[0] in LOBE:
-            rows = [np.interp(angle, _LOBE_KNOTS, row) for row in np.eye(len(_LOBE_KNOTS))]
+            rows = list(np.moveaxis(_weights(_LOBE_DEGREES, angle), -1, 0))
             far = _log_distance(geometry)
             falloff = [np.interp(far, _FALLOFF_KNOTS, row) for row in np.eye(len(_FALLOFF_KNOTS))]
             return [*rows[1:], *(one * ratio for one in rows), *falloff]
         factor = self.surfaces(geometry)
-        weights = [np.interp(angle, _KNOTS, row) for row in np.eye(len(_KNOTS))]
+        weights = list(np.moveaxis(_weights(_DEGREES, angle), -1, 0))
         return [one / factor for one in weights[1:]] + [one * ratio / factor for one in weights]
 
     def response(self, light: Array) -> Array:
@@ -201,6 +202,20 @@ def _waves(geometry: Geometry, ambiguity: float) -> list[Array]:
 
 def _log_distance(geometry: Geometry) -> Array:
     return np.asarray(np.log(np.maximum(np.nan_to_num(geometry.distance), 1e-3)))
+
+
+@cache
+def _even_spline(degrees: tuple[float, ...]) -> CubicSpline:
+    none = np.zeros(len(degrees))
+    return CubicSpline(np.radians(degrees), np.eye(len(degrees)), bc_type=((1, none), (2, none)))
+
+
+def _weights(degrees: tuple[float, ...], angle: Array) -> Array:
+    """Return the weights (..., N) of heights at angles: even in the angle, and as smooth as lobes are.
+
+    Straight lines would miss a tenth of a lobe that is 10 degrees wide.
+    """
+    return np.asarray(_even_spline(degrees)(np.minimum(angle, np.radians(degrees[-1]))))
 
 
 def _angle_and_ratio(geometry: Geometry) -> tuple[Array, Array]:

@@ -157,9 +157,12 @@ def optics_columns(camera: Camera, paths: Sequence[str]) -> Callable[[Reading], 
     return columns
 
 
-def light_block(labels: Sequence[str]) -> Block:
-    """Return the regressors of curves of the light, as `light_curves` names them."""
-    prior = REFLECTANCE_PRIOR
+def light_block(labels: Sequence[str], *, sigma: float = REFLECTANCE_PRIOR) -> Block:
+    """Return the regressors of curves of the light, as `light_curves` names them.
+
+    ``sigma`` is the prior of the heights of curves that have no size of their own.
+    """
+    prior = sigma
     if labels[0] in RIPPLES:
         prior = _RIPPLE_PRIOR
     elif labels[0] in LOBE:

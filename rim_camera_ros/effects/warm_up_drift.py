@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,9 +10,14 @@ import numpy as np
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.effects.candidate import TERM_SIZE, Candidate, Facts, linear
+from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn
 from rim_camera_ros.effects.graph import POINTS, Graph, Line
 from rim_camera_ros.effects.signal import Column, Context, Image, Signal
 from rim_camera_ros.parameters import quantity
+
+#: Time constants of what a drift may do beside its exponentials, in theirs: bodies and boards warm up at
+#: several rates.
+_RATES = (0.25, 0.5, 2.0, 4.0)
 
 
 @dataclass(frozen=True)
@@ -37,6 +43,7 @@ class WarmUpDrift(DistanceTerm):
     everywhere = True
     drifts = True
     settles = True
+    has_discrepancy = True
     drawn_over = ("uptime", "time")
     shapes = frozenset({"time_constant"})
 
@@ -100,6 +107,13 @@ class WarmUpDrift(DistanceTerm):
             base = cls(terms=(Exponential(0.0, fast), Exponential(0.0, slow)))
             found.append(linear(base, size, f"{fast:g}+{slow:g} s"))
         return found
+
+    def discrepancy(self, change: Change) -> Iterator[DiscrepancyColumn]:
+        uptime = change.reading.context.settings.uptime
+        for one in self.terms:
+            for rate in _RATES:
+                decay = 0.0 if uptime is None else float(np.exp(-uptime / (rate * one.time_constant)))
+                yield np.full(change.distance.shape, decay), None
 
     def graph(self, camera: Camera) -> Graph:
         x = np.linspace(0.0, 5 * max(one.time_constant for one in self.terms), POINTS)

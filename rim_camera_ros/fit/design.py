@@ -51,12 +51,16 @@ def gain_block(prior: float = 1.0) -> Block:
 
 
 def present_blocks(
-    camera: Camera, *, effects: Sequence[str] | None = None, origin: Camera | None = None
+    camera: Camera,
+    *,
+    effects: Sequence[str] | None = None,
+    origin: Camera | None = None,
+    widths: Mapping[str, float] | None = None,
 ) -> list[Block]:
     """Return the regressors of a camera's own effects: its parameters, about their values.
 
     Priors are weak: as wide as the value itself, or as such effects are large; those of parameters that the
-    ``origin`` has are as wide as there.
+    ``origin`` has are as wide as there, and those in ``widths`` as stated (by path).
     """
     blocks = []
     for name, effect in camera.effects.items():
@@ -66,6 +70,7 @@ def present_blocks(
         if origin is not None and name in origin.effects:
             there = origin.effects[name].priors()
             priors = {path: there.get(path, width) for path, width in priors.items()}
+        priors = {path: (widths or {}).get(f"effects.{name}.{path}", width) for path, width in priors.items()}
         if priors:
             blocks.append(effect_block(effect, priors))
     return blocks

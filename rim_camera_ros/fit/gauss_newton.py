@@ -25,6 +25,7 @@ from rim_camera_ros.fit.problem import (
     Fit,
     Point,
     Problem,
+    away_from_priors,
     blocks_of,
     forward_of,
     keeps_amplitude_error,
@@ -35,7 +36,6 @@ from rim_camera_ros.fit.steps import (
     Solved,
     by_linear,
     in_units,
-    moved_from,
     moved_scene,
     of_phasors,
     power_factor,
@@ -88,10 +88,9 @@ class GaussNewton:
     ) -> None:
         self._problem, self._start = problem, start
         self._iterations, self._tolerance = iterations, tolerance
-        self._views = views
-        self._warm = warm is not None
+        self._views, self._warm = views, warm is not None
         self._numbers = camera_numbers(start)
-        self._from_origin = moved_from(problem.origin, start)
+        self._away = away_from_priors(problem, start)
         self._bounds = Bounds.of_data(problem.dataset, problem.masks, start)
         # the point
         self._camera, self._scene = start, problem.scene
@@ -201,7 +200,7 @@ class GaussNewton:
             )
         regressors = equations.regressors[:owned]
         offsets = [self._offsets.get(one.label, 0.0) for one in regressors]
-        away = np.array([self._from_origin.get(one.label, 0.0) for one in regressors]) + offsets
+        away = np.array([self._away.get(one.label, 0.0) for one in regressors]) + offsets
         at = {
             one.label: self._numbers.get(one.label, 0.0) + offset
             for one, offset in zip(regressors, offsets, strict=True)
@@ -378,6 +377,7 @@ class GaussNewton:
             forward=here.forward,
             priors=here.prior,
             at_bounds=here.at_bounds,
+            response=self._problem.response,
         )
 
     def judge(self, best: Fit) -> None:

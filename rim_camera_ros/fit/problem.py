@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.effects import OPTICS, CovariateTable
 from rim_camera_ros.effects.base import effect_of, response_of
 from rim_camera_ros.effects.candidate import Block
 from rim_camera_ros.effects.light_curves import RESPONSE, RIPPLES, SURFACES, LightCurves
-from rim_camera_ros.effects.sections import light_block
+from rim_camera_ros.effects.sections import REFLECTANCE_PRIOR, light_block
 from rim_camera_ros.fit.amplitudes import AmplitudeModel
 from rim_camera_ros.fit.covariate_table import empirical_block
 from rim_camera_ros.fit.data import Dataset
@@ -29,12 +30,26 @@ from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.normal_equations import NormalEquations, Reduced
 from rim_camera_ros.fit.pixel_elimination import PATTERN_PRIOR
 from rim_camera_ros.fit.prediction import Shift
-from rim_camera_ros.fit.steps import moved_light
+from rim_camera_ros.fit.steps import moved_from, moved_light
 from rim_camera_ros.fit.views import Views
 from rim_camera_ros.measurement import measurement_of
 from rim_camera_ros.scene import Scene, ScenePose
 
 Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class FreeResponse:
+    """What is published otherwise than by the one parameter of a response, as a curve over the amplitude.
+
+    Relative to light of ``level`` [counts], with the relative 1-sigma ``sigma``. ``parameter`` is the value
+    and 1-sigma of the parameter by itself, by its path: beside a free curve neither would be known, and what
+    corrects best is the parameter without the curve.
+    """
+
+    level: float
+    sigma: float = REFLECTANCE_PRIOR
+    parameter: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -46,7 +61,7 @@ class Problem:
     ``masks`` restrict the pixels, ``patches`` say which share an error of the predicted amplitude, ``shifts``
     stand for another simulation (all as in `Forward`);
     ``stray_light`` [counts] as in `accumulate`; ``reflectance`` estimates how surfaces reflect beside
-    Lambert's law, ``response`` [counts] what the effect on the response leaves, relative to that level.
+    Lambert's law, ``response`` what the effect on the response leaves of the amplitudes.
     ``pattern_prior`` [m] is the 1-sigma of an offset per pixel. ``correlated_error`` and
     ``variance_factors`` as in `Forward`.
     The table over covariates is fitted only where ``effects`` names it. ``imperfections`` estimates what no
@@ -71,7 +86,7 @@ class Problem:
     shifts: Sequence[Shift] | None = None
     stray_light: float = 0.0
     reflectance: bool = False
-    response: float | None = None
+    response: FreeResponse | None = None
     pattern_prior: float = PATTERN_PRIOR
     correlated_error: float = 0.0
     variance_factors: Mapping[tuple[int, int], float] = field(default_factory=dict)
@@ -129,6 +144,7 @@ class Fit:
     notes: list[str] = field(default_factory=list)
     moving: dict[str, float] = field(default_factory=dict)
     at_bounds: Mapping[int, float] = field(default_factory=dict)
+    response: FreeResponse | None = None
 
     @property
     def point(self) -> Point:
@@ -150,7 +166,7 @@ def freed(problem: Problem, fitted: Fit) -> Problem:
         problem,
         effects=tuple(sorted(names)),
         reflectance=curves is not None and not curves.values.keys().isdisjoint(SURFACES),
-        response=curves.level if curves is not None and curves.responds else None,
+        response=fitted.response if curves is not None and curves.responds else None,
     )
 
 
@@ -164,7 +180,9 @@ def forward_of(
     forward.variance_factors, forward.threads = problem.variance_factors, problem.threads
     forward.camera_of_noise = problem.origin
     forward.correlated_error = problem.correlated_error
-    forward.light_curves = moved_light(offsets, problem.response, scene)
+    forward.light_curves = moved_light(
+        offsets, None if problem.response is None else problem.response.level, scene
+    )
     if problem.imperfections:
         forward.linear = linear_blocks(camera, scene, pattern_field=problem.has_pattern_field)
     return forward
@@ -196,14 +214,18 @@ def light_groups(problem: Problem, camera: Camera) -> list[tuple[str, ...]]:
 
 def blocks_of(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
     """Return the regressors of all that is free in a problem."""
-    blocks = present_blocks(camera, effects=problem.effects, origin=problem.origin)
+    response = problem.response
+    widths = {} if response is None else {path: one[1] for path, one in response.parameter.items()}
+    blocks = present_blocks(camera, effects=problem.effects, origin=problem.origin, widths=widths)
     table = effect_of(camera, CovariateTable)
     if table is not None and problem.effects is not None and table.name in problem.effects:
         blocks.append(empirical_block(table))
     if problem.gain:
         blocks.append(gain_block())
     blocks += [OPTICS[name].block(camera) for name in problem.geometry]
-    blocks += [light_block(labels) for labels in light_groups(problem, camera)]
+    for labels in light_groups(problem, camera):
+        sigma = response.sigma if response is not None and labels is RESPONSE else REFLECTANCE_PRIOR
+        blocks.append(light_block(labels, sigma=sigma))
     if problem.imperfections:
         blocks += imperfection_blocks(
             camera, scene, lobe=not problem.reflectance, pattern_field=problem.has_pattern_field
@@ -217,6 +239,16 @@ def blocks_of(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
     if free:
         blocks.append(pose_block(free))
     return blocks
+
+
+def away_from_priors(problem: Problem, start: Camera) -> dict[str, float]:
+    """Return how far numbers of a start are from the middles of their priors, by path; 0 where absent."""
+    away = moved_from(problem.origin, start)
+    if problem.response is not None:
+        numbers = camera_numbers(start)
+        for path, (value, _) in problem.response.parameter.items():
+            away[path] = numbers.get(path, value) - value
+    return away
 
 
 def keeps_amplitude_error(warm: Camera, camera: Camera) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import Physics, vocabulary
@@ -120,7 +120,8 @@ class Trials:
             likelihood = fitted.scores.log_likelihood()
             if len(choice) == 2:
                 likelihood -= self.step.threshold_of(choice)
-            result[choice] = Trial([*one.effects], one.response, fitted, likelihood)
+            solved = replace(one.problem, response=fitted.fit.response)
+            result[choice] = Trial([*one.effects], solved, fitted, likelihood)
         return result
 
     def _physics(self, number: int) -> type[Physics]:

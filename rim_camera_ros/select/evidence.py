@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
+from scipy.special import logsumexp
 
 from rim_camera_ros.effects.candidate import priors_of
+from rim_camera_ros.effects.light_curves import LOBE_PREFIX
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.design import COMMON_POSE
 from rim_camera_ros.fit.normal_equations import NormalEquations, Reduced
@@ -26,8 +28,10 @@ from rim_camera_ros.threads import in_order
 Array = NDArray[Any]
 Key = tuple[int, int]
 
-#: Factor on the stated 1-sigma of errors that poses share where what is stated is held out: hardly known.
-UNSTATED = 10.0
+#: Beginnings of the labels of errors that poses share, of which what is stated is held out.
+STATED = (COMMON_POSE, LOBE_PREFIX)
+#: Factors on their stated 1-sigma where that is held out: hardly known.
+UNSTATED = tuple(np.geomspace(10.0, 10.0**0.25, 4).tolist())
 
 
 def folds_of(dataset: Dataset, count: int = 5) -> dict[Key, int]:
@@ -78,6 +82,8 @@ class _Base:
             nothing = np.zeros(right.shape[1:])
             return cls(reduced, columns, scale, temper, away, matrix, right, nothing)
         factor, solved, evidence = _evidence(matrix, right)
+        # of where the fit stands, without which priors of several widths could not be compared
+        evidence = evidence - 0.5 * float(np.sum((away[columns] / scale) ** 2))
         return cls(reduced, columns, scale, temper, away, factor, solved, evidence)
 
     def of_further(self, own: Array, scale: Array) -> Any:
@@ -117,7 +123,7 @@ class Scores:
         self.base = np.array(sorted(base), int)
         self._held = frozenset(held)
         self._in_base = frozenset(self.base.tolist())
-        self._bases: dict[tuple[int | None, bool], _Base] = {}
+        self._bases: dict[tuple[int | None, float], _Base] = {}
         self.prior = priors_of(equations.regressors)
         folds = range(len(equations.folds)) if len(equations.folds) > 1 else ()
         self.full, *self.trained = in_order(equations.reduced, (None, *folds), threads=equations.threads)
@@ -147,19 +153,19 @@ class Scores:
         """Return the equations in units of the priors, which keeps them well conditioned."""
         return _scaled(reduced, columns, self.prior[columns], self.temper, self.away)
 
-    def _of_base(self, number: int | None, unstated: bool) -> _Base:
+    def _of_base(self, number: int | None, unstated: float) -> _Base:
         """Return the base's part of the evidence of all folds (None), or of all but one."""
         if (number, unstated) not in self._bases:
             reduced = self.full if number is None else self.trained[number]
             columns = self.columns([])
             labels = [self.regressors[i].label for i in columns]
-            hardly = unstated & np.array([one.startswith(COMMON_POSE) for one in labels], bool)
-            scale = np.where(hardly, UNSTATED, 1.0) * self.prior[columns]
+            stated = np.array([one.startswith(STATED) for one in labels], bool)
+            scale = np.where(stated, unstated, 1.0) * self.prior[columns]
             self._bases[number, unstated] = _Base.of(reduced, columns, scale, self.temper, self.away)
         return self._bases[number, unstated]
 
-    def _evidence(self, number: int | None, extra: Iterable[int] = (), *, unstated: bool = False) -> Any:
-        """Return the log evidence of all folds (None) or all but one; ``unstated`` as in `stated`."""
+    def _evidence(self, number: int | None, extra: Iterable[int] = (), *, unstated: float = 1.0) -> Any:
+        """Return the log evidence of all folds (None) or all but one; stated sizes ``unstated`` times."""
         base = self._of_base(number, unstated)
         own = np.array(sorted({*extra} - self._held - self._in_base), int)
         return base.evidence if not own.size else base.evidence + base.of_further(own, self.prior[own])
@@ -180,7 +186,8 @@ class Scores:
         strains them loses.
         """
         extra = list(extra)
-        return self._evidence(None, extra) - self._evidence(None, extra, unstated=True)
+        larger = [self._evidence(None, extra, unstated=factor) for factor in UNSTATED]
+        return self._evidence(None, extra) - logsumexp(larger, axis=0) + np.log(len(larger))
 
     def log_likelihood(self, extra: Iterable[int] = ()) -> float:
         """Return the held-out log likelihood in nats with all its constants but the number of values.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from rim_camera_ros.effects.candidate import priors_of
-from rim_camera_ros.effects.light_curves import PREFIX, TILES
+from rim_camera_ros.effects.light_curves import LOBE_PREFIX, TILES
 from rim_camera_ros.fit.design import COMMON_POSE, OPTICS, SENSOR
 from rim_camera_ros.fit.fold_sums import Fold
 from rim_camera_ros.fit.normal_equations import NormalEquations
@@ -121,7 +121,7 @@ def kind_of_error(name: str) -> str:
 
 
 #: Owners of regressors that stand for what every set-up has, whatever the camera: replicates contain them.
-IMPERFECTIONS = (TILES, COMMON_POSE, OPTICS, f"{PREFIX}lobe.", SENSOR)
+IMPERFECTIONS = (TILES, COMMON_POSE, OPTICS, LOBE_PREFIX, SENSOR)
 
 
 def _errors(

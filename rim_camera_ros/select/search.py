@@ -13,7 +13,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.base import response_of
 from rim_camera_ros.effects.candidate import Candidate, Facts
 from rim_camera_ros.fit.data import level_of
-from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.problem import FreeResponse, Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.fit.views import Views
 from rim_camera_ros.select.candidates import candidates
@@ -56,7 +56,7 @@ def search(
         start_camera = begin.camera
         problem = replace(problem, geometry=begin.problem.geometry, reflectance=begin.problem.reflectance)
     if response_of(start_camera) is not None and problem.gain:
-        problem = replace(problem, response=level_of(problem.dataset))
+        problem = replace(problem, response=FreeResponse(level_of(problem.dataset)))
     present = {one.effect for one in ahead}
     pool = [one for one in candidates(camera, facts, effects=effects) if one.effect not in present]
     say(f"baseline and {len(pool)} candidates")

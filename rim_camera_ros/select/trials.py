@@ -7,18 +7,26 @@ from dataclasses import dataclass, replace
 from time import monotonic
 from typing import Any
 
+import numpy as np
+
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import in_order, with_effects
 from rim_camera_ros.effects import OF_SURFACES, OPTICS, vocabulary
+from rim_camera_ros.effects.light_curves import RESPONSE
+from rim_camera_ros.effects.sections import REFLECTANCE_PRIOR
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.fit.amplitudes import AMPLITUDE_MODEL
 from rim_camera_ros.fit.data import level_of
 from rim_camera_ros.fit.pixels import LEAST_LEFT
-from rim_camera_ros.fit.problem import Point, Problem, forward_of
+from rim_camera_ros.fit.problem import FreeResponse, Point, Problem, forward_of
 from rim_camera_ros.fit.views import WIDE, Views
 from rim_camera_ros.select.compare import Trial
 from rim_camera_ros.select.exploration import Exploration, explore
 from rim_camera_ros.select.subsample import at_stations
 
+#: Sizes of what the one parameter of a response leaves of the published amplitude (relative, 1-sigma): the
+#: largest is that of an unknown curve, the least what amplitudes are predicted to at best.
+RESPONSE_SIZES = tuple(np.geomspace(REFLECTANCE_PRIOR, AMPLITUDE_MODEL / 10, 6).tolist())
 #: Iterations of fits that add an effect, and shares of the sigmas at which they end.
 ITERATIONS = 12
 TOLERANCE = 0.15
@@ -54,13 +62,6 @@ class TrialFit:
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"views": None}
 
-    @property
-    def response(self) -> Problem:
-        """The problem with the rest of the amplitudes' response free, where that is tried."""
-        if not any(vocabulary()[name].is_response for name in self.effects):
-            return self.problem
-        return replace(self.problem, response=level_of(self.problem.dataset))
-
 
 def fit_trial(trial: TrialFit) -> Exploration:
     """Fit a trial; a pure function that may run anywhere.
@@ -87,17 +88,40 @@ def fit_trial(trial: TrialFit) -> Exploration:
         )
 
     problem, start, views, point = trial.problem, trial.start, trial.views, trial.point
+    responds = any(vocabulary()[name].is_response for name in trial.effects)
+    if responds:
+        # its one parameter first: together with a free response it would not find the way
+        least = FreeResponse(level_of(problem.dataset), RESPONSE_SIZES[-1])
+        problem = replace(problem, response=least)
     far = _far_from_edges(trial) if trial.away_from_edges else None
     if far is not None:
         first = fitted_to(far, start, views, point).fit
         start, views, point = first.camera, first.forward.views, first.point
     fitted = fitted_to(problem, start, views, point)
-    if trial.response is not trial.problem:
-        # its one parameter first: together with a free response it would not find the way
+    if responds:
+        freer = replace(problem, response=_free_response(fitted, least.level), amplitude_error=error)
         camera, views = fitted.fit.camera, fitted.fit.forward.views
-        response = replace(trial.response, amplitude_error=error)
-        fitted = explore(response, camera, [], trial.folds, views=views, warm=fitted.fit, replicates=0)
+        fitted = explore(freer, camera, [], trial.folds, views=views, warm=fitted.fit, replicates=0)
     return fitted
+
+
+def _free_response(fitted: Exploration, level: float) -> FreeResponse:
+    """Return the curve about a ``level`` [counts] that a response leaves free.
+
+    Of the size by which held-out poses are predicted best, from a fit of the response's parameter with next
+    to no curve.
+    """
+    scores, sigma = fitted.scores, fitted.fit.sigma
+    curve = np.array([one.label in RESPONSE for one in scores.regressors], bool)
+    held_out = [
+        float(scores.with_priors(np.where(curve, size, scores.prior)).held_out()) for size in RESPONSE_SIZES
+    ]
+    parameter = {
+        path: (value, sigma[path])
+        for path, value in fitted.fit.parameters.items()
+        if path.startswith("effects.") and vocabulary()[path.split(".")[1]].is_response
+    }
+    return FreeResponse(level, RESPONSE_SIZES[int(np.argmax(held_out))], parameter)
 
 
 def _far_from_edges(trial: TrialFit) -> Problem | None:

@@ -65,9 +65,10 @@ def test_a_gradient_that_follows_the_temperature_is_no_tilt_of_poses(tmp_path: P
     assert fitted == pytest.approx(SLOPE, rel=0.15)
 
 
-@pytest.mark.parametrize("seed", [2, 3])
-def test_without_one_no_term_gains(tmp_path: Path, seed: int) -> None:
-    assert above(explored(tmp_path, slope=0.0, seed=seed)) == {}
+def test_without_one_no_term_gains(tmp_path: Path) -> None:
+    """All terms together raise an alarm in 2 % of recordings: in two of four once in 400 times."""
+    alarms = [above(explored(tmp_path, slope=0.0, seed=seed)) for seed in (2, 3, 4, 5)]
+    assert sum(bool(one) for one in alarms) <= 1, alarms
 
 
 def test_a_bilinear_table_is_a_product_but_for_what_depends_on_one_covariate() -> None:

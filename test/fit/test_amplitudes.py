@@ -14,7 +14,7 @@ from rim_camera_ros.effects.light_curves import RESPONSE
 from rim_camera_ros.fit.amplitudes import AMPLITUDE_MODEL, AmplitudeModel
 from rim_camera_ros.fit.fold_sums import share_of
 from rim_camera_ros.fit.forward import Forward
-from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.problem import FreeResponse, Problem
 from rim_camera_ros.fit.residuals import amplitude_error
 from rim_camera_ros.fit.solver import fit
 
@@ -68,7 +68,7 @@ def test_gains_smaller_than_stated_bend_no_response(tmp_path: Path, size: float)
     data = record(told, board, seed=7)
     gains = size * np.random.default_rng(4).standard_normal(told.shape)
     data.stations = [replace(one, amplitude=one.amplitude * np.exp(gains)) for one in data.stations]
-    found = fit(Problem(data, board, response=1000.0), told)
+    found = fit(Problem(data, board, response=FreeResponse(1000.0)), told)
     labels = [label for label in RESPONSE if found.sigma[label] < 0.15]
     assert len(labels) >= 4
     ratios = [found.parameters[label] / found.sigma[label] for label in labels]

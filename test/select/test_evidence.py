@@ -7,13 +7,14 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from rim_camera_ros.effects.candidate import Regressor
+from rim_camera_ros.effects.light_curves import LOBE_DIFFUSE
 from rim_camera_ros.fit.fold_sums import Fold
 from rim_camera_ros.fit.normal_equations import NormalEquations
-from rim_camera_ros.select.evidence import Scores
+from rim_camera_ros.select.evidence import UNSTATED, Scores
 
 SHARED, OTHER, CANDIDATE = "common_pose.floor.offset", "radiometry.gain", "effects.distance_scale.scale"
 #: 1-sigma of an error that poses share, of a number that may be any, and of a candidate.
-PRIORS = {SHARED: 0.7, OTHER: 40.0, CANDIDATE: 5.0}
+PRIORS = {SHARED: 0.7, LOBE_DIFFUSE[2]: 0.7, OTHER: 40.0, CANDIDATE: 5.0}
 
 
 def folds_of(design: np.ndarray, observed: np.ndarray, *, count: int = 5) -> list[Fold]:
@@ -57,18 +58,23 @@ def test_the_density_of_every_fold_given_the_others(regression: tuple[np.ndarray
     assert scores.log_likelihoods() == pytest.approx([one - constant for one in by_fold], abs=1e-6)
 
 
+@pytest.mark.parametrize("shared", [SHARED, LOBE_DIFFUSE[2]])
 def test_the_density_of_what_is_stated_of_shared_errors(
-    regression: tuple[np.ndarray, np.ndarray],
+    regression: tuple[np.ndarray, np.ndarray], shared: str
 ) -> None:
-    """Stated is 0: as likely as the data make it, the error held to ten times what is stated."""
+    """Stated is 0, against a mean of likelihoods over sizes of 1.8 to ten times what is stated."""
     design, observed = regression
-    scores = scores_of([SHARED, OTHER, CANDIDATE], design, observed)
+    scores = scores_of([shared, OTHER, CANDIDATE], design, observed)
+    assert pytest.approx((10.0, 5.6234, 3.1623, 1.7783), rel=1e-4) == UNSTATED
     for extra in ([], [2]):
         own = [0, 1, *extra]
-        labels = [[SHARED, OTHER, CANDIDATE][i] for i in own]
-        narrow = log_density(design[:, own], observed, [PRIORS[one] for one in labels])
-        wide = log_density(design[:, own], observed, [10 * PRIORS[SHARED], *(PRIORS[x] for x in labels[1:])])
-        assert scores.stated(extra) == pytest.approx(narrow - wide, abs=1e-6)
+        of_others = [PRIORS[[shared, OTHER, CANDIDATE][i]] for i in own[1:]]
+        narrow, *wide = (
+            log_density(design[:, own], observed, [factor * PRIORS[shared], *of_others])
+            for factor in (1.0, *UNSTATED)
+        )
+        expected = narrow - np.log(np.mean(np.exp(np.array(wide) - narrow))) - narrow
+        assert scores.stated(extra) == pytest.approx(expected, abs=1e-6)
     assert scores.log_likelihood() == pytest.approx(sum(scores.log_likelihoods()) + scores.stated())
     assert scores.gain([2]) == pytest.approx(scores.log_likelihood([2]) - scores.log_likelihood())
 
@@ -86,13 +92,27 @@ def test_an_effect_that_shared_errors_imitate_gains_by_what_is_stated(
     alone = scores_of([SHARED, OTHER], design[:, :2], observed)
     error = np.sqrt(np.linalg.inv(design[:, :2].T @ design[:, :2])[0, 0])
     estimate = np.linalg.lstsq(design[:, :2], observed, rcond=None)[0][0]
-    expected = [norm(scale=np.hypot(k * 0.7, error)).logpdf(estimate) for k in (1, 10)]
-    assert alone.stated() == pytest.approx(expected[0] - expected[1], abs=0.05)
+    stated, *wider = (norm(scale=np.hypot(k * 0.7, error)).logpdf(estimate) for k in (1.0, *UNSTATED))
+    assert alone.stated() == pytest.approx(stated - np.log(np.mean(np.exp(wider))), abs=0.05)
+
+
+def test_what_is_stated_is_the_same_wherever_the_fit_stands(
+    regression: tuple[np.ndarray, np.ndarray],
+) -> None:
+    """Equations about an error that is in the predictions already say what those about none do."""
+    design, observed = regression
+    labels = [SHARED, OTHER, CANDIDATE]
+    at_nothing = scores_of(labels, design, observed)
+    moved = scores_of(labels, design, observed - 5.0 * design[:, 0])
+    moved.away = np.array([5.0, 0.0, 0.0])
+    assert at_nothing.stated() < -10
+    assert moved.stated() == pytest.approx(at_nothing.stated(), abs=1e-6)
+    assert moved.log_likelihood() == pytest.approx(at_nothing.log_likelihood(), abs=1e-6)
 
 
 def test_without_shared_errors_nothing_is_stated(regression: tuple[np.ndarray, np.ndarray]) -> None:
     design, observed = regression
-    assert scores_of([OTHER, CANDIDATE], design[:, 1:], observed).stated() == 0.0
+    assert scores_of([OTHER, CANDIDATE], design[:, 1:], observed).stated() == pytest.approx(0.0, abs=1e-12)
 
 
 def test_likelihoods_take_no_step_beyond_a_bound(regression: tuple[np.ndarray, np.ndarray]) -> None:
