@@ -16,7 +16,6 @@ from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.effects.candidate import priors_of
 from rim_camera_ros.effects.sections import Radiometry
 from rim_camera_ros.fit.design import GAIN
-from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.pixel_elimination import stacked
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit
@@ -152,9 +151,7 @@ def _moved(camera: Camera, fitted: Fit, name: str) -> float:
 
 def _varying(camera: Camera, fitted: Fit, change_of: Callable[[Prediction, Prediction], Array]) -> float:
     """RMS of a change over pixels and stations, its mean over the stations of each pixel removed."""
-    before = Forward(fitted.forward.dataset, fitted.scene, camera, views=fitted.forward.views)
-    before.amplitude_model = fitted.forward.amplitude_model
-    before.masks = fitted.forward.masks
+    before = fitted.by_another(camera)
     shape = camera.shape
     total, square, count = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     for old, new in zip(

@@ -18,7 +18,6 @@ from rim_camera_ros.diagnose.smooth import values_of
 from rim_camera_ros.effects import CovariateTable, ForeignLight, vocabulary
 from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.effects.covariates import COVARIATES
-from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.residuals import after_nuisances
@@ -142,9 +141,7 @@ def of_scatter(fitted: Fit, effect: ForeignLight) -> Where:
 
 def of_change(fitted: Fit, camera: Camera) -> Where:
     """Locate how a fit changes the distances that a camera file predicts."""
-    before = Forward(fitted.forward.dataset, fitted.scene, camera, views=fitted.forward.views)
-    before.amplitude_model = fitted.forward.amplitude_model
-    stations = before.predictions(slopes=False)
+    stations = fitted.by_another(camera).predictions(slopes=False)
 
     def value(one: Prediction) -> Array:
         return np.asarray(one.distance - next(stations).distance)

@@ -10,8 +10,8 @@ an `amplitude_nonlinearity`, whose one parameter is not every amplifier's.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -145,6 +145,11 @@ class LightCurves:
             return np.ones(np.shape(light))
         heights = [self.values.get(f"{PREFIX}response.{k:+.1f}", 0.0) for k in _LOGARITHMS]
         return np.asarray(np.maximum(1.0 + np.interp(self._logarithm(light), _LOGARITHMS, heights), _LEAST))
+
+    def without(self, labels: Iterable[str]) -> LightCurves:
+        """Return the curves with those of some labels flat."""
+        gone = frozenset(labels)
+        return replace(self, values={key: one for key, one in self.values.items() if key not in gone})
 
     @property
     def responds(self) -> bool:

@@ -152,6 +152,20 @@ class Fit:
         model, curves = self.forward.amplitude_model, self.forward.light_curves
         return Point(self.camera, self.parameters, self.nuisances, self.pattern, model, curves)
 
+    def by_another(self, camera: Camera) -> Forward:
+        """Return the predictions by another camera beside all that this fit found of imperfections.
+
+        Powers, reflectivities and weak lobes are those found, so that what differs is the physics. Of the
+        light that is what surfaces do otherwise than Lambert, and the curve of a response that it lacks.
+        """
+        here = self.forward
+        forward = Forward(here.dataset, self.scene, camera, views=here.views)
+        forward.amplitude_model, forward.shifts, forward.masks = here.amplitude_model, here.shifts, here.masks
+        if here.light_curves is not None:
+            physics = SURFACES if response_of(camera) is not None else (*SURFACES, *RESPONSE)
+            forward.light_curves = here.light_curves.without(physics)
+        return forward
+
     @property
     def sigma(self) -> dict[str, float]:
         """1-sigma of each parameter."""

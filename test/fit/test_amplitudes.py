@@ -122,3 +122,29 @@ def test_a_response_scales_densities_of_independent_amplitudes_as_it_does_noise(
         )
     assert exact[1] - exact[0] > 20
     assert norms[1] - norms[0] == pytest.approx(exact[1] - exact[0], rel=0.01)
+
+
+def test_another_camera_is_compared_beside_the_same_imperfections(tmp_path: Path) -> None:
+    """Reflectivities and lobes that were found are no part of the difference between two cameras."""
+    told, board = camera(tmp_path), scene(tmp_path)
+    bent = record(camera(tmp_path, AmplitudeNonlinearity(compression=2e-5)), board, poses=6, frames=2, seed=5)
+    found = fit(Problem(bent, board, origin=told), camera(tmp_path, AmplitudeNonlinearity(compression=1e-5)))
+    curves = found.forward.light_curves
+    assert curves is not None
+    assert len(curves.values) > 10
+
+    def readings(forward: Forward) -> np.ndarray:
+        return np.concatenate([one.model_reading[one.amplitude_used] for one in forward.predictions()])
+
+    here = readings(found.forward)
+    plain = Forward(bent, found.scene, found.camera, views=found.forward.views)
+    plain.amplitude_model, plain.masks = found.forward.amplitude_model, found.forward.masks
+    assert np.abs(readings(plain) / here - 1.0).max() > 1e-3
+    assert readings(found.by_another(found.camera)) == pytest.approx(here, rel=1e-9)
+    # of a camera without the response its compression is all that differs, and the power
+    effect = found.camera.effects["amplitude_nonlinearity"]
+    assert isinstance(effect, AmplitudeNonlinearity)
+    straight = readings(found.by_another(replace(found.camera, effects={})))
+    assert np.abs(straight / here - 1.0).max() > 0.05
+    # gains of pixels are those of readings, 2 % of a compression of 10 %
+    assert effect.compressed(straight) == pytest.approx(here, rel=3e-3)

@@ -16,7 +16,6 @@ from rim_camera_ros.effects import OF_SURFACES, OPTICS, CovariateTable, vocabula
 from rim_camera_ros.effects.covariates import AXIS, COVARIATES
 from rim_camera_ros.fit.data import Station
 from rim_camera_ros.fit.decimation import full_covariate
-from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.residuals import after_nuisances
@@ -126,8 +125,7 @@ def evidence(result: Diagnosis) -> Evidence:
     start = result.baseline.fit.start
     moved = result.verdict not in ("consistent", "inconsistent_setup") and bool(changed_effects(result))
     named = changed_effects(result) if moved else ()
-    before = Forward(fitted.forward.dataset, fitted.scene, start, views=fitted.forward.views)
-    before.amplitude_model, before.shifts = fitted.forward.amplitude_model, fitted.forward.shifts
+    before = fitted.by_another(start)
     shape = fitted.camera.shape
     rng = np.random.default_rng(_SEED)
     stations: list[_Compared] = []
