@@ -72,7 +72,7 @@ def tile_labels(scene: Scene) -> tuple[str, ...]:
 class LightCurves:
     """Factors on the light: 1 + ripples(phase), and 1 + diffuse(incidence) + gloss(incidence) 0.3 / colour.
 
-    ``values`` by label, 0 where absent; over the incidence linear between the angles. Amplitudes are
+    ``values`` by label, 0 where absent; over the incidence splines between the angles. Amplitudes are
     published times a response, relative to that of light of ``level`` counts. ``tiles`` are the labels of
     the tiles whose reflectivity is not exactly that of the scene file.
     """

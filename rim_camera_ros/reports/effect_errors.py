@@ -13,7 +13,6 @@ from rim_camera_ros.calibrate.run import Calibration
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import OPTICS
 from rim_camera_ros.fit.decimation import decimated_camera
-from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.select.effect_sizes import change_by, contribution
 
@@ -45,9 +44,8 @@ def effect_errors(result: Calibration) -> dict[str, EffectError]:
     new = fitted.forward
     step = max(1, round(result.before.sensor.width / fitted.camera.sensor.width))
     start = result.before if step == 1 else decimated_camera(result.before, step)
-    old = Forward(new.dataset, fitted.scene, start, views=new.views)
-    old.amplitude_model, old.shifts = new.amplitude_model, new.shifts
-    old.masks, old.margins, old.light_curves = new.masks, new.margins, new.light_curves
+    old = fitted.by_another(start)
+    old.margins = new.margins
     paths, covariance = result.solution.covariance()
     names = [n for n, one in fitted.camera.effects.items() if one.estimated in ("joint", "covariates")]
     names += [name for name in OPTICS if any(path.startswith("optics.") for path in paths)]
