@@ -31,8 +31,8 @@ def test_a_footprint_of_a_pixel_is_found_beside_edges(tmp_path: Path, width: flo
     result = search(Problem(data, board), told, facts, effects=["mixed_pixels"])
     assert [one.effect for one in result.found] == found
     assert result.beside_edges == (1 if found else None)
-    # the fit goes on once the effect has joined
-    assert result.gained == pytest.approx(sum(one.gain for one in result.found), rel=1e-2)
+    # the fit goes on once the effect has joined, by an error of amplitudes that is estimated anew
+    assert result.gained == pytest.approx(sum(one.gain for one in result.found), rel=2e-2)
 
 
 @pytest.mark.long
