@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from rim_camera_ros.geometry import Geometry
 from rim_camera_ros.phasor import cosine_and_sine
@@ -210,9 +209,14 @@ def _log_distance(geometry: Geometry) -> Array:
 
 
 @cache
-def _even_spline(degrees: tuple[float, ...]) -> CubicSpline:
+def _even_spline(degrees: tuple[float, ...]) -> Callable[[Array], Array]:
+    from scipy.interpolate import CubicSpline
+
     none = np.zeros(len(degrees))
-    return CubicSpline(np.radians(degrees), np.eye(len(degrees)), bc_type=((1, none), (2, none)))
+    spline: Callable[[Array], Array] = CubicSpline(
+        np.radians(degrees), np.eye(len(degrees)), bc_type=((1, none), (2, none))
+    )
+    return spline
 
 
 def _weights(degrees: tuple[float, ...], angle: Array) -> Array:
