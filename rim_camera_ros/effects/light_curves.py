@@ -30,6 +30,7 @@ _PERIODS = (4, 8)
 #: Reflectivity to which the gloss is referred, and the least factor on the light.
 _REFERENCE = 0.3
 _LEAST = 0.1
+#: Labels of a weak lobe and of a falloff begin so.
 LOBE_PREFIX = f"{PREFIX}lobe."
 #: Labels by curve; the one in proportion to the reflectivity is 0 at normal incidence, where it could not be
 #: told from the power.

@@ -155,8 +155,9 @@ class Fit:
     def by_another(self, camera: Camera) -> Forward:
         """Return the predictions by another camera beside all that this fit found of imperfections.
 
-        Powers, reflectivities and weak lobes are those found, so that what differs is the physics. Of the
-        light that is what surfaces do otherwise than Lambert, and the curve of a response that it lacks.
+        Powers, reflectivities and weak lobes are those found, so that what differs is the physics: the
+        camera, `SURFACES` that reflect otherwise than Lambert says, and the curve of a response that the
+        other camera lacks.
         """
         here = self.forward
         forward = Forward(here.dataset, self.scene, camera, views=here.views)

@@ -182,8 +182,9 @@ class Scores:
     def stated(self, extra: Iterable[int] = ()) -> Any:
         """Return the log density of what is stated of errors that poses share, given all poses [nats].
 
-        Up to a constant; (R,) for replicates. An effect that these errors imitate gains here, and a fit that
-        strains them loses.
+        Over the mean of that where they are `UNSTATED` times as large (a size that is not known, MacKay,
+        Neural Computation 4, 1992); (R,) for replicates. An effect that these errors imitate gains here, and
+        a fit that strains them loses.
         """
         extra = list(extra)
         larger = [self._evidence(None, extra, unstated=factor) for factor in UNSTATED]
