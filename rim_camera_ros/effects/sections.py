@@ -121,6 +121,7 @@ class Radiometry(Section):
         "of incidence than the scene's simulation"
     )
     shows_in = "amplitude"
+    drawn_over = ("incidence",)
     of_surfaces = True
     planned = False
 
