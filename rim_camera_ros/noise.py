@@ -63,8 +63,12 @@ class Noise:
 def sigma_amplitude(
     sigma_distance: NDArray[Any], amplitude: NDArray[Any], *, ambiguity: float
 ) -> NDArray[Any]:
-    """Return the 1-sigma of the amplitude in counts: noise is circular in the complex plane."""
-    result: NDArray[Any] = 2 * np.pi / ambiguity * amplitude * sigma_distance
+    """Return the 1-sigma of the amplitude in counts: noise is circular in the complex plane.
+
+    NaN where there is no light: the noise of such a distance is infinite, that of the amplitude not known.
+    """
+    with np.errstate(invalid="ignore"):
+        result: NDArray[Any] = 2 * np.pi / ambiguity * amplitude * sigma_distance
     return result
 
 

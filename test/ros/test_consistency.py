@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.devices.simulator import Simulator
 from rim_camera_ros.files import find_camera, find_scene
+from rim_camera_ros.noise import sigma_amplitude
 from rim_camera_ros.pipeline.consistency import NoiseWatch
 from rim_camera_ros.scene import CameraMotion, load_scene
 
@@ -94,3 +96,19 @@ def test_what_cannot_be_compared_is_not() -> None:
     assert not watch.take(replace(second, stamp=second.stamp + 2 * 10**9 + 1, settings=other))
     assert not watch.take(replace(second, distance=np.zeros((2, 2), np.uint16)))
     assert watch.verdict is None  # one comparison is no verdict
+
+
+def test_pixels_without_light_warn_nobody() -> None:
+    """A board in the dark: most pixels read an amplitude of 0, whose noise is not known."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        verdict = watched("board_by_hand_experiment").verdict
+    assert verdict is None or verdict.matches
+
+
+def test_noise_of_an_amplitude_is_circular_and_unknown_without_light() -> None:
+    sigma = CAMERA.noise.sigma_distance(np.array([0.0, 400.0]))
+    found = sigma_amplitude(sigma, np.array([0.0, 400.0]), ambiguity=7.5)
+    assert np.isnan(found[0])
+    # a turn of the phase is 2 pi sigma_d / R
+    assert found[1] == pytest.approx(2 * np.pi / 7.5 * 400.0 * np.hypot(0.0045, 28.0 / 400.0), rel=1e-6)

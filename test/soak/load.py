@@ -125,16 +125,18 @@ def latency(folder: Path, *, seconds: float, rate: float = 25.0) -> Figures:
     return figures
 
 
-def overload(folder: Path, *, seconds: float, maximum_age: float = 0.1, processes: int = 6) -> Figures:
+def overload(folder: Path, *, seconds: float, maximum_age: float | None = 0.1, processes: int = 6) -> Figures:
     """Driver and correction at 25 Hz beside processes that are always busy: ages of the clouds [ms].
 
     The processes come and go: five seconds each. ``older``: clouds that arrive later than ``maximum_age`` [s]
-    after their stamp; this listener has a higher priority than the nodes where the system allows it.
+    after their stamp (None: the node's default, which compares stamps with the newest only, so that none
+    counts); this listener has a higher priority than the nodes where the system allows it.
     """
+    limit = {} if maximum_age is None else {"maximum_age": maximum_age}
     with ahead() as niceness, World(folder) as world:
         nodes = [
             world.start("driver_node", scene="wall", frame_rate=25.0),
-            world.start("correction_node", maximum_age=maximum_age),
+            world.start("correction_node", **limit),
         ]
         for one in nodes:
             psutil.Process(one.pid).nice(niceness)
@@ -155,7 +157,7 @@ def overload(folder: Path, *, seconds: float, maximum_age: float = 0.1, processe
         late = np.array([one for _, one in listener.latency])
         return {
             "clouds": len(late),
-            "older": int((late > maximum_age).sum()),
+            "older": 0 if maximum_age is None else int((late > maximum_age).sum()),
             "age_ms": summary([1e3 * one for one in late]),
             "frames": {key: said.values(name)[key] for key in COUNTS[name]},
             "dropped": {

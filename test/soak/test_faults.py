@@ -79,8 +79,9 @@ def test_one_process_at_50_hz(tmp_path: Path, seconds: float) -> None:
     assert found["descriptors"][1] <= found["descriptors"][0] + 2
 
 
-def test_ages_beside_busy_processes(tmp_path: Path) -> None:
-    found = load.overload(tmp_path, seconds=10.0, maximum_age=0.1, processes=4)
+@pytest.mark.parametrize("maximum_age", [0.1, None])
+def test_ages_beside_busy_processes(tmp_path: Path, maximum_age: float | None) -> None:
+    found = load.overload(tmp_path, seconds=10.0, maximum_age=maximum_age, processes=4)
     assert found["running"]
     assert found["tracebacks"] == 0
     assert found["clouds"] > 25
