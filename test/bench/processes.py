@@ -103,9 +103,7 @@ def busy() -> float:
 def main() -> int:
     """Measure and print a table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument(
-        "--rate", type=float, nargs="+", default=[25.0, 30.0, 50.0], help="frames a second [Hz]"
-    )
+    parser.add_argument("--rate", type=float, nargs="+", default=[25.0, 30.0, 50.0], help="frames per s [Hz]")
     parser.add_argument("--size", nargs="+", default=["176x144", "640x480"], help="pixels, WIDTHxHEIGHT")
     parser.add_argument(
         "--camera", choices=["sr3000", "plain"], default="plain", help="its effects; sr3000: 176x144 only"

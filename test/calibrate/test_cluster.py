@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -29,6 +30,7 @@ from rim_camera_ros.select.candidates import candidates
 from rim_camera_ros.select.evidence import folds_of
 from rim_camera_ros.select.exploration import explore
 
+from .bags import frames, write
 from .helpers import CAMERA, camera, record, scene
 
 #: What the simulated camera has and its file has not.
@@ -147,20 +149,42 @@ def test_candidates_are_fitted_as_on_one_machine_though_a_worker_is_lost(tmp_pat
         assert one.fitted.fit.forward.dataset is data
 
 
-@pytest.mark.slow
-def test_a_diagnosis_on_a_cluster_is_that_of_one_machine(bags: tuple[Path, list[Path]]) -> None:
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_a_diagnosis_on_a_cluster_is_that_of_one_machine_though_a_worker_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A cyclic error that the file lacks is fitted by workers, of which the first is killed."""
     distributed = pytest.importorskip("distributed", reason="dask.distributed is an optional extra")
-    folder, bag = bags[0].parent, bags[1][0]
-    board = folder / "moved.yaml"
-    board.write_text(SCENE.replace("pose: {position: [0, 0, 2.5]}", "pose: truth"))
-    given = ["diagnose", str(bag), "--camera", str(bags[0]), "--scene", str(board), "--quiet"]
-    assert main([*given, "--out", str(folder / "here")]) == 0
+    truth, board = camera(tmp_path, CYCLIC), scene(tmp_path)
+    camera(tmp_path)  # the file without it
+    write(tmp_path / "bag", frames(truth, board, poses=12, repeats=2, seed=3))
+    given = ["diagnose", str(tmp_path / "bag"), "--camera", str(tmp_path / "camera.yaml")]
+    given += ["--scene", str(tmp_path / "scene.yaml"), "--quiet"]
+    assert main([*given, "--out", str(tmp_path / "here")]) == 0
+    marker = tmp_path / "a_worker_was_lost"
+    called = []
+
+    @contextlib.contextmanager
+    def dying(scheduler: str | None) -> Iterator[Callable[..., Iterator[Any]]]:
+        with on_workers(scheduler) as workers:
+
+            def call(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+                called.append(function.__name__)
+                return workers(partial(called_by_a_worker_that_dies_once, marker, function), items)
+
+            yield call
+
+    monkeypatch.setattr("rim_camera_ros.commands.diagnose.on_workers", dying)
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
     ) as cluster:
         scheduler = cluster.scheduler_address
-        assert main([*given, "--out", str(folder / "there"), "--scheduler", scheduler]) == 0
-    here, there = (json.loads((folder / name / "report.json").read_text()) for name in ("here", "there"))
+        assert main([*given, "--out", str(tmp_path / "there"), "--scheduler", scheduler]) == 0
+    assert marker.exists()
+    assert "fit_trial" in called
+    here, there = (json.loads((tmp_path / name / "report.json").read_text()) for name in ("here", "there"))
+    assert [effect["effect"] for effect in here["missing"]] == ["cyclic_error"]
     assert here == there
 
 
