@@ -1,7 +1,8 @@
 """Several cameras side by side, each with its correction in one process and a namespace of its own.
 
 Each name is a namespace; its optical frame is <name>_optical_frame. A file <name>.yaml in the folder
-``parameters`` holds the parameters of that camera's driver and correction (serial_number, camera, mount).
+``parameters`` holds the parameters of that camera's nodes (serial_number, camera, mount). The arguments hold
+for all cameras; what is written in a camera's file overrides them.
 
     ros2 launch rim_camera_ros cameras.launch.py cameras:=front,rear parameters:=/path/to/folder
 """
@@ -14,52 +15,36 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from rim_camera_ros.errors import InputError
+from rim_camera_ros.launch_files import SHARED, Argument, processes
 from rim_camera_ros.launch_parameters import for_node
 
-PACKAGE = "rim_camera_ros"
+ARGUMENTS = (
+    *SHARED,
+    Argument("cameras", "namespaces of the cameras, joined by ,", default="front,rear"),
+    Argument("parameters", "folder with <name>.yaml of each camera"),
+)
 
 
 def generate_launch_description() -> LaunchDescription:
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument(
-                "cameras", default_value="front,rear", description="namespaces of the cameras, joined by ,"
-            ),
-            DeclareLaunchArgument(
-                "parameters", default_value="", description="folder with <name>.yaml of each camera"
-            ),
-            DeclareLaunchArgument("source", default_value="", description="where the images come from"),
-            DeclareLaunchArgument(
-                "separate",
-                default_value="false",
-                choices=["true", "false"],
-                description="true: driver and correction in processes of their own",
-            ),
-            OpaqueFunction(function=start_nodes),
-        ]
-    )
+    declared = [DeclareLaunchArgument(argument.name, **argument.declared) for argument in ARGUMENTS]
+    return LaunchDescription([*declared, OpaqueFunction(function=start_nodes)])
 
 
 def start_nodes(context: LaunchContext) -> list[Node]:
-    def value(argument: str) -> str:
-        return LaunchConfiguration(argument).perform(context)
-
+    values = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
     nodes = []
-    names = [one.strip() for one in value("cameras").split(",") if one.strip()]
-    executables = ("driver_node", "correction_node") if value("separate") == "true" else ("camera_node",)
+    names = [name.strip() for name in values["cameras"].split(",") if name.strip()]
     for name in names:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or names.count(name) > 1:
-            raise ValueError(f"cameras: '{name}' is no namespace, or is given twice")
-        file = Path(value("parameters")).expanduser() / f"{name}.yaml" if value("parameters") else None
+            raise InputError(f"'{name}' is no namespace, or is given twice", place="cameras")
+        file = Path(values["parameters"]).expanduser() / f"{name}.yaml" if values["parameters"] else None
         if file is not None and not file.is_file():
-            raise ValueError(f"{file}: no such file (parameters of the camera '{name}')")
+            raise InputError(f"no such file, of the camera '{name}'", file=file, place="parameters")
         driver = {"frame_id": f"{name}_optical_frame"}
-        if value("source"):
-            driver["source"] = value("source")
-        # the file comes last: what is written there for this camera holds
-        given = [*for_node("driver", values=driver), *([str(file)] if file else [])]
-        nodes += [
-            Node(package=PACKAGE, executable=executable, namespace=name, parameters=given, output="screen")
-            for executable in executables
-        ]
+        if values["source"]:
+            driver["source"] = values["source"]
+        files = {"driver": for_node("driver", values=driver), "correction": []}
+        last = [str(file)] if file else []
+        nodes += [Node(**process) for process in processes(values, files, namespace=name, last=last)]
     return nodes

@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from rim_camera_ros.errors import InputError
+from rim_camera_ros.launch_files import SHARED
 from rim_camera_ros.launch_parameters import for_node
 
 LAUNCH = Path(__file__).resolve().parents[1] / "launch"
@@ -34,6 +35,7 @@ class DeclareLaunchArgument:
         assert choices is None or default_value in choices
         assert description
         self.name, self.default_value, self.choices = name, default_value, choices
+        self.description = description
 
 
 class OpaqueFunction:
@@ -89,23 +91,36 @@ def put_stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
         "launch.substitutions": [LaunchConfiguration],
         "launch_ros": [],
         "launch_ros.actions": [Node],
-        "ament_index_python": [],
     }
     for name, classes in contents.items():
         module = ModuleType(name)
         for cls in classes:
             setattr(module, cls.__name__, cls)
         monkeypatch.setitem(sys.modules, name, module)
-    packages = ModuleType("ament_index_python.packages")
-    packages.get_package_share_directory = lambda name: str(LAUNCH.parent)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, packages.__name__, packages)
+
+
+def described(file: str) -> LaunchDescription:
+    """What a launch file describes."""
+    description = runpy.run_path(str(LAUNCH / file))["generate_launch_description"]()
+    assert isinstance(description, LaunchDescription)
+    return description
+
+
+def declared_in(description: LaunchDescription) -> dict[str, DeclareLaunchArgument]:
+    """The arguments of a launch file by name."""
+    found = [entity for entity in description.entities if isinstance(entity, DeclareLaunchArgument)]
+    assert len({argument.name for argument in found}) == len(found)
+    return {argument.name: argument for argument in found}
 
 
 def nodes_of(file: str, **arguments: str) -> list[Node]:
     """The nodes that a launch file starts."""
-    description = runpy.run_path(str(LAUNCH / file))["generate_launch_description"]()
-    declared = {e.name: e for e in description.entities if isinstance(e, DeclareLaunchArgument)}
+    description = described(file)
+    declared = declared_in(description)
     assert set(arguments) <= set(declared)
+    for name, value in arguments.items():
+        choices = declared[name].choices
+        assert choices is None or value in choices, name
     context = LaunchContext({name: e.default_value for name, e in declared.items()} | arguments)
     nodes = [
         node
@@ -125,6 +140,18 @@ def launched(**arguments: str) -> dict[str, Node]:
 @pytest.mark.parametrize("path", sorted(LAUNCH.glob("*.launch.py")), ids=lambda path: path.name)
 def test_compiles(path: Path, tmp_path: Path) -> None:
     py_compile.compile(str(path), cfile=str(tmp_path / "compiled.pyc"), doraise=True)
+
+
+@pytest.mark.usefixtures("launch_stand_ins")
+def test_arguments_that_the_launch_files_share_are_the_same_in_both() -> None:
+    several, single = (declared_in(described(file)) for file in ("cameras.launch.py", "camera.launch.py"))
+    shared = {"source", "preset", "people", "separate", "respawn", "log_level"}
+    assert {argument.name for argument in SHARED} == several.keys() & single.keys() == shared
+    assert several.keys() - shared == {"cameras", "parameters"}
+    for name in shared:
+        assert vars(several[name]) == vars(single[name]), name
+    for name in ("people", "separate", "respawn"):
+        assert {"true", "True", "false", "False"} == set(several[name].choices or ())
 
 
 @pytest.mark.usefixtures("launch_stand_ins")

@@ -11,6 +11,7 @@ pytest.importorskip("rclpy")
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import PointCloud2
 
+from rim_camera_ros.errors import InputError
 from test.ros.harness import BEST_EFFORT, LATCHED, RELIABLE, World
 from test.test_launch_files import launch_stand_ins, launched, nodes_of  # noqa: F401 -- one is a fixture
 
@@ -29,7 +30,7 @@ def test_each_camera_has_its_namespace_frame_and_file(tmp_path: Path) -> None:
         "/**/driver": {"frame_id": "right_optical_frame", "source": "sr3000"},
         "/**": {"serial_number": 7},
     }
-    nodes = nodes_of("cameras.launch.py", **arguments, separate="true")
+    nodes = nodes_of("cameras.launch.py", **arguments, separate="True")
     assert [(one.namespace, one.executable) for one in nodes] == [
         ("left", "driver_node"),
         ("left", "correction_node"),
@@ -40,16 +41,40 @@ def test_each_camera_has_its_namespace_frame_and_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("launch_stand_ins")
+def test_shared_arguments_hold_for_every_camera(tmp_path: Path) -> None:
+    (tmp_path / "left.yaml").write_text("/**/driver: {ros__parameters: {frame_rate: 15.0}}\n")
+    (tmp_path / "right.yaml").write_text("/**/people: {ros__parameters: {trail: 3}}\n")
+    arguments = {"cameras": "left,right", "parameters": str(tmp_path), "preset": "fast"}
+    arguments |= {"people": "true", "respawn": "True", "log_level": "correction=debug,people=warn"}
+    left, right = nodes_of("cameras.launch.py", **arguments)
+    for name, node in {"left": left, "right": right}.items():
+        assert (node.executable, node.respawn, node.respawn_delay) == ("camera_node", True, 2.0)
+        assert node.ros_arguments[1::2] == [f"{name}.correction:=debug", f"{name}.people:=warn"]
+        assert node.given()["/**"] == {"people": True}
+        assert node.given()["/**/correction"]["effects"] == {"scattering": False, "incidence_angle": False}
+    # the file of a camera overrides the preset
+    rates = [node.given()["/**/driver"]["frame_rate"] for node in (left, right)]
+    assert rates == [15.0, 50.0]
+    assert right.given()["/**/people"] == {"trail": 3}
+    separate = nodes_of("cameras.launch.py", **arguments, separate="true")
+    executables = [node.executable for node in separate]
+    assert executables == ["driver_node", "correction_node", "people_node"] * 2
+    assert all(node.respawn for node in separate)
+
+
+@pytest.mark.usefixtures("launch_stand_ins")
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
         ({"cameras": "left,left"}, "'left' is no namespace, or is given twice"),
         ({"cameras": "left;rm"}, "'left;rm' is no namespace"),
-        ({"cameras": "left", "parameters": "/nowhere"}, "/nowhere/left.yaml: no such file"),
+        ({"cameras": "left", "parameters": "/nowhere"}, "/nowhere/left.yaml: parameters: no such file"),
+        ({"preset": "quick"}, "preset: no preset 'quick'"),
+        ({"log_level": "people=info"}, "log_level: no node 'people'"),
     ],
 )
 def test_wrong_arguments_are_refused(arguments: dict[str, str], problem: str) -> None:
-    with pytest.raises(ValueError, match=problem):
+    with pytest.raises(InputError, match=problem):
         nodes_of("cameras.launch.py", **arguments)
 
 

@@ -1,0 +1,100 @@
+"""What the launch files share: arguments, and the processes that a camera is; no ROS in here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rim_camera_ros.files import share_folder
+from rim_camera_ros.launch_parameters import log_levels, preset_file
+
+_PACKAGE = "rim_camera_ros"
+#: Nodes that have a process of their own in any case.
+_APART = ("calibration",)
+#: Seconds until a process that has ended is started again.
+_RESPAWN_DELAY = 2.0
+
+
+@dataclass(frozen=True)
+class Argument:
+    """An argument of a launch file; an empty one leaves the matter to parameter files and to the node."""
+
+    name: str
+    description: str
+    default: str = ""
+    choices: tuple[str, ...] | None = None
+
+    @property
+    def declared(self) -> dict[str, Any]:
+        """What ``DeclareLaunchArgument`` takes beside the name."""
+        return {
+            "default_value": self.default,
+            "choices": None if self.choices is None else list(self.choices),
+            "description": self.description,
+        }
+
+
+def switch(name: str, description: str) -> Argument:
+    """Return an argument that is true or false, false by default."""
+    return Argument(name, description, default="false", choices=("true", "false", "True", "False"))
+
+
+def switched_on(text: str) -> bool:
+    """Return whether the text of a `switch` means true."""
+    return text.lower() == "true"
+
+
+#: Arguments of every launch file.
+SHARED = (
+    Argument("source", "where the images come from", choices=("", "simulator", "playback", "sr3000")),
+    Argument("preset", "parameters that go together: fast, precise, outdoors"),
+    switch("people", "true: follow people who walk through the view"),
+    switch("separate", "true: driver, correction and people in processes of their own"),
+    switch("respawn", "true: a process that has ended is started again after 2 s"),
+    Argument("log_level", "debug, info, warn, error, fatal; or by node: driver=debug,correction=warn"),
+)
+
+
+def processes(
+    values: Mapping[str, str],
+    files: Mapping[str, Sequence[str]],
+    *,
+    namespace: str,
+    last: Sequence[str] = (),
+) -> list[dict[str, Any]]:
+    """Return what launch_ros's ``Node`` takes, for each process of a camera.
+
+    ``values``: of the arguments `SHARED`, by name; ``files``: parameter files by node, which override the
+    preset; ``last``: parameter files of all nodes, which override those. Raises `InputError` where a value
+    is wrong.
+    """
+    files = dict(files)
+    if switched_on(values["people"]):
+        files.setdefault("people", ())
+    preset = preset_file(values["preset"], share_folder() / "config" / "presets")
+    common: dict[str, Any] = {
+        "package": _PACKAGE,
+        "namespace": namespace,
+        "ros_arguments": log_levels(values["log_level"], namespace=namespace, nodes=tuple(files)),
+        "output": "screen",
+    }
+    if switched_on(values["respawn"]):
+        common |= {"respawn": True, "respawn_delay": _RESPAWN_DELAY}
+    separate = switched_on(values["separate"])
+    together = [node for node in files if not separate and node not in _APART]
+    nodes_of = {"camera_node": together} if together else {}
+    nodes_of |= {f"{node}_node": [node] for node in files if node not in together}
+    return [
+        common
+        | {
+            "executable": executable,
+            "parameters": [
+                *([preset] if preset else []),
+                *(file for node in nodes for file in files[node]),
+                *([{"people": True}] if executable == "camera_node" and "people" in nodes else []),
+                *last,
+            ],
+        }
+        for executable, nodes in nodes_of.items()
+    ]
