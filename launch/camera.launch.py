@@ -11,6 +11,7 @@ argument overrides the parameter file, which overrides the preset.
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.logging import launch_config
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -50,10 +51,11 @@ def generate_launch_description() -> LaunchDescription:
 
 def start_nodes(context: LaunchContext) -> list[Node]:
     values = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
+    folder = launch_config.log_dir
 
     def files(node: str, arguments: dict[str, str]) -> list[str]:
         given = {parameter: values[name] for parameter, name in arguments.items() if values[name]}
-        return for_node(node, file=values[f"{node}_parameters"], values=given)
+        return for_node(node, folder=folder, file=values[f"{node}_parameters"], values=given)
 
     parameters = {"driver": files("driver", DRIVER), "correction": files("correction", CORRECTION)}
     if switched_on(values["people"]):
@@ -61,7 +63,8 @@ def start_nodes(context: LaunchContext) -> list[Node]:
     if switched_on(values["calibration"]):
         parameters["calibration"] = files("calibration", CALIBRATION)
     namespace = values["namespace"]
-    nodes = [Node(**process) for process in processes(values, parameters, namespace=namespace)]
+    started = processes(values, parameters, namespace=namespace, folder=folder)
+    nodes = [Node(**process) for process in started]
     if switched_on(values["rviz"]):
         names = [("/camera/" + topic, f"/{namespace}/" + topic) for topic in SHOWN]
         nodes.append(

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.logging import launch_config
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -33,6 +34,7 @@ def generate_launch_description() -> LaunchDescription:
 
 def start_nodes(context: LaunchContext) -> list[Node]:
     values = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
+    folder = launch_config.log_dir
     nodes = []
     names = [name.strip() for name in values["cameras"].split(",") if name.strip()]
     for name in names:
@@ -44,7 +46,8 @@ def start_nodes(context: LaunchContext) -> list[Node]:
         driver = {"frame_id": f"{name}_optical_frame"}
         if values["source"]:
             driver["source"] = values["source"]
-        files = {"driver": for_node("driver", values=driver), "correction": []}
+        files = {"driver": for_node("driver", folder=folder, values=driver), "correction": []}
         last = [str(file)] if file else []
-        nodes += [Node(**process) for process in processes(values, files, namespace=name, last=last)]
+        started = processes(values, files, namespace=name, folder=folder, last=last)
+        nodes += [Node(**process) for process in started]
     return nodes

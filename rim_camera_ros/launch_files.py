@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from rim_camera_ros.files import share_folder
-from rim_camera_ros.launch_parameters import log_levels, preset_file
+from rim_camera_ros.launch_parameters import for_node, log_levels, preset_file
 
 _PACKAGE = "rim_camera_ros"
 #: Nodes that have a process of their own in any case.
@@ -61,13 +62,14 @@ def processes(
     files: Mapping[str, Sequence[str]],
     *,
     namespace: str,
+    folder: str | Path,
     last: Sequence[str] = (),
 ) -> list[dict[str, Any]]:
     """Return what launch_ros's ``Node`` takes, for each process of a camera.
 
     ``values``: of the arguments `SHARED`, by name; ``files``: parameter files by node, which override the
-    preset; ``last``: parameter files of all nodes, which override those. Raises `InputError` where a value
-    is wrong.
+    preset; ``last``: parameter files of all nodes, which override those; ``folder``: where a further file is
+    written, see `for_node`. Raises `InputError` where a value is wrong.
     """
     files = dict(files)
     if switched_on(values["people"]):
@@ -85,6 +87,10 @@ def processes(
     together = [node for node in files if not separate and node not in _APART]
     nodes_of = {"camera_node": together} if together else {}
     nodes_of |= {f"{node}_node": [node] for node in files if node not in together}
+    if "people" in together:
+        # no dictionary: launch_ros would write it to a file in /tmp, and leave it there
+        asked = for_node("correction", folder=folder, values={"people": True})
+        files["people"] = [*files["people"], *asked]
     return [
         common
         | {
@@ -92,7 +98,6 @@ def processes(
             "parameters": [
                 *([preset] if preset else []),
                 *(file for node in nodes for file in files[node]),
-                *([{"people": True}] if executable == "camera_node" and "people" in nodes else []),
                 *last,
             ],
         }

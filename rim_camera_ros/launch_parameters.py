@@ -29,18 +29,21 @@ def preset_file(name: str, presets: Path) -> str:
     return str(path)
 
 
-def for_node(node: str, *, file: str = "", values: Mapping[str, Any] | None = None) -> list[str]:
+def for_node(
+    node: str, *, folder: str | Path, file: str = "", values: Mapping[str, Any] | None = None
+) -> list[str]:
     """Return parameter files that one node of a process heeds, in the order in which they override.
 
-    ``file``: a user's parameter file, in which ``/**`` shall mean this node; ``values`` override it. Raises
-    `InputError` where the file cannot be read or is no parameter file.
+    ``file``: a user's parameter file, in which ``/**`` shall mean this node; ``values`` override it. They
+    are written into ``folder`` and stay there, as a node that is started again reads them again: give the
+    log folder of the launch. Raises `InputError` where the file cannot be read or is no parameter file.
     """
     contents: list[dict[str, Any]] = []
     if file:
         contents.append(_addressed(_read(file), node))
     if values:
         contents.append({f"{_EVERY_NODE}/{node}": {"ros__parameters": dict(values)}})
-    return [_written(one, node) for one in contents]
+    return [_written(content, Path(folder), node) for content in contents]
 
 
 def log_levels(text: str, *, namespace: str, nodes: tuple[str, ...]) -> list[str]:
@@ -82,10 +85,9 @@ def _addressed(content: Mapping[str, Any], node: str) -> dict[str, Any]:
     return {f"{_EVERY_NODE}/{node}" if name == _EVERY_NODE else name: one for name, one in content.items()}
 
 
-def _written(content: Mapping[str, Any], node: str) -> str:
-    # the node reads it after this has returned; launch_ros leaves its own files behind, too
+def _written(content: Mapping[str, Any], folder: Path, node: str) -> str:
     with tempfile.NamedTemporaryFile(
-        "w", prefix=f"rim_camera_{node}_", suffix=".yaml", delete=False
+        "w", dir=folder, prefix=f"{node}_", suffix=".yaml", delete=False
     ) as written:
         yaml.safe_dump(dict(content), written)
     return written.name

@@ -3,9 +3,10 @@
 import py_compile
 import runpy
 import sys
+import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -56,7 +57,7 @@ class Node:
     package: str
     executable: str
     namespace: str
-    parameters: list[Any] = field(default_factory=list)
+    parameters: list[str] = field(default_factory=list)
     output: str = "log"
     ros_arguments: list[str] = field(default_factory=list)
     arguments: list[str] = field(default_factory=list)
@@ -67,9 +68,8 @@ class Node:
     def given(self) -> dict[str, Any]:
         """The parameters by the name of the node that heeds them, later ones over earlier ones."""
         found: dict[str, Any] = {}
-        for one in self.parameters:
-            content = {"/**": {"ros__parameters": one}} if isinstance(one, dict) else read(one)
-            for node, values in content.items():
+        for file in self.parameters:
+            for node, values in read(file).items():
                 found.setdefault(node, {}).update(values["ros__parameters"])
         return found
 
@@ -79,12 +79,16 @@ def read(path: str) -> Any:
 
 
 @pytest.fixture
-def launch_stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
-    put_stand_ins(monkeypatch)
+def launch_stand_ins(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """The log folder of launches that use the stand-ins."""
+    folder = tmp_path / "log_of_launch"
+    folder.mkdir()
+    put_stand_ins(monkeypatch, folder)
+    return folder
 
 
-def put_stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let launch files import the classes of this module."""
+def put_stand_ins(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Let launch files import the classes of this module; ``folder``: that of launch's logs."""
     contents: dict[str, list[type]] = {
         "launch": [LaunchContext, LaunchDescription],
         "launch.actions": [DeclareLaunchArgument, OpaqueFunction],
@@ -97,6 +101,9 @@ def put_stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
         for cls in classes:
             setattr(module, cls.__name__, cls)
         monkeypatch.setitem(sys.modules, name, module)
+    logging = ModuleType("launch.logging")
+    logging.launch_config = SimpleNamespace(log_dir=str(folder))  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, logging.__name__, logging)
 
 
 def described(file: str) -> LaunchDescription:
@@ -187,8 +194,7 @@ def test_arguments_become_parameters_of_the_right_node_of_one_process() -> None:
     assert node.namespace == "front"
     assert node.given() == {
         "/**/driver": DRIVER,
-        "/**/correction": {"camera": "calibrated.yaml"},
-        "/**": {"people": True},
+        "/**/correction": {"camera": "calibrated.yaml", "people": True},
     }
 
 
@@ -249,9 +255,26 @@ def test_wrong_arguments_are_refused(arguments: dict[str, str], problem: str) ->
     assert problem.split(": ")[1] in str(refused.value)
 
 
+@pytest.mark.parametrize("file", ["camera.launch.py", "cameras.launch.py"])
+@pytest.mark.parametrize("separate", ["false", "true"])
+def test_files_are_written_to_the_log_folder_of_the_launch_alone(
+    launch_stand_ins: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, separate: str
+) -> None:
+    elsewhere = tmp_path / "temporary"
+    elsewhere.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(elsewhere))
+    nodes = nodes_of(file, source="playback", preset="fast", people="true", separate=separate)
+    given = {parameter for node in nodes for parameter in node.parameters}
+    # launch_ros writes what is no path to a temporary file
+    assert all(isinstance(parameter, str) for parameter in given)
+    preset = str(LAUNCH.parent / "config" / "presets" / "fast.yaml")
+    assert given - {preset} == {str(path) for path in launch_stand_ins.iterdir()}
+    assert list(elsewhere.iterdir()) == []
+
+
 @pytest.mark.parametrize("text", ["- 1\n", "a: 1\n", "a: [\n"])
 def test_a_file_that_is_no_parameter_file_is_refused(tmp_path: Path, text: str) -> None:
     file = tmp_path / "bad.yaml"
     file.write_text(text)
     with pytest.raises(InputError, match=r"bad\.yaml.*is no (parameter file|YAML)"):
-        for_node("driver", file=str(file))
+        for_node("driver", folder=tmp_path, file=str(file))

@@ -7,7 +7,6 @@ starts the nodes that it names with their arguments, namespaces and parameters.
 from __future__ import annotations
 
 import importlib.util
-import itertools
 import re
 import shutil
 import signal
@@ -19,7 +18,6 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-import yaml
 from sensor_msgs.msg import PointCloud2
 
 from test.ros.harness import BEST_EFFORT, Process, World
@@ -68,15 +66,11 @@ def installed() -> bool:
     return True
 
 
-def start(world: World, node: Node, folder: Path, numbers: itertools.count[int]) -> Process:
+def start(world: World, node: Node) -> Process:
     """Start a node of a launch file."""
     arguments = ["-r", f"__ns:=/{node.namespace.strip('/')}"]
-    for given in node.parameters:
-        file = given
-        if isinstance(given, dict):
-            file = folder / f"parameters_{next(numbers)}.yaml"
-            file.write_text(yaml.safe_dump({"/**": {"ros__parameters": given}}))
-        arguments += ["--params-file", str(file)]
+    for file in node.parameters:
+        arguments += ["--params-file", file]
     return world.start(node.executable, *arguments, *node.ros_arguments)
 
 
@@ -87,10 +81,9 @@ def launch(world: World, tmp_path: Path) -> Callable[..., Launched]:
 
     def run(file: str, **arguments: str) -> Launched:
         with pytest.MonkeyPatch.context() as patch:
-            put_stand_ins(patch)
+            put_stand_ins(patch, tmp_path)
             nodes = nodes_of(file, **arguments)
-        numbers = itertools.count()
-        return Several([start(world, one, tmp_path, numbers) for one in nodes])
+        return Several([start(world, node) for node in nodes])
 
     return run
 

@@ -50,8 +50,10 @@ def test_shared_arguments_hold_for_every_camera(tmp_path: Path) -> None:
     for name, node in {"left": left, "right": right}.items():
         assert (node.executable, node.respawn, node.respawn_delay) == ("camera_node", True, 2.0)
         assert node.ros_arguments[1::2] == [f"{name}.correction:=debug", f"{name}.people:=warn"]
-        assert node.given()["/**"] == {"people": True}
-        assert node.given()["/**/correction"]["effects"] == {"scattering": False, "incidence_angle": False}
+        assert node.given()["/**/correction"] == {
+            "effects": {"scattering": False, "incidence_angle": False},
+            "people": True,
+        }
     # the file of a camera overrides the preset
     rates = [node.given()["/**/driver"]["frame_rate"] for node in (left, right)]
     assert rates == [15.0, 50.0]
