@@ -16,7 +16,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from rim_camera_ros.files import share_folder
-from rim_camera_ros.launch_files import SHARED, Argument, processes, switch, switched_on
+from rim_camera_ros.launch_files import SHARED, Argument, processes, said_plainly, switch, switched_on
 from rim_camera_ros.launch_parameters import for_node
 
 #: Topics of camera.rviz, which are those of the namespace /camera there.
@@ -49,6 +49,7 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription([*declared, OpaqueFunction(function=start_nodes)])
 
 
+@said_plainly()
 def start_nodes(context: LaunchContext) -> list[Node]:
     values = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
     folder = launch_config.log_dir

@@ -17,7 +17,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from rim_camera_ros.errors import InputError
-from rim_camera_ros.launch_files import SHARED, Argument, processes
+from rim_camera_ros.launch_files import SHARED, Argument, processes, said_plainly
 from rim_camera_ros.launch_parameters import for_node
 
 ARGUMENTS = (
@@ -32,6 +32,7 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription([*declared, OpaqueFunction(function=start_nodes)])
 
 
+@said_plainly()
 def start_nodes(context: LaunchContext) -> list[Node]:
     values = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
     folder = launch_config.log_dir

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import share_folder
 from rim_camera_ros.launch_parameters import for_node, log_levels, preset_file
 
@@ -55,6 +58,27 @@ SHARED = (
     switch("respawn", "true: a process that has ended is started again after 2 s"),
     Argument("log_level", "debug, info, warn, error, fatal; or by node: driver=debug,correction=warn"),
 )
+
+
+@contextmanager
+def said_plainly() -> Iterator[None]:
+    """Have launch say an `InputError` that is raised within as its sentence alone.
+
+    Launch puts "Caught exception in launch (see debug for traceback)" before errors of any type. The error
+    is raised as it is: launch ends what it has started, and its status is 1.
+    """
+    try:
+        yield
+    except InputError as error:
+        sentence = str(error)
+
+        def alone(record: logging.LogRecord) -> bool:
+            if str(record.msg).endswith(f": {sentence}"):
+                record.msg = sentence
+            return True
+
+        logging.getLogger("launch").addFilter(alone)
+        raise
 
 
 def processes(

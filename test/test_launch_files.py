@@ -1,9 +1,11 @@
 """The launch files, run against stand-ins: `launch` and `launch_ros` exist only where ROS came from apt."""
 
+import logging
 import py_compile
 import runpy
 import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -101,9 +103,9 @@ def put_stand_ins(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
         for cls in classes:
             setattr(module, cls.__name__, cls)
         monkeypatch.setitem(sys.modules, name, module)
-    logging = ModuleType("launch.logging")
-    logging.launch_config = SimpleNamespace(log_dir=str(folder))  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, logging.__name__, logging)
+    logs = ModuleType("launch.logging")
+    logs.launch_config = SimpleNamespace(log_dir=str(folder))  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, logs.__name__, logs)
 
 
 def described(file: str) -> LaunchDescription:
@@ -253,6 +255,30 @@ def test_wrong_arguments_are_refused(arguments: dict[str, str], problem: str) ->
         launched(**arguments)
     assert problem.split(": ")[0] in str(refused.value)
     assert problem.split(": ")[1] in str(refused.value)
+
+
+@pytest.fixture
+def logger_of_launch() -> Iterator[logging.Logger]:
+    """The logger by which launch says what ended it, with its own filters alone."""
+    logger = logging.getLogger("launch")
+    before = list(logger.filters)
+    yield logger
+    logger.filters[:] = before
+
+
+@pytest.mark.usefixtures("launch_stand_ins")
+@pytest.mark.parametrize("file", ["camera.launch.py", "cameras.launch.py"])
+def test_launch_says_a_wrong_argument_in_its_sentence_alone(
+    logger_of_launch: logging.Logger, caplog: pytest.LogCaptureFixture, file: str
+) -> None:
+    sentence = "preset: no preset 'quick' (presets: fast, outdoors, precise)"
+    with pytest.raises(InputError, match=r"^preset: no preset 'quick' \(presets: ") as refused:
+        nodes_of(file, preset="quick")
+    # as launch.launch_service writes it
+    before = "Caught exception in launch (see debug for traceback): "
+    logger_of_launch.error(f"{before}{refused.value}")
+    logger_of_launch.error(f"{before}another error")
+    assert [record.msg for record in caplog.records] == [sentence, f"{before}another error"]
 
 
 @pytest.mark.parametrize("file", ["camera.launch.py", "cameras.launch.py"])

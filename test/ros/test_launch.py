@@ -112,3 +112,12 @@ def test_two_cameras(world: World, launch: Callable[..., Launched]) -> None:
     launched.send(signal.SIGINT)
     assert launched.wait() == 0, launched.text
     assert "Traceback" not in launched.text
+
+
+@pytest.mark.skipif(not installed(), reason="needs ros2 launch")
+@pytest.mark.parametrize("file", ["camera.launch.py", "cameras.launch.py"])
+def test_a_wrong_argument_is_one_sentence(world: World, file: str) -> None:
+    launched = world.launch(LAUNCH / file, preset="quick")
+    assert launched.wait() == 1, launched.text
+    (line,) = (line for line in launched.text.splitlines() if "[ERROR]" in line)
+    assert re.search(r"\]: preset: no preset 'quick' \(presets: fast, outdoors, precise\)$", line), line
