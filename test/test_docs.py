@@ -203,3 +203,19 @@ def test_what_only_pip_has_is_left_out_of_rosdep_and_installed_by_pip() -> None:
         for key, name in keys:
             assert f"--skip-keys {key}\n" in text, page
             assert re.search(rf"pip3 install --user --break-system-packages {name}\b", text), page
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/nodes.md"])
+def test_lists_of_packages_come_before_what_is_installed_from_them(page: str) -> None:
+    text = (ROOT / page).read_text()
+    before = text[: text.index("    rosdep install")].rpartition("\n\n")[2]
+    for needed in (". /opt/ros/jazzy/setup.bash", "sudo apt update", "rosdep update"):
+        assert needed in before, needed
+
+
+def test_what_a_headless_robot_leaves_out_is_a_dependency() -> None:
+    text = (ROOT / "docs" / "nodes.md").read_text()
+    (keys,) = re.findall(r'`--skip-keys "([^"]+)"`', text)
+    assert keys.split() == ["python3-rosbags-pip", "rviz2"]
+    package = (ROOT / "package.xml").read_text()
+    assert all(f"<exec_depend>{key}</exec_depend>" in package for key in keys.split())
