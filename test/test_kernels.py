@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -51,8 +52,9 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Any:
     folder = tmp_path_factory.mktemp("build")
     done = build(folder)
     assert done.returncode == 0, done.stderr
-    library = kernels.load(folder / NAME)
-    assert library is not None, done.stderr
+    library, problem = kernels.load(folder / NAME)
+    assert library is not None, f"{problem}\n{done.stderr}"
+    assert problem == ""
     return library
 
 
@@ -60,12 +62,29 @@ def test_without_a_compiler_there_are_no_kernels_and_no_error(tmp_path: Path) ->
     done = build(tmp_path, CC="/no/such/compiler")
     assert done.returncode == 0, done.stderr
     assert "/no/such/compiler" in done.stderr
-    assert kernels.load(tmp_path / NAME) is None
+    library, problem = kernels.load(tmp_path / NAME)
+    assert library is None
+    assert re.fullmatch(
+        rf"none were built in {re.escape(str(tmp_path / NAME))} \(sudo apt install build-essential, .*\)",
+        problem,
+    )
 
 
 def test_a_library_that_is_none_is_left_alone(tmp_path: Path) -> None:
-    (tmp_path / f"_kernels{kernels.EXTENSION_SUFFIXES[0]}").write_bytes(b"of another machine")
-    assert kernels.load(tmp_path) is None
+    path = tmp_path / f"_kernels{kernels.EXTENSION_SUFFIXES[0]}"
+    path.write_bytes(b"of another machine")
+    library, problem = kernels.load(tmp_path)
+    assert library is None
+    assert re.fullmatch(rf"{re.escape(str(path))}: .* \(build the package again\)", problem)
+
+
+def test_whether_they_are_used_is_said_in_words(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    library, problem = kernels.load(tmp_path)
+    monkeypatch.setattr(kernels, "LIBRARY", library)
+    monkeypatch.setattr(kernels, "PROBLEM", problem)
+    assert kernels.in_words() == f"compiled kernels are not used: {problem}"
+    monkeypatch.setattr(kernels, "LIBRARY", object())
+    assert kernels.in_words() == "compiled kernels are used"
 
 
 def of_size(camera: Camera, width: int, height: int) -> Camera:

@@ -1,7 +1,7 @@
 """The compiled functions of the correction (kernels.c), where they were compiled at the installation.
 
-Without them numpy computes the same: the classes that use these say what. `LIBRARY` is None then. Those of
-planes are called in `rim_camera_ros.pipeline.plane_kernels`.
+Without them numpy computes the same: the classes that use these say what. `LIBRARY` is None then, and
+`PROBLEM` says why. Those of planes are called in `rim_camera_ros.pipeline.plane_kernels`.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ _FUNCTIONS: dict[str, tuple[list[Any], Any]] = {
 }
 
 
-def load(folder: Path) -> Any:
-    """Return the compiled functions in a folder, None where there are none that this system can load."""
+def load(folder: Path) -> tuple[Any, str]:
+    """Return the compiled functions in a folder; None, and why, where this system can load none."""
     for suffix in EXTENSION_SUFFIXES:
         path = folder / f"_kernels{suffix}"
         if path.is_file():
@@ -59,13 +59,21 @@ def load(folder: Path) -> Any:
                 for name, (arguments, result) in _FUNCTIONS.items():
                     function = getattr(library, name)
                     function.argtypes, function.restype = arguments, result
-            except (OSError, AttributeError):  # of another system, or of another version
-                return None
-            return library
-    return None
+            except (OSError, AttributeError) as error:  # of another system, or of another version
+                return None, f"{' '.join(str(error).split())} (build the package again)"
+            return library, ""
+    remedy = "sudo apt install build-essential, and build the package again"
+    return None, f"none were built in {folder} ({remedy})"
 
 
-LIBRARY: Any = load(Path(__file__).parent)
+LIBRARY: Any
+PROBLEM: str
+LIBRARY, PROBLEM = load(Path(__file__).parent)
+
+
+def in_words() -> str:
+    """Return whether compiled functions are used, and why not."""
+    return "compiled kernels are used" if LIBRARY is not None else f"compiled kernels are not used: {PROBLEM}"
 
 
 class _Solver(ctypes.Structure):

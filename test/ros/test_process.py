@@ -15,6 +15,7 @@ pytest.importorskip("rclpy")
 
 from sensor_msgs.msg import Image, PointCloud2
 
+from rim_camera_ros.pipeline import kernels
 from test.ros.harness import BEST_EFFORT, RELIABLE, World
 
 NODES = ("driver_node", "correction_node")
@@ -105,6 +106,19 @@ def test_signals_end_a_node_without_a_trace(world: World, node: str, number: sig
     assert process.wait() == 0
     assert "Traceback" not in process.text
     assert "Error" not in process.text
+
+
+def test_the_correction_says_once_whether_it_has_compiled_kernels(world: World) -> None:
+    process = world.start("correction_node")
+    assert world.until(lambda: "correcting /camera" in process.text), process.text
+    assert world.until(lambda: world.state("correction") == "active"), process.text
+    for label in ("deactivate", "cleanup", "configure", "activate"):
+        assert world.transition("correction", label), process.text
+    process.send(signal.SIGINT)
+    assert process.wait() == 0, process.text
+    assert process.text.count("correcting /camera") == 2, process.text
+    said = re.findall(r"\[INFO\] .*\[camera\.correction\]: (compiled kernels .*)", process.text)
+    assert said == [kernels.in_words()]
 
 
 def test_a_signal_during_shutdown(world: World) -> None:

@@ -47,6 +47,7 @@ from rim_camera_ros.nodes.correction.parameters import (
 from rim_camera_ros.nodes.correction.publishers import PublisherWatch
 from rim_camera_ros.nodes.correction.publishing import CorrectedPublishers
 from rim_camera_ros.nodes.correction.status import CorrectionStatus
+from rim_camera_ros.pipeline import kernels
 
 #: Seconds between two looks for frames that wait in vain.
 _TICK = 0.1
@@ -133,6 +134,7 @@ class CorrectionNode:
             hardware=self._status.hardware,
             silent={"publishers"},
         )
+        self._log.info(kernels.in_words())
 
     def close(self) -> None:
         """Let go of all topics, once what was published reliably has been received."""
