@@ -40,6 +40,14 @@ def test_every_status_is_in_one_group_of_the_aggregator() -> None:
     assert {one.removeprefix("/camera/").partition(":")[0] for one in prefixes} == sent
 
 
+def test_the_prefixes_to_change_for_several_cameras_are_those_of_the_file() -> None:
+    config = yaml.safe_load((ROOT / "config" / "diagnostic_aggregator.yaml").read_text())
+    analyzers = config["/**"]["ros__parameters"]["camera"]["analyzers"]
+    section = PAGE[PAGE.index("## Diagnostics") : PAGE.index("## Moving people")]
+    named = re.findall(r"`(/camera/\w+: )`", section)
+    assert named == [prefix for group in analyzers.values() for prefix in group["startswith"]]
+
+
 def test_the_layout_of_foxglove_shows_topics_that_there_are() -> None:
     layout = json.loads((ROOT / "config" / "foxglove.json").read_text())
     table = PAGE[PAGE.index("## Topics") : PAGE.index("## Parameters")]
