@@ -25,7 +25,7 @@ from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.decimation import decimated_dataset
 from rim_camera_ros.fit.fold_sums import Fold
 from rim_camera_ros.fit.forward import Forward
-from rim_camera_ros.fit.normal_equations import accumulate, reduce_folds
+from rim_camera_ros.fit.normal_equations import NormalEquations, accumulate, reduce_folds
 from rim_camera_ros.frame import NANOSECONDS
 from rim_camera_ros.scene import Scene
 
@@ -132,7 +132,7 @@ class Evaluator:
         offered = proposals(self.scene, self.camera, last)
         real = Dataset(stations, decimation=self.step)
         self._choose_blocks(stations, offered)
-        equations = accumulate(Forward(real, self.scene, self.camera), self._blocks)
+        equations = self._accumulated(real)
         priors = priors_of(equations.regressors)
 
         def factors(*folds: Fold) -> dict[str, float]:
@@ -176,9 +176,14 @@ class Evaluator:
             return self._offered[one.words]
         planned = Dataset([self._planned(one, last, 0)], decimation=self.step)
         expected = with_expected_light(planned, self.scene, self.camera)
-        fold = accumulate(Forward(expected, self.scene, self.camera), self._blocks).folds[0]
+        fold = self._accumulated(expected).folds[0]
         self._offered[one.words] = fold
         return fold
+
+    def _accumulated(self, dataset: Dataset) -> NormalEquations:
+        """Return sums of stations, of all pixels: proposed ones see others than those that they join."""
+        every = np.ones(self.camera.shape, bool).ravel()
+        return accumulate(Forward(dataset, self.scene, self.camera), self._blocks, seen=every)
 
     def _planned(self, one: Proposal, last: Station, number: int) -> Station:
         return planned_station(

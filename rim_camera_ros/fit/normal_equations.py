@@ -187,14 +187,16 @@ def accumulate(
     weigh: Callable[[Prediction], tuple[Array, Array]] | None = None,
     stray_light: float = 0.0,
     pattern_prior: float = PATTERN_PRIOR,
+    seen: NDArray[np.bool_] | None = None,
 ) -> NormalEquations:
     """Stream all stations into normal equations.
 
     ``fold_of`` maps (recording, pose) to a fold number (default: all in fold 0); ``pattern`` estimates an
     offset per pixel; ``weigh`` returns factors on the weights of both channels (robust fitting);
-    ``stray_light`` [counts] is the 1-sigma of light that all pixels of a
-    station share (that of a second camera), a random effect of every station; ``pattern_prior`` [m] that of
-    the offsets of pixels. The threads of ``forward`` share the stations: the sums are the same with any
+    ``stray_light`` [counts] is the 1-sigma of light that all pixels of a station share (that of a second
+    camera), a random effect of every station; ``pattern_prior`` [m] that of the offsets of pixels. ``seen``
+    (H W,) are the pixels of which sums are kept (None: those that these stations saw); folds that are reduced
+    together need the same. The threads of ``forward`` share the stations: the sums are the same with any
     number of them.
     """
     regressors = [one for block in blocks for one in block.regressors]
@@ -231,7 +233,8 @@ def accumulate(
         key = (prediction.station.recording, prediction.station.pose)
         return 0 if fold_of is None else fold_of[key], found
 
-    seen = pixels_seen(forward.dataset, forward.masks, forward.camera.shape)
+    if seen is None:
+        seen = pixels_seen(forward.dataset, forward.masks, forward.camera.shape)
     row_of = np.full(seen.size, -1)
     pixels = np.flatnonzero(seen)
     row_of[pixels] = np.arange(pixels.size)

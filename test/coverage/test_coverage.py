@@ -26,7 +26,7 @@ from rim_camera_ros.fit.data import Station
 from rim_camera_ros.fit.reduction import reduce_frames
 from rim_camera_ros.frame import Pose, RawFrame, Settings
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
-from rim_camera_ros.scene import ScenePose
+from rim_camera_ros.scene import Scene, ScenePose
 from rim_camera_ros.scene import Station as Scheduled
 from test.calibrate import helpers
 
@@ -36,9 +36,16 @@ SETTINGS = Settings(integration_time=60.0, modulation_frequency=20e6)
 PAUSE = 20
 
 
-def recorded(tmp_path: Path, poses: Sequence[Pose], *, frames: int = 4, drift: float = 0.0) -> list[RawFrame]:
+def recorded(
+    tmp_path: Path,
+    poses: Sequence[Pose],
+    *,
+    scene: Scene | None = None,
+    frames: int = 4,
+    drift: float = 0.0,
+) -> list[RawFrame]:
     """Frames of the board at poses; it moves away by ``drift`` [m] from frame to frame and turns with it."""
-    truth, board = helpers.camera(tmp_path, CYCLIC), helpers.scene(tmp_path)
+    truth, board = helpers.camera(tmp_path, CYCLIC), scene or helpers.scene(tmp_path)
     simulation = Simulation(truth, board, seed=7)
     result = []
     for number, pose in enumerate(poses):
@@ -60,8 +67,8 @@ def stations(tmp_path: Path, *distances: float) -> list[Station]:
     return list(reduce_frames(recorded(tmp_path, at(*distances)), helpers.camera(tmp_path)))
 
 
-def evaluated(tmp_path: Path, found: Sequence[Station], camera: Camera | None = None) -> Coverage:
-    evaluator = Evaluator(helpers.scene(tmp_path), camera or helpers.camera(tmp_path, CYCLIC))
+def evaluated(tmp_path: Path, found: Sequence[Station], scene: Scene | None = None) -> Coverage:
+    evaluator = Evaluator(scene or helpers.scene(tmp_path), helpers.camera(tmp_path, CYCLIC))
     for one in found:
         assert evaluator.add(one)
     return evaluator.evaluate()
@@ -98,16 +105,23 @@ def test_more_stations_tell_more(tmp_path: Path) -> None:
         before = {name: one for name, one in now.factors.items() if name != "amplitude_nonlinearity"}
 
 
-def test_what_is_to_be_recorded_next_brings_what_it_says(tmp_path: Path) -> None:
+@pytest.mark.parametrize("size", [None, (0.6, 0.5)], ids=["plane", "rectangle"])
+def test_what_is_to_be_recorded_next_brings_what_it_says(
+    tmp_path: Path, size: tuple[float, float] | None
+) -> None:
+    """Also of a board that takes up a third of the image: other pixels see it where it is recorded next."""
     camera, scene = helpers.camera(tmp_path, CYCLIC), helpers.scene(tmp_path)
-    found = stations(tmp_path, 1.1)
-    now = evaluated(tmp_path, found)
+    if size is not None:
+        scene = replace(scene, surfaces=(replace(scene.surfaces[0], type="rectangle", size=size),))
+    found = list(reduce_frames(recorded(tmp_path, at(1.1), scene=scene), camera))
+    now = evaluated(tmp_path, found, scene)
+    assert (now.seen == 0).mean() > 0.5 or size is None
     assert now.next is not None
     assert now.lines()[-1].startswith(f"  next: {now.next.words} (")
     chosen = next(one for one in proposals(scene, camera, found[0]) if one.words == now.next.words)
     pose = chosen.truth["board"]
-    more = list(reduce_frames(recorded(tmp_path, [*at(1.1), pose]), camera))
-    after = evaluated(tmp_path, more)
+    more = list(reduce_frames(recorded(tmp_path, [*at(1.1), pose], scene=scene), camera))
+    after = evaluated(tmp_path, more, scene)
     for name, (before, promised) in now.next.raised.items():
         if name == "amplitude_offset":  # the pole of its form follows from the light that there was
             continue
