@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 import numpy as np
+import psutil
 
 from rim_camera_ros.bags import Recording, Topics
 from rim_camera_ros.frame import Settings
@@ -173,6 +174,28 @@ def test_what_is_covered_is_said_and_published(world: World, tmp_path: Path) -> 
     with Recording(out) as recording:
         assert len(list(recording.frames())) > 10
         assert not any(recording.skipped.values())
+
+
+def test_a_recording_goes_on_where_its_coverage_ends(world: World, tmp_path: Path) -> None:  # noqa: F811
+    """One line on the terminal and one error on the topic say that the process was killed."""
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+    out = tmp_path / "bag"
+    states = world.collect(DiagnosticArray, "coverage", LATCHED)
+    coverage = ("--scene", "wall", "--camera", "pmd3ks")
+    running = process("record", "--out", out, "--frames", "12", *coverage, env=world.environment)
+    recording = psutil.Process(running.pid)
+    assert world.until(recording.children, 30.0)
+    for one in recording.children():
+        one.kill()
+    assert world.until(lambda: len(states) > 0, 30.0)
+    world.start("driver_node", frames=12, wait_for_subscribers=1, **DRIVER)
+    text, err = running.communicate(timeout=60)
+    assert (running.returncode, text) == (0, f"12 frames recorded: {out}\n"), err
+    (status,) = states.last.status
+    assert (len(states), status.level) == (1, DiagnosticStatus.ERROR)
+    assert status.message.startswith("its process was ended by SIGKILL (see")
+    assert err.count(f"coverage: {status.message}\n") == err.count("coverage:") == 1
 
 
 def test_coverage_needs_scene_and_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

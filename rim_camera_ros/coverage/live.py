@@ -14,6 +14,7 @@ from pathlib import Path
 from rim_camera_ros.bags.stamp_pairing import IMAGES
 from rim_camera_ros.coverage.frames import Message
 from rim_camera_ros.coverage.picture import Report
+from rim_camera_ros.devices.supervision import child_environment, how_it_ended
 from rim_camera_ros.errors import RimError
 
 #: Messages that wait to be evaluated; beyond them images are passed over here, not in the recording.
@@ -26,18 +27,19 @@ class LiveCoverage:
     """Takes the messages of a recording and calls ``report`` with what they cover so far.
 
     ``scene`` and ``camera`` are their files. ``report`` is called in a thread of its own; nothing here waits
-    for the evaluation but `close`.
+    for the evaluation but `close`. Where the evaluation ends by itself, a report says so, the last one.
     """
 
     def __init__(self, scene: Path, camera: Path, report: Callable[[Report], None]) -> None:
         self._report = report
         self._queue: queue.SimpleQueue[Message | None] = queue.SimpleQueue()
-        self._gone = False
+        self._gone = self._closing = self._killed = False
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "rim_camera_ros.coverage.worker"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
+                env=child_environment(),
                 start_new_session=True,  # Ctrl-C ends the recording, and that ends the process
             )
         except OSError as error:
@@ -56,10 +58,12 @@ class LiveCoverage:
 
     def close(self, *, patience: float = LAST_WORDS) -> None:
         """Wait for the last report for so many seconds, and end the process."""
+        self._closing = True
         self._queue.put(None)
         try:
             self._process.wait(patience)
         except subprocess.TimeoutExpired:
+            self._killed = True
             self._process.kill()
             self._process.wait()
         for one in self._threads:
@@ -78,10 +82,15 @@ class LiveCoverage:
 
     def _read(self) -> None:
         assert self._process.stdout is not None
-        with self._process.stdout as source:
+        said = False
+        with self._process.stdout as source, contextlib.suppress(EOFError, pickle.UnpicklingError):
             while True:
-                try:
-                    report: Report = pickle.load(source)
-                except (EOFError, pickle.UnpicklingError):
-                    return
+                report: Report = pickle.load(source)
+                said = said or report.ended
                 self._report(report)
+        self._gone = True
+        status = self._process.wait()
+        wanted = self._killed or (self._closing and status == 0)
+        if not said and not wanted:
+            remedy = "see what it wrote to standard error, and the memory"
+            self._report(Report(None, problem=f"its process {how_it_ended(status)} ({remedy})", ended=True))

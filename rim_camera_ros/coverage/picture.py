@@ -23,16 +23,23 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 class Report(NamedTuple):
-    """What is covered, with its picture; ``problem``: why nothing can be said."""
+    """What is covered, with its picture; ``problem``: why nothing can be said; ``ended``: nor will be."""
 
     coverage: Coverage | None
     picture: Image | None = None
     problem: str = ""
+    ended: bool = False
+
+    @property
+    def words(self) -> str:
+        """The problem, and whether anything may follow."""
+        end = "; no more is said of the coverage, and the recording is not affected"
+        return self.problem + (end if self.ended else "")
 
 
 def print_report(report: Report) -> None:
     """Print what is covered to standard error."""
-    lines = [f"coverage: {report.problem}"] if report.coverage is None else report.coverage.lines()
+    lines = [f"coverage: {report.words}"] if report.coverage is None else report.coverage.lines()
     start = "\r\033[K" if sys.stderr.isatty() else ""
     print(start + "\n".join(lines), file=sys.stderr, flush=True)
 

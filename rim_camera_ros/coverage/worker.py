@@ -2,7 +2,7 @@
 
 Started by `rim_camera_ros.coverage.live` as ``python -m``; not meant to be run by hand. Both sides send
 pickles: to this process the files of scene and camera, then `Message`; from it `Report`. The end of the input
-ends it, after a last report.
+ends it, after a last report; so does an error, which the last report states.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ import os
 import pickle
 import sys
 import threading
-from collections.abc import Iterator
+import traceback
+from collections.abc import Callable, Iterator
 from typing import IO
 
 from rim_camera_ros.camera import Camera
@@ -39,7 +40,7 @@ class _Stations:
         self.evaluator = Evaluator(scene, camera)
         self.news = threading.Event()
         self.ended = False
-        self.problem = ""
+        self.failure: Exception | None = None
         self.moved: float | None = None
         self.count = self.frames = self.posed = 0
         self._source, self._scene, self._camera = source, scene, camera
@@ -52,8 +53,8 @@ class _Stations:
                 if self.evaluator.add(station):
                     self.moved, self.count = movement_of(station), self.count + 1
                     self.news.set()
-        except RimError as error:
-            self.problem = str(error)
+        except Exception as error:
+            self.failure = error
         finally:
             self.ended = True
             self.news.set()
@@ -77,15 +78,28 @@ class _Stations:
 
 
 def serve(source: IO[bytes], sink: IO[bytes]) -> None:
-    """Evaluate the messages of ``source`` until it ends, and report to ``sink``."""
-    files = pickle.load(source)
-    scene, camera = load_scene(files[0]), load_camera(files[1])
-    stations = _Stations(source, scene, camera)
+    """Evaluate the messages of ``source`` until it ends, and report to ``sink``; what ends it, too."""
 
     def send(report: Report) -> None:
         pickle.dump(report, sink)
         sink.flush()
 
+    try:
+        _evaluate(source, send)
+    except BrokenPipeError:
+        raise  # nobody listens any more
+    except RimError as error:
+        send(Report(None, problem=str(error), ended=True))
+    except Exception as error:
+        traceback.print_exc()
+        words = f"unexpected {type(error).__name__}: {error} (please report this)"
+        send(Report(None, problem=words, ended=True))
+
+
+def _evaluate(source: IO[bytes], send: Callable[[Report], None]) -> None:
+    files = pickle.load(source)
+    scene, camera = load_scene(files[0]), load_camera(files[1])
+    stations = _Stations(source, scene, camera)
     evaluated, warned = 0, False
     while True:
         if not stations.news.wait(None if evaluated or warned else _PATIENCE):
@@ -101,8 +115,8 @@ def serve(source: IO[bytes], sink: IO[bytes]) -> None:
             picture = coverage_picture(coverage, ambiguity=camera.sensor.ambiguity)
             send(Report(coverage, picture))
         if ended:
-            if stations.problem:
-                send(Report(None, problem=stations.problem))
+            if stations.failure is not None:
+                raise stations.failure
             return
 
 

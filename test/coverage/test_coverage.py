@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import math
+import pickle
+import queue
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,8 +20,9 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.coverage.evaluate import Coverage, Evaluator
 from rim_camera_ros.coverage.frames import Message, live_frames
 from rim_camera_ros.coverage.live import LiveCoverage
-from rim_camera_ros.coverage.picture import HEIGHT, WIDTH, Report, coverage_picture
+from rim_camera_ros.coverage.picture import HEIGHT, WIDTH, Report, coverage_picture, print_report
 from rim_camera_ros.coverage.proposals import proposals
+from rim_camera_ros.coverage.worker import serve
 from rim_camera_ros.devices.timeline import Timeline
 from rim_camera_ros.diagnose.variance import movement_of
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
@@ -248,7 +252,54 @@ def test_another_camera_s_images_are_a_problem_in_words(tmp_path: Path) -> None:
     for one in sent:
         live.take(one)
     live.close(patience=100.0)
+    assert [one.ended for one in reports] == [True]
     assert [one.problem for one in reports] == [
         "its images have 44 x 36 px, the camera file 88 x 36 "
         "(give the camera file of the camera that recorded it)"
     ]
+
+
+@pytest.mark.parametrize("place", ["add", "evaluate"])
+def test_an_error_of_the_evaluation_is_its_last_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], place: str
+) -> None:
+    """In either of its threads; the traceback goes to the terminal, as it is to be reported."""
+
+    def fail(*_: object, **__: object) -> None:
+        raise ValueError("inhomogeneous shape")
+
+    monkeypatch.setattr(Evaluator, place, fail)
+    camera = helpers.camera(tmp_path)
+    helpers.scene(tmp_path)
+    sent = published(recorded(tmp_path, at(0.9), frames=3), camera)
+    files = (str(tmp_path / "scene.yaml"), str(tmp_path / "camera.yaml"))
+    source, sink = io.BytesIO(b"".join(map(pickle.dumps, [files, *sent]))), io.BytesIO()
+    serve(source, sink)
+    sink.seek(0)
+    report = pickle.load(sink)
+    assert report == Report(
+        None, problem="unexpected ValueError: inhomogeneous shape (please report this)", ended=True
+    )
+    assert sink.read() == b""
+    assert "in fail" in capsys.readouterr().err
+
+
+def test_a_process_that_is_killed_is_missed_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Messages go on being taken; one report says what became of the process."""
+    camera = helpers.camera(tmp_path)
+    helpers.scene(tmp_path)
+    reports: queue.SimpleQueue[Report] = queue.SimpleQueue()
+    live = LiveCoverage(tmp_path / "scene.yaml", tmp_path / "camera.yaml", reports.put)
+    live._process.kill()
+    report = reports.get(timeout=20.0)
+    assert report.coverage is None
+    assert report.ended
+    for one in published(recorded(tmp_path, at(0.9), frames=2), camera):
+        live.take(one)
+    live.close(patience=20.0)
+    assert reports.empty()
+    print_report(report)
+    assert capsys.readouterr().err == (
+        "coverage: its process was ended by SIGKILL (see what it wrote to standard error, and the memory); "
+        "no more is said of the coverage, and the recording is not affected\n"
+    )

@@ -303,6 +303,12 @@ def test_a_recording_is_finished_or_cancelled(world: World, laboratory: Path, tm
     # the driver shows a wall, the scene is of a board
     node.wait(lambda: node.coverage.level("coverage") == 2)
     assert "no frame has the pose of 'board' so far" in node.coverage.message("coverage")
+    # where the process of the coverage ends, that is said, and the recording goes on
+    (evaluation,) = psutil.Process(int(node.progress.values(PROGRESS)["pid"])).children()
+    evaluation.kill()
+    node.wait(lambda: "was ended by SIGKILL" in node.coverage.message("coverage"))
+    reached = int(node.progress.values(PROGRESS)["done"])
+    node.wait(lambda: int(node.progress.values(PROGRESS)["done"]) > reached)
     # with the node ends the recording, which keeps what has come
     node.process.send(signal.SIGINT)
     assert node.process.wait() == 0, node.process.text

@@ -28,7 +28,7 @@ class CoveragePublisher:
         head = Header(stamp=self._node.get_clock().now().to_msg())
         status = DiagnosticStatus(name="coverage")
         if report.coverage is None:
-            status.level, status.message = DiagnosticStatus.ERROR, report.problem
+            status.level, status.message = DiagnosticStatus.ERROR, report.words
         else:
             moved = report.coverage.moved is not None
             status.level = DiagnosticStatus.WARN if moved else DiagnosticStatus.OK
