@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import math
-import pickle
-import queue
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,58 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rim_camera_ros.bags import Topics, messages
-from rim_camera_ros.bags.topics import CAMERA_INFO, DIAGNOSTICS, IMAGE, POSE
 from rim_camera_ros.calibrate.plan import NARROWED, plan
-from rim_camera_ros.camera import Camera
 from rim_camera_ros.coverage.evaluate import Coverage, Evaluator
-from rim_camera_ros.coverage.frames import Message, live_frames
-from rim_camera_ros.coverage.live import LiveCoverage
-from rim_camera_ros.coverage.picture import HEIGHT, WIDTH, Report, coverage_picture, print_report
+from rim_camera_ros.coverage.picture import HEIGHT, WIDTH, coverage_picture
 from rim_camera_ros.coverage.proposals import proposals
-from rim_camera_ros.coverage.worker import serve
 from rim_camera_ros.devices.timeline import Timeline
 from rim_camera_ros.diagnose.variance import movement_of
-from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.fit.data import Station
 from rim_camera_ros.fit.reduction import reduce_frames
-from rim_camera_ros.frame import Pose, RawFrame, Settings
-from rim_camera_ros.pipeline.simulate import Exposure, Simulation
+from rim_camera_ros.pipeline.simulate import Simulation
 from rim_camera_ros.scene import Scene, ScenePose
 from rim_camera_ros.scene import Station as Scheduled
 from test.calibrate import helpers
-
-CYCLIC = CyclicError(harmonics=(Harmonic(order=4, amplitude=0.008, phase=0.6),))
-SETTINGS = Settings(integration_time=60.0, modulation_frequency=20e6)
-#: Seconds between two poses.
-PAUSE = 20
-
-
-def recorded(
-    tmp_path: Path,
-    poses: Sequence[Pose],
-    *,
-    scene: Scene | None = None,
-    frames: int = 4,
-    drift: float = 0.0,
-) -> list[RawFrame]:
-    """Frames of the board at poses; it moves away by ``drift`` [m] from frame to frame and turns with it."""
-    truth, board = helpers.camera(tmp_path, CYCLIC), scene or helpers.scene(tmp_path)
-    simulation = Simulation(truth, board, seed=7)
-    result = []
-    for number, pose in enumerate(poses):
-        stamp = (1 + PAUSE * number) * 1_000_000_000
-        for k in range(frames):
-            x, y, z = pose.position
-            turned = (0.0, math.sin(k * drift), 0.0, math.cos(k * drift))
-            true = Pose((x, y, z + k * drift), turned if drift else pose.orientation)
-            exposure = Exposure(stamp + k * 40_000_000, SETTINGS, {"board": true}, number, stamp)
-            result.append(replace(simulation.frame(exposure), truth={"board": pose}))
-    return result
-
-
-def at(*distances: float) -> list[Pose]:
-    return [Pose((0.07, -0.04, one)) for one in distances]
+from test.coverage.recordings import CYCLIC, SETTINGS, at, recorded
 
 
 def stations(tmp_path: Path, *distances: float) -> list[Station]:
@@ -176,130 +133,3 @@ def test_the_picture(tmp_path: Path) -> None:
     assert plain.shape == (HEIGHT, WIDTH, 3)
     assert (plain != moved).any()
     assert "NOT at rest: 12 mm" in replace(coverage, moved=0.012).lines()[0]
-
-
-def published(frames: Sequence[RawFrame], camera: Camera) -> list[Message]:
-    """The messages of frames as a driver sends them, poses first."""
-    result = []
-    for frame in frames:
-        made = [
-            (
-                "truth",
-                "board",
-                POSE,
-                messages.pose_message(frame.truth["board"], frame.pose_stamps["board"], "o"),
-            ),
-            ("distance", "", IMAGE, messages.image_message(frame.distance, frame.stamp, "o")),
-            ("amplitude", "", IMAGE, messages.image_message(frame.amplitude, frame.stamp, "o")),
-            (
-                "camera_info",
-                "",
-                CAMERA_INFO,
-                messages.camera_info_message(camera.intrinsics, frame.stamp, "o"),
-            ),
-            (
-                "frame_info",
-                "",
-                DIAGNOSTICS,
-                messages.frame_info_message(frame.settings, frame.stamp, "t", "o"),
-            ),
-        ]
-        result += [
-            Message(role, name, kind, bytes(messages.encode(one, kind))) for role, name, kind, one in made
-        ]
-    return result
-
-
-def test_frames_out_of_messages(tmp_path: Path) -> None:
-    """Each is there with its pose and settings; what is damaged is passed over."""
-    frames = recorded(tmp_path, at(0.9, 1.4), frames=3)
-    sent = published(frames, helpers.camera(tmp_path))
-    sent.insert(7, Message("distance", "", IMAGE, b"\0\1\0\0damaged"))
-    found = list(live_frames(sent))
-    assert [one.stamp for one in found] == [one.stamp for one in frames]
-    assert all(np.array_equal(a.distance, b.distance) for a, b in zip(found, frames, strict=True))
-    assert [one.truth["board"].position[2] for one in found] == [0.9] * 3 + [1.4] * 3
-    # of the first frame nobody knows yet that settings come with frames
-    assert [one.settings.integration_time for one in found[1:]] == [60.0] * 5
-
-
-@pytest.mark.slow
-def test_a_process_of_its_own_reports(tmp_path: Path) -> None:
-    """To the last station, though more messages came than it evaluates at once; then it is gone."""
-    camera = helpers.camera(tmp_path)
-    helpers.scene(tmp_path)
-    reports: list[Report] = []
-    live = LiveCoverage(tmp_path / "scene.yaml", tmp_path / "camera.yaml", reports.append)
-    for one in published(recorded(tmp_path, at(0.9, 1.4, 2.2), frames=3), camera):
-        live.take(one)
-    live.close(patience=100.0)
-    assert [one.problem for one in reports] == [""] * len(reports)
-    last = reports[-1].coverage
-    assert last is not None
-    assert (last.stations, last.frames) == (3, 8)  # see above
-    assert reports[-1].picture is not None
-    assert Topics().namespace == "/camera"
-
-
-@pytest.mark.slow
-def test_another_camera_s_images_are_a_problem_in_words(tmp_path: Path) -> None:
-    reports: list[Report] = []
-    helpers.scene(tmp_path)
-    camera = helpers.camera(tmp_path)
-    sent = published(recorded(tmp_path, at(0.9), frames=2), camera)
-    (tmp_path / "camera.yaml").write_text(helpers.CAMERA.replace("width: 44", "width: 88"))
-    live = LiveCoverage(tmp_path / "scene.yaml", tmp_path / "camera.yaml", reports.append)
-    for one in sent:
-        live.take(one)
-    live.close(patience=100.0)
-    assert [one.ended for one in reports] == [True]
-    assert [one.problem for one in reports] == [
-        "its images have 44 x 36 px, the camera file 88 x 36 "
-        "(give the camera file of the camera that recorded it)"
-    ]
-
-
-@pytest.mark.parametrize("place", ["add", "evaluate"])
-def test_an_error_of_the_evaluation_is_its_last_report(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], place: str
-) -> None:
-    """In either of its threads; the traceback goes to the terminal, as it is to be reported."""
-
-    def fail(*_: object, **__: object) -> None:
-        raise ValueError("inhomogeneous shape")
-
-    monkeypatch.setattr(Evaluator, place, fail)
-    camera = helpers.camera(tmp_path)
-    helpers.scene(tmp_path)
-    sent = published(recorded(tmp_path, at(0.9), frames=3), camera)
-    files = (str(tmp_path / "scene.yaml"), str(tmp_path / "camera.yaml"))
-    source, sink = io.BytesIO(b"".join(map(pickle.dumps, [files, *sent]))), io.BytesIO()
-    serve(source, sink)
-    sink.seek(0)
-    report = pickle.load(sink)
-    assert report == Report(
-        None, problem="unexpected ValueError: inhomogeneous shape (please report this)", ended=True
-    )
-    assert sink.read() == b""
-    assert "in fail" in capsys.readouterr().err
-
-
-def test_a_process_that_is_killed_is_missed_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Messages go on being taken; one report says what became of the process."""
-    camera = helpers.camera(tmp_path)
-    helpers.scene(tmp_path)
-    reports: queue.SimpleQueue[Report] = queue.SimpleQueue()
-    live = LiveCoverage(tmp_path / "scene.yaml", tmp_path / "camera.yaml", reports.put)
-    live._process.kill()
-    report = reports.get(timeout=20.0)
-    assert report.coverage is None
-    assert report.ended
-    for one in published(recorded(tmp_path, at(0.9), frames=2), camera):
-        live.take(one)
-    live.close(patience=20.0)
-    assert reports.empty()
-    print_report(report)
-    assert capsys.readouterr().err == (
-        "coverage: its process was ended by SIGKILL (see what it wrote to standard error, and the memory); "
-        "no more is said of the coverage, and the recording is not affected\n"
-    )
