@@ -186,8 +186,8 @@ def test_a_recording_goes_on_where_its_coverage_ends(world: World, tmp_path: Pat
     running = process("record", "--out", out, "--frames", "12", *coverage, env=world.environment)
     recording = psutil.Process(running.pid)
     assert world.until(recording.children, 30.0)
-    for one in recording.children():
-        one.kill()
+    for evaluation in recording.children():
+        evaluation.kill()
     assert world.until(lambda: len(states) > 0, 30.0)
     world.start("driver_node", frames=12, wait_for_subscribers=1, **DRIVER)
     text, err = running.communicate(timeout=60)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -132,7 +133,7 @@ class Evaluator:
         offered = proposals(self.scene, self.camera, last)
         real = Dataset(stations, decimation=self.step)
         self._choose_blocks(stations, offered)
-        equations = self._accumulated(real)
+        equations = self._accumulated(real, self.scene, self.camera)
         priors = priors_of(equations.regressors)
 
         def factors(*folds: Fold) -> dict[str, float]:
@@ -170,20 +171,24 @@ class Evaluator:
         self._blocks = blocks_of(self.camera, Dataset([*stations, *planned], decimation=self.step))
         self._kinds, self._offered = kinds, {}
 
-    def _fold(self, one: Proposal, last: Station) -> Fold:
+    def _fold(self, proposal: Proposal, last: Station) -> Fold:
         """Return the sums of a proposed station; those of other poses stay the same while one records."""
-        if one.lasting and one.words in self._offered:
-            return self._offered[one.words]
-        planned = Dataset([self._planned(one, last, 0)], decimation=self.step)
-        expected = with_expected_light(planned, self.scene, self.camera)
-        fold = self._accumulated(expected).folds[0]
-        self._offered[one.words] = fold
+        if proposal.lasting and proposal.words in self._offered:
+            return self._offered[proposal.words]
+        planned = Dataset([self._planned(proposal, last, 0)], decimation=self.step)
+        scene = proposal.scene or self.scene
+        # an error of the target's reflectivity is one of its light, as the emitter's power at a pose is
+        varies = math.hypot(self.camera.radiometry.gain_sigma, proposal.light_sigma)
+        camera = replace(self.camera, radiometry=replace(self.camera.radiometry, gain_sigma=varies))
+        expected = with_expected_light(planned, scene, camera)
+        fold = self._accumulated(expected, scene, camera).folds[0]
+        self._offered[proposal.words] = fold
         return fold
 
-    def _accumulated(self, dataset: Dataset) -> NormalEquations:
+    def _accumulated(self, dataset: Dataset, scene: Scene, camera: Camera) -> NormalEquations:
         """Return sums of stations, of all pixels: proposed ones see others than those that they join."""
-        every = np.ones(self.camera.shape, bool).ravel()
-        return accumulate(Forward(dataset, self.scene, self.camera), self._blocks, seen=every)
+        every = np.ones(camera.shape, bool).ravel()
+        return accumulate(Forward(dataset, scene, camera), self._blocks, seen=every)
 
     def _planned(self, one: Proposal, last: Station, number: int) -> Station:
         return planned_station(

@@ -1,4 +1,4 @@
-"""Stations that could be recorded next: poses, distances, integration times and waiting times, in words."""
+"""Stations that could be recorded next, in words: poses, distances, grey levels, integration times, waits."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.fit.data import Station
 from rim_camera_ros.frame import Pose, Settings
+from rim_camera_ros.geometry import see
 from rim_camera_ros.rotations import quaternion, rotation_matrix
 from rim_camera_ros.scene import Scene, Surface
 
@@ -20,6 +21,8 @@ _DISTANCES = (1.0, 1.6, 2.6, 4.2)
 _NEAREST, _FARTHEST = 0.3, 0.9
 #: Tilt [rad], and how far off the middle of the image as a share of half its width and height.
 _TILT, _ASIDE = math.radians(40.0), 0.6
+#: Reflectivities of grey targets.
+_GREYS = (0.2, 0.5, 0.8)
 #: Waiting times [s].
 _WAITS = (600.0, 1800.0)
 _PLACES = {
@@ -35,7 +38,8 @@ _PLACES = {
 class Proposal:
     """A station that could be recorded, in words; ``wait`` [s] passes before it.
 
-    ``lasting``: it does not depend on the station before it.
+    ``lasting``: it does not depend on the station before it. ``scene`` is that of another target (None: the
+    recording's), whose light differs from what is expected of it by ``light_sigma`` (relative, 1-sigma).
     """
 
     words: str
@@ -43,11 +47,13 @@ class Proposal:
     truth: dict[str, Pose]
     wait: float = 0.0
     lasting: bool = False
+    scene: Scene | None = None
+    light_sigma: float = 0.0
 
 
 def proposals(scene: Scene, camera: Camera, last: Station) -> list[Proposal]:
-    """Return what could be recorded after the station ``last``: other poses, settings, and later on."""
-    found = list(_poses(scene, camera, last))
+    """Return what could be recorded after the station ``last``: other poses, targets, settings, and later."""
+    found = [*_poses(scene, camera, last), *_greys(scene, camera, last)]
     current = camera.integration_time(last.settings)
     for setting in sorted(_settings(camera) - {current}):
         other = replace(last.settings, integration_time=setting)
@@ -64,7 +70,7 @@ def proposals(scene: Scene, camera: Camera, last: Station) -> list[Proposal]:
 
 
 def _poses(scene: Scene, camera: Camera, last: Station) -> Iterator[Proposal]:
-    surface = next((one for one in scene.surfaces if one.name in scene.needs_truth), None)
+    surface = _posed(scene)
     if surface is None or surface.name not in last.truth:
         return
     half = _half_field(camera)
@@ -85,6 +91,55 @@ def _poses(scene: Scene, camera: Camera, last: Station) -> Iterator[Proposal]:
                     {**last.truth, surface.name: Pose(position, _turned(*angles))},
                     lasting=True,
                 )
+
+
+def _greys(scene: Scene, camera: Camera, last: Station) -> Iterator[Proposal]:
+    """Yield targets of a grey level that a surface lacks: in its place, and where it may be put elsewhere."""
+    surface = _posed(scene) or _seen_most(scene, camera, last)
+    if surface is None:
+        return
+    places = {f"in the place of {surface.name}": dict(last.truth)}
+    if surface.name in last.truth:
+        for distance in _distances(surface, _half_field(camera), camera.sensor.ambiguity):
+            facing = Pose((0.0, 0.0, distance), (0.0, 0.0, 0.0, 1.0))
+            places[f"at {distance:.2g} m"] = {**last.truth, surface.name: facing}
+    for level in _GREYS:
+        if _has_level(surface, level):
+            continue
+        grey = replace(surface, reflectivity=level, texture=None)
+        target = replace(
+            scene, surfaces=tuple(grey if known is surface else known for known in scene.surfaces)
+        )
+        for place, truth in places.items():
+            yield Proposal(
+                f"a grey target of reflectivity {level:g} {place}",
+                last.settings,
+                truth,
+                lasting=place.startswith("at"),
+                scene=target,
+                light_sigma=surface.reflectivity_sigma,
+            )
+
+
+def _posed(scene: Scene) -> Surface | None:
+    """Return the first surface whose pose comes from the recording."""
+    return next((surface for surface in scene.surfaces if surface.name in scene.needs_truth), None)
+
+
+def _seen_most(scene: Scene, camera: Camera, last: Station) -> Surface | None:
+    """Return the surface that most pixels see, None where none sees any."""
+    geometry = see(scene, scene.poses_for(last.truth), camera.rays)
+    pixels = np.bincount(geometry.surface[geometry.hit], minlength=len(scene.surfaces))
+    return scene.surfaces[int(pixels.argmax())] if pixels.any() else None
+
+
+def _has_level(surface: Surface, level: float) -> bool:
+    """Return whether a surface has a grey level already, within what is known of both."""
+    if surface.texture is not None:
+        own = surface.texture.values.values
+    else:
+        own = np.array([surface.nominal_reflectivity] if surface.is_described else [])
+    return bool((np.abs(own - level) <= 2 * surface.reflectivity_sigma * level).any())
 
 
 def _half_field(camera: Camera) -> tuple[float, float]:

@@ -43,4 +43,4 @@ def recorded(
 
 
 def at(*distances: float) -> list[Pose]:
-    return [Pose((0.07, -0.04, one)) for one in distances]
+    return [Pose((0.07, -0.04, distance)) for distance in distances]

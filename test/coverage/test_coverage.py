@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from rim_camera_ros.calibrate.plan import NARROWED, plan
+from rim_camera_ros.calibrate.plan import NARROWED, blocks_of, narrowing, plan
 from rim_camera_ros.coverage.evaluate import Coverage, Evaluator
 from rim_camera_ros.coverage.picture import HEIGHT, WIDTH, coverage_picture
 from rim_camera_ros.coverage.proposals import proposals
 from rim_camera_ros.devices.timeline import Timeline
 from rim_camera_ros.diagnose.variance import movement_of
-from rim_camera_ros.fit.data import Station
+from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
+from rim_camera_ros.effects.candidate import priors_of
+from rim_camera_ros.fit.data import Dataset, Station
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.normal_equations import NormalEquations, accumulate, reduce_folds
 from rim_camera_ros.fit.reduction import reduce_frames
-from rim_camera_ros.pipeline.simulate import Simulation
+from rim_camera_ros.frame import Pose
+from rim_camera_ros.pipeline.simulate import Exposure, Simulation
 from rim_camera_ros.scene import Scene, ScenePose
 from rim_camera_ros.scene import Station as Scheduled
 from test.calibrate import helpers
@@ -88,6 +95,84 @@ def test_what_is_to_be_recorded_next_brings_what_it_says(
             continue
         assert now.factors[name] == before < NARROWED
         assert after.factors[name] == pytest.approx(promised, rel=0.3), name
+
+
+def uniform(scene: Scene, reflectivity: float, **changes: Any) -> Scene:
+    """The scene with a board of one reflectivity."""
+    board = replace(scene.surfaces[0], texture=None, reflectivity=reflectivity, **changes)
+    return replace(scene, surfaces=(board,))
+
+
+def test_another_grey_level_is_what_a_wall_of_one_lacks(tmp_path: Path) -> None:
+    """Nothing moves: what follows the amplitude shows on a target that reflects otherwise, as promised."""
+    term = AmplitudeOffset(hyperbola={60.0: Hyperbola(a=12.0, b=20.0)})
+    camera = helpers.camera(tmp_path, term)
+    wall = uniform(helpers.scene(tmp_path), 0.8, pose=ScenePose((0.0, 0.0, 1.5)))
+
+    def station(scene: Scene, stamp: int) -> Station:
+        simulation = Simulation(camera, scene, seed=7)
+        given = [Exposure(stamp + k * 40_000_000, SETTINGS, scene.fixed_poses(), 0, stamp) for k in range(4)]
+        (found,) = reduce_frames(map(simulation.frame, given), camera)
+        return found
+
+    first = station(wall, 1_000_000_000)
+    evaluator = Evaluator(wall, camera)
+    assert evaluator.add(first)
+    now = evaluator.evaluate()
+    assert now.next is not None
+    assert now.next.words == "a grey target of reflectivity 0.5 in the place of board"
+    assert now.next.raised.keys() == {"amplitude_offset", "amplitude_nonlinearity"}
+    before, promised = now.next.raised["amplitude_offset"]
+    assert before < 1.1
+    assert promised > NARROWED
+
+    # together with the target, by the equations of both scenes; 1 % of the power, 10 % of its reflectivity
+    blocks = blocks_of(camera, Dataset([first]))
+    every = np.ones(camera.shape, bool).ravel()
+
+    def equations(recorded: Station, scene: Scene, gain_sigma: float) -> NormalEquations:
+        told = replace(camera, radiometry=replace(camera.radiometry, gain_sigma=gain_sigma))
+        return accumulate(Forward(Dataset([recorded]), scene, told), blocks, seen=every)
+
+    target = uniform(wall, 0.5)
+    second = replace(station(target, 21_000_000_000), recording=1)
+    known, added = equations(first, wall, 0.01), equations(second, target, math.hypot(0.01, 0.1))
+    together = reduce_folds([*known.folds, *added.folds], priors_of(known.regressors), known.pixels)
+    factors = narrowing(known.regressors, together.gram)
+    for name, (_, said) in now.next.raised.items():
+        assert factors[name] == pytest.approx(said, rel=0.1), name
+
+
+def test_a_board_of_one_grey_level_is_to_be_followed_by_another(tmp_path: Path) -> None:
+    """Once it was seen near, far and tilted, what its amplitude does is still that of its distance."""
+    turn, tilt = math.sin(math.radians(20.0)), math.cos(math.radians(20.0))
+    poses = [
+        *at(1.1),
+        Pose((0.0, 0.0, 0.69), (turn, 0.0, 0.0, tilt)),
+        Pose((0.0, 0.0, 1.1), (0.0, turn, 0.0, tilt)),
+    ]
+    board = uniform(helpers.scene(tmp_path), 0.8, type="rectangle", size=(0.6, 0.5))
+    found = reduce_frames(recorded(tmp_path, poses, scene=board), helpers.camera(tmp_path))
+    now = evaluated(tmp_path, list(found), board)
+    assert now.next is not None
+    assert now.next.words == "a grey target of reflectivity 0.2 at 0.69 m"
+    before, promised = now.next.raised["amplitude_offset"]
+    assert before < NARROWED < promised
+
+
+def test_grey_levels_that_a_board_has_are_not_offered(tmp_path: Path) -> None:
+    """Nor those beside them by less than twice what is known of both, 10 % each."""
+    camera, board = helpers.camera(tmp_path), helpers.scene(tmp_path)
+    last = stations(tmp_path, 1.3)[0]
+
+    def levels(scene: Scene) -> set[str]:
+        offered = proposals(scene, camera, last)
+        return {proposal.words.split()[5] for proposal in offered if proposal.scene is not None}
+
+    assert levels(board) == set()
+    assert levels(uniform(board, 0.8)) == {"0.2", "0.5"}
+    assert levels(uniform(board, 0.42)) == {"0.2", "0.8"}
+    assert levels(uniform(board, 0.42, reflectivity_sigma=0.0)) == {"0.2", "0.5", "0.8"}
 
 
 def test_what_no_pose_tells_is_said(tmp_path: Path) -> None:

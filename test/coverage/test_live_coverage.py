@@ -59,7 +59,8 @@ def published(frames: Sequence[RawFrame], camera: Camera, *, poses: bool = True)
             pose = messages.pose_message(frame.truth["board"], frame.pose_stamps["board"], "o")
             made.insert(0, ("truth", "board", POSE, pose))
         result += [
-            Message(role, name, kind, bytes(messages.encode(one, kind))) for role, name, kind, one in made
+            Message(role, name, kind, bytes(messages.encode(message, kind)))
+            for role, name, kind, message in made
         ]
     return result
 
@@ -68,8 +69,8 @@ def reported(scene: Path, camera: Path, sent: Sequence[Message]) -> list[Report]
     """What is reported of messages, until their end."""
     reports: list[Report] = []
     live = LiveCoverage(scene, camera, reports.append)
-    for one in sent:
-        live.take(one)
+    for message in sent:
+        live.take(message)
     live.close(patience=100.0)
     return reports
 
@@ -80,11 +81,11 @@ def test_frames_out_of_messages(tmp_path: Path) -> None:
     sent = published(frames, helpers.camera(tmp_path))
     sent.insert(7, Message("distance", "", IMAGE, b"\0\1\0\0damaged"))
     found = list(live_frames(sent))
-    assert [one.stamp for one in found] == [one.stamp for one in frames]
+    assert [frame.stamp for frame in found] == [frame.stamp for frame in frames]
     assert all(np.array_equal(a.distance, b.distance) for a, b in zip(found, frames, strict=True))
-    assert [one.truth["board"].position[2] for one in found] == [0.9] * 3 + [1.4] * 3
+    assert [frame.truth["board"].position[2] for frame in found] == [0.9] * 3 + [1.4] * 3
     # of the first frame nobody knows yet that settings come with frames
-    assert [one.settings.integration_time for one in found[1:]] == [60.0] * 5
+    assert [frame.settings.integration_time for frame in found[1:]] == [60.0] * 5
 
 
 def test_a_board_that_is_found_in_the_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -93,9 +94,9 @@ def test_a_board_that_is_found_in_the_images(tmp_path: Path, capsys: pytest.Capt
     scene, camera = load_scene(tmp_path / "board.yaml"), load_camera(find_camera("sr3000"))
     simulation = Simulation(camera, scene, seed=3)
     exposures = list(itertools.islice(Timeline(scene, camera), 10))
-    sent = published([simulation.frame(one) for one in exposures], camera, poses=False)
+    sent = published(list(map(simulation.frame, exposures)), camera, poses=False)
     reports = reported(tmp_path / "board.yaml", find_camera("sr3000"), sent)
-    assert {one.problem for one in reports} == {""}
+    assert {report.problem for report in reports} == {""}
     last = reports[-1]
     assert last.picture is not None
     coverage = last.coverage
@@ -126,7 +127,7 @@ def test_a_process_of_its_own_reports(tmp_path: Path) -> None:
     helpers.scene(tmp_path)
     sent = published(recorded(tmp_path, at(0.9, 1.4, 2.2), frames=3), camera)
     reports = reported(tmp_path / "scene.yaml", tmp_path / "camera.yaml", sent)
-    assert [one.problem for one in reports] == [""] * len(reports)
+    assert [report.problem for report in reports] == [""] * len(reports)
     last = reports[-1].coverage
     assert last is not None
     assert (last.stations, last.frames) == (3, 8)  # see above
@@ -183,8 +184,8 @@ def test_a_process_that_is_killed_is_missed_once(tmp_path: Path, capsys: pytest.
     report = reports.get(timeout=20.0)
     assert report.coverage is None
     assert report.ended
-    for one in published(recorded(tmp_path, at(0.9), frames=2), camera):
-        live.take(one)
+    for message in published(recorded(tmp_path, at(0.9), frames=2), camera):
+        live.take(message)
     live.close(patience=20.0)
     assert reports.empty()
     print_report(report)
