@@ -13,15 +13,15 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.photogrammetry.board_design import BoardDesign, texture_of
 from rim_camera_ros.yaml_files import write_whole
 
-#: Sizes of paper in m, upright: width, height.
+#: Sizes of paper in m, upright (width, height), in the order in which they are tried.
 PAPERS = {
     "a4": (0.210, 0.297),
+    "letter": (0.2159, 0.2794),
     "a3": (0.297, 0.420),
+    "tabloid": (0.2794, 0.4318),
     "a2": (0.420, 0.594),
     "a1": (0.594, 0.841),
     "a0": (0.841, 1.189),
-    "letter": (0.2159, 0.2794),
-    "tabloid": (0.2794, 0.4318),
 }
 #: Margin that printers leave, and room for the ruler and the words below the board [m].
 _MARGIN = 0.005
@@ -32,28 +32,70 @@ _POINTS = 72 / _INCH
 _GAMMA = 2.2
 
 
-def paper_for(design: BoardDesign, paper: str | None) -> tuple[float, float]:
-    """Return the page (width, height) in m: of a named paper either way up, or as large as needed (None).
+def paper_words(paper: str) -> str:
+    """Return the name of a paper as it is printed: A4, letter."""
+    return paper.upper() if len(paper) == 2 else paper
 
-    Raises `InputError` where the board does not fit.
+
+def own_page(design: BoardDesign) -> tuple[float, float]:
+    """Return the page (width, height) in m that is just as large as board and ruler need."""
+    return (design.size[0] + 2 * _MARGIN, design.size[1] + 2 * _MARGIN + _FOOT)
+
+
+def smallest_paper(design: BoardDesign) -> str | None:
+    """Return the name of the first paper that a board and its ruler fit; None where none is large enough."""
+    return next((paper for paper in PAPERS if _page(design, paper) is not None), None)
+
+
+def fitting_square(design: BoardDesign, paper: str, *, square: float) -> float:
+    """Return the largest side [m] of squares, ``square`` in the design, with which it fits a paper.
+
+    In whole millimetres, below 5 mm in tenths.
     """
-    wide, high = design.size[0] + 2 * _MARGIN, design.size[1] + 2 * _MARGIN + _FOOT
-    if paper is None:
-        return (wide, high)
+    width, height = PAPERS[paper]
+    scale = max(
+        min((wide - 2 * _MARGIN) / design.size[0], (high - 2 * _MARGIN - _FOOT) / design.size[1])
+        for wide, high in ((width, height), (height, width))
+    )
+    side = 1000 * scale * square + 1e-6
+    return float(np.floor(side) / 1000 if side >= 5 else np.floor(10 * side) / 10_000)
+
+
+def paper_for(design: BoardDesign, paper: str, *, square: float) -> tuple[float, float]:
+    """Return the page (width, height) in m of a paper, the way up that a board of such squares [m] fits.
+
+    Raises `InputError` where it fits neither.
+    """
+    page = _page(design, paper)
+    if page is not None:
+        return page
+    wide, high = own_page(design)
+    other = smallest_paper(design)
+    raise InputError(
+        f"the board with its ruler takes {wide * 1000:.0f} x {high * 1000:.0f} mm, more than "
+        f"{paper_words(paper)}",
+        place="--paper",
+        remedy=f"--square {fitting_square(design, paper, square=square):g} fits it"
+        + ("" if other is None else f", or --paper {other}"),
+    )
+
+
+def _page(design: BoardDesign, paper: str) -> tuple[float, float] | None:
+    wide, high = own_page(design)
     width, height = PAPERS[paper]
     for page in ((width, height), (height, width)):
         if wide <= page[0] + 1e-9 and high <= page[1] + 1e-9:
             return page
-    fits = [name for name, (a, b) in PAPERS.items() if min(wide, high) <= a and max(wide, high) <= b]
-    raise InputError(
-        f"the board with its ruler takes {wide * 1000:.0f} x {high * 1000:.0f} mm, more than {paper}",
-        place="--paper",
-        remedy=f"fewer or smaller squares{', or --paper ' + fits[0] if fits else ''}",
-    )
+    return None
 
 
-def print_board(design: BoardDesign, path: Path, *, page: tuple[float, float]) -> None:
-    """Write a PDF or SVG (by the ending of ``path``) on a page of (width, height) m. Raises `RimError`."""
+def print_board(
+    design: BoardDesign, path: Path, *, page: tuple[float, float], paper: str | None = None
+) -> None:
+    """Write a PDF or SVG (by the ending of ``path``) on a page of (width, height) m. Raises `RimError`.
+
+    ``paper`` names the page in the line below the board.
+    """
     import matplotlib as mpl
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -82,7 +124,9 @@ def print_board(design: BoardDesign, path: Path, *, page: tuple[float, float]) -
             # where the board ends: marks to cut along, outside of it
             axes.plot([x - np.sign(middle[0] - x) * 0.003, x], [y, y], color="0.6", lw=0.3)
             axes.plot([x, x], [y - np.sign(middle[1] - y) * 0.003, y], color="0.6", lw=0.3)
-    _ruler(axes, left=left, y=page[1] - _FOOT + 0.004, width=width, words=design.words)
+    where = "" if paper is None else f" on {paper_words(paper)}"
+    words = f"{design.words}. Print{where} at 100 %"
+    _ruler(axes, left=left, y=page[1] - _FOOT + 0.004, width=width, words=words)
     canvas: Any = FigureCanvasPdf(figure) if path.suffix == ".pdf" else FigureCanvasSVG(figure)
     save = canvas.print_pdf if path.suffix == ".pdf" else canvas.print_svg
     with mpl.rc_context({"svg.hashsalt": "rim", "pdf.fonttype": 42}):
@@ -97,7 +141,7 @@ def _ruler(axes: Any, *, left: float, y: float, width: float, words: str) -> Non
         x, long = left + k * 0.01, 0.004 if k % 5 == 0 else 0.002
         axes.plot([x, x], [y, y + long], color="black", lw=0.4)
     text = (
-        f"{words}. Print at 100 %: the line is {length * 1000:.0f} mm long. "
+        f"{words}: the line is {length * 1000:.0f} mm long. "
         "Use a laser printer: dyes of ink-jets can be white in the infrared."
     )
     points = min(6.5, width * _POINTS / (0.5 * len(text)))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -31,6 +33,7 @@ radiometry: {gain: 600.0}
 noise: {floor: 0.002, shot: 0.0, amplitude: 6.0}
 effects: {mixed_pixels: {blur: 0.3, footprint: 1.0}}
 """
+needs_aruco = pytest.mark.skipif(not hasattr(cv2, "aruco"), reason="this OpenCV has no cv2.aruco")
 EXACT = Known(focal_sigma=0.0, centre_sigma=0.0, board_sigma=0.0)
 FRAMES = 2
 
@@ -70,7 +73,7 @@ def normalised(wrong: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def checkerboard(tmp_path_factory: pytest.TempPathFactory) -> tuple[Camera, Scene, Path]:
     folder = tmp_path_factory.mktemp("checkerboard")
-    return make(folder, ["checkerboard", "--distance", "0.55"], stations=8)
+    return make(folder, ["checkerboard", "--square", "0.03", "--distance", "0.55"], stations=8)
 
 
 def test_a_checkerboard(checkerboard: tuple[Camera, Scene, Path], tmp_path: Path) -> None:
@@ -177,6 +180,32 @@ def test_a_board_that_is_described_wrongly_is_looked_for_as_it_may_be(
     assert right.placed_frames == 2
 
 
+@needs_aruco
+@pytest.mark.parametrize("kind", ["checkerboard", "charuco", "apriltag", "circles"])
+@pytest.mark.parametrize("share", [0.55, 0.97])
+def test_a_board_is_found_as_far_away_as_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, share: float
+) -> None:
+    """The stated distance is for 200 px of focal length; this camera's is 200 px (the mean of fx and fy)."""
+    assert main(["board", kind, "--out", str(tmp_path / "board")]) == 0
+    said = re.search(
+        r"found up to about ([\d.]+) m away with a focal length of 200 px", capsys.readouterr().out
+    )
+    assert said is not None
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    camera, scene = load_camera(tmp_path / "camera.yaml"), load_scene(tmp_path / "board.yaml")
+    surface = scene.surfaces[0]
+    targets = targets_of(surface)
+    assert targets is not None
+    position = (0.02, -0.01, share * float(said[1]))
+    orientation = (0.1, 0.08, 0.0, float(np.sqrt(1 - 0.1**2 - 0.08**2)))
+    exposure = Exposure(0, Settings(integration_time=10.0), {surface.name: Pose(position, orientation)})
+    frame = Simulation(camera, scene, seed=3).frame(exposure)
+    found = find_board(frame.amplitude.astype(np.float32), surface, targets, camera.optics)
+    assert found is not None
+    np.testing.assert_allclose(found.pose.position, position, atol=0.04 * position[2])
+
+
 @pytest.mark.parametrize(
     ("kind", "position", "orientation"),
     [
@@ -193,7 +222,8 @@ def test_the_look_that_shows_the_board_best_is_taken(
     orientation: tuple[float, float, float, float],
 ) -> None:
     (tmp_path / "camera.yaml").write_text(CAMERA)
-    assert main(["board", kind, "--out", str(tmp_path / "board"), "--quiet"]) == 0
+    words = ["--columns", "4", "--rows", "3", "--square", "0.045"] if kind == "apriltag" else []
+    assert main(["board", kind, *words, "--out", str(tmp_path / "board"), "--quiet"]) == 0
     scene = load_scene(tmp_path / "board.yaml")
     camera, surface = load_camera(tmp_path / "camera.yaml"), scene.surfaces[0]
     simulation = Simulation(camera, scene, seed=3)

@@ -142,6 +142,68 @@ def test_print_at_true_scale_and_its_scene(tmp_path: Path) -> None:
     assert found.shape == (4, 5)
 
 
+#: Sizes of paper [mm] by ISO 216 and ANSI/ASME Y14.1, shorter side first.
+MILLIMETRES = {"A4": (210, 297), "A3": (297, 420), "letter": (215.9, 279.4)}
+
+
+def page_of(path: Path) -> list[float]:
+    """Return the sides of a PDF's page in mm, the shorter first."""
+    box = re.search(rb"/MediaBox\s*\[\s*0 0 ([\d.]+) ([\d.]+)", path.read_bytes())
+    assert box is not None
+    return sorted(float(side) / 72 * 25.4 for side in box.groups())
+
+
+@needs_aruco
+@pytest.mark.parametrize(
+    ("words", "paper", "said"),
+    [
+        (["checkerboard"], "A4", r"8 x 5 squares of 20 mm.*for A4\n.*focal length of 200 px \(SR-3000\)\n"),
+        (["circles"], "A4", r"7 x 4 circles of 15 mm, 30 mm apart"),
+        # modules of 4 mm: 1.4 px of a focal length of 200 px at 0.57 m
+        (
+            ["charuco"],
+            "A3",
+            r"4 x 4 squares of 50 mm.*\n.*; A4 would take --square 0.04, up to about 0.57 m\n",
+        ),
+        (["apriltag"], "A3", r"of 50 mm.*\n.*; A4 would take --square 0.037, up to about 0.66 m\n"),
+        (["apriltag", "--paper", "a4"], "A4", r"3 x 4 tags DICT_APRILTAG_36h11 of 37 mm"),
+        (["checkerboard", "--paper", "letter"], "letter", r"8 x 5 squares of 21 mm.*for letter\n"),
+        (["checkerboard", "--square", "0.03"], "A3", r"; A4 would take --square 0.02, up to about 1 m\n"),
+    ],
+)
+def test_a_board_is_for_a_usual_paper(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], paper: str, said: str
+) -> None:
+    """The smallest that it fits, or the one asked for, with the largest squares that fit."""
+    assert main(["board", *words, "--out", str(tmp_path / "board")]) == 0
+    told = capsys.readouterr().out
+    assert re.search(said, told)
+    assert f"print on {paper} at 100 %" in told
+    np.testing.assert_allclose(page_of(tmp_path / "board.pdf"), MILLIMETRES[paper], atol=0.01)
+    size = load_scene(tmp_path / "board.yaml").surfaces[0].size
+    assert size is not None
+    # printers leave 5 mm
+    assert all(1000 * side <= room - 10 for side, room in zip(sorted(size), MILLIMETRES[paper], strict=True))
+
+
+def test_default_checkerboards_and_circles_fit_letter_as_well(tmp_path: Path) -> None:
+    for kind, square in (("checkerboard", "0.02"), ("circles", "0.03")):
+        words = ["board", kind, "--square", square, "--paper", "letter", "--quiet"]
+        assert main([*words, "--out", str(tmp_path / kind)]) == 0
+        np.testing.assert_allclose(page_of(tmp_path / f"{kind}.pdf"), MILLIMETRES["letter"], atol=0.01)
+
+
+def test_a_board_larger_than_any_paper_has_its_own_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ten squares across with the margin are 2 m, beyond A0; 5 mm around and the ruler below are added."""
+    assert main(["board", "checkerboard", "--square", "0.2", "--out", str(tmp_path / "board")]) == 0
+    told = capsys.readouterr().out
+    assert "it fits no usual paper; A4 would take --square 0.02, up to about 1 m\n" in told
+    assert "print on a page of 2010 x 1826 mm at 100 %" in told
+    np.testing.assert_allclose(page_of(tmp_path / "board.pdf"), [1826, 2010], atol=0.01)
+
+
 @pytest.mark.parametrize(
     ("words", "match"),
     [
@@ -149,8 +211,9 @@ def test_print_at_true_scale_and_its_scene(tmp_path: Path) -> None:
         (["checkerboard", "--square", "1e9"], r"a side of 1e\+09 m \(from 0.001 to 1 m\)"),
         (["checkerboard", "--columns", "2"], r"2 x 5 is no board \(from 4 to 200 each\)"),
         (
-            ["checkerboard", "--paper", "a4"],
-            r"310 x 296 mm, more than a4 \(fewer or smaller squares, or --paper",
+            ["checkerboard", "--square", "0.03", "--paper", "a4"],
+            r"--paper: the board with its ruler takes 310 x 296 mm, more than A4 \(--square 0.02 fits it, or "
+            r"--paper a3\)",
         ),
         (["circles", "--columns", "60", "--rows", "60"], r"cells, at most 40000 make a scene file"),
         (["checkerboard", "--dictionary", "DICT_4X4_50"], r"a checkerboard has no markers"),
