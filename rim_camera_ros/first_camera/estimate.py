@@ -26,6 +26,8 @@ _METRES = 0.001
 _MOST_AMPLITUDE = 65535.0
 #: Relative RMS of the noise classes about the model above which it is said.
 _POOR = 0.15
+#: Share of an image's light that is elsewhere in an image of another scene.
+_ELSEWHERE = 0.1
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,10 @@ def _chain(first: RawFrame, rest: Iterable[RawFrame]) -> Iterable[RawFrame]:
 
 
 class _Means:
-    """Mean distance [m] and amplitude [counts] of each pixel over the first frames of one scene."""
+    """Mean distance [m] and amplitude [counts] of each pixel over the first frames of one scene.
+
+    They are of one scene as long as poses and settings stay, and the image does: poses need not be told.
+    """
 
     def __init__(self, unit: float) -> None:
         self._unit = unit
@@ -143,15 +148,19 @@ class _Means:
         self._first: RawFrame | None = None
 
     def add(self, frame: RawFrame) -> None:
+        amplitude = np.nan_to_num(frame.amplitude.astype(np.float64))
         if self._first is None:
             self._first, self._distance = frame, np.zeros(frame.shape)
+            self._first_amplitude = amplitude
             self._amplitude, self._count = np.zeros(frame.shape), np.zeros(frame.shape)
         if dict(frame.pose_stamps) != dict(self._first.pose_stamps) or (
             frame.settings.integration_time != self._first.settings.integration_time
         ):
             return
+        moved = np.abs(amplitude - self._first_amplitude).sum()
+        if moved > _ELSEWHERE * self._first_amplitude.sum():
+            return
         distance = np.nan_to_num(frame.distance.astype(np.float64)) * self._unit
-        amplitude = np.nan_to_num(frame.amplitude.astype(np.float64))
         valid = (distance > 0) & (amplitude > 0)
         self._distance += np.where(valid, distance, 0.0)
         self._amplitude += np.where(valid, amplitude, 0.0)

@@ -144,6 +144,24 @@ def test_gain_of_a_known_surface() -> None:
         first_camera(many, Stated())
 
 
+def test_the_gain_is_of_the_first_scene_where_nobody_tells_poses() -> None:
+    """A board in the hand is 0.3 m farther off in every fourth frame: mixed, its points lie in no plane."""
+    normal = np.array([0.3, -0.1, 1.0]) / np.linalg.norm([0.3, -0.1, 1.0])
+    cosine = rays() @ normal
+    many = []
+    for number, frame in enumerate(frames(16)):
+        distance = (1.0 + 0.3 * (number // 4)) / cosine
+        amplitude = 700.0 * 4.0 * 0.85 * cosine / distance**2
+        # of the first scene every second column, so that the median of reflectivities is 0.6 of the bright one
+        amplitude[:, :: 2 + number // 4] *= 0.2
+        many.append(
+            replace(frame, distance=distance.astype(np.float32), amplitude=amplitude.astype(np.float32))
+        )
+    found = first_camera(many, Stated(reflectivity=0.85 * 0.6, region=(31, 20, 50, 40))).gain
+    assert found.distance == pytest.approx(np.median(1.0 / cosine[20:41, 31:51]), rel=1e-6)
+    assert found.value == pytest.approx(700.0, rel=2e-3)
+
+
 def test_saturation_is_where_amplitudes_pile_up() -> None:
     rng = np.random.default_rng(5)
     counts = Counts()
