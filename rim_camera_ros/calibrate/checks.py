@@ -17,7 +17,7 @@ from rim_camera_ros.calibrate.recordings import takes_schedule
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import without_poses
 from rim_camera_ros.errors import InputError
-from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.data import Dataset, MissingPoses
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.reduction import check_frame, of_known_exposure
 from rim_camera_ros.frame import Intrinsics, RawFrame
@@ -145,7 +145,7 @@ def require_scene(recordings: Sequence[RecordingFacts], scene: Scene | None) -> 
         for name in scene.needs_truth:
             if name not in one.surfaces:
                 held = ", ".join(one.surfaces) or "none"
-                raise InputError(
+                raise MissingPoses(
                     f"the scene takes the pose of '{name}' from the recording, which holds poses of: {held}",
                     file=one.path,
                     place=f"/ground_truth/{name}/pose",

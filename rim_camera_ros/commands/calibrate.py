@@ -29,7 +29,7 @@ from rim_camera_ros.commands.common import (
     scene_of,
     topics_of,
 )
-from rim_camera_ros.commands.from_images import posed_recordings
+from rim_camera_ros.commands.from_images import board_as_remedy, posed_recordings
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.fit.data import Dataset
@@ -114,6 +114,8 @@ def run(given: argparse.Namespace) -> int:
             board = scene_of(given.board)
             posed = posed_recordings(given, request.recordings, board, request.camera, topics_of(given))
             request = replace(request, recordings=stack.enter_context(posed), topics=None)
+        elif given.scene is not None and len(given.scene) == 1:
+            stack.enter_context(board_as_remedy(scene_of(given.scene[0]), given.scene[0]))
         return _calibrated(given, request, report)
 
 

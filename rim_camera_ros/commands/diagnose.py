@@ -27,7 +27,7 @@ from rim_camera_ros.commands.common import (
     scene_of,
     topics_of,
 )
-from rim_camera_ros.commands.from_images import posed_recordings
+from rim_camera_ros.commands.from_images import board_as_remedy, posed_recordings
 from rim_camera_ros.commands.output_folder import OutputFolder
 from rim_camera_ros.diagnose.files import MODEL, PAGE, REPORT, WHERE
 from rim_camera_ros.errors import InputError
@@ -130,6 +130,8 @@ def run(given: argparse.Namespace) -> int:
         if given.board is not None:
             posed = posed_recordings(given, (given.bag,), scene, camera, topics)
             (bag,), topics = stack.enter_context(posed), Topics()
+        else:
+            stack.enter_context(board_as_remedy(scene, given.scene))
         stages = stack.enter_context(Stages(quiet=given.quiet))
         workers = stack.enter_context(on_workers(given.scheduler))
         reviewed, changes = measurement_of(camera).review(camera, _frames(bag, topics), scene)

@@ -12,6 +12,8 @@ from rim_camera_ros.bags import Recording, Topics
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.commands.common import Progress, say
 from rim_camera_ros.errors import InputError, nearest_name
+from rim_camera_ros.fit.data import MissingPoses
+from rim_camera_ros.photogrammetry.board_stations import board_of
 from rim_camera_ros.photogrammetry.from_images import (
     DEFAULT_BOARD_SIGMA,
     DEFAULT_CENTRE_SIGMA,
@@ -84,6 +86,24 @@ def estimated(given: argparse.Namespace) -> tuple[str, ...]:
                 remedy=nearest_name(name, OPTICS_PARAMETERS),
             )
     return tuple(name for name in OPTICS_PARAMETERS if name in names)
+
+
+@contextmanager
+def board_as_remedy(scene: Scene, name: str) -> Iterator[None]:
+    """Name ``--board`` in errors of missing poses, where the scene ``name`` has a board to find in images."""
+    try:
+        yield
+    except MissingPoses as error:
+        try:
+            board_of(scene)
+        except InputError:
+            raise error from None
+        raise InputError(
+            error.problem,
+            file=error.file,
+            place=error.place,
+            remedy=f"--board {name} in the place of --scene finds them in the images; or {error.remedy}",
+        ) from None
 
 
 @contextmanager

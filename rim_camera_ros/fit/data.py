@@ -24,6 +24,10 @@ KEPT_FRAMES = 8
 Array = NDArray[Any]
 
 
+class MissingPoses(InputError):
+    """A recording lacks the poses of a surface that its scene file gives as ``pose: truth``."""
+
+
 @dataclass(frozen=True)
 class Station:
     """Frames of one pose, one setting and (within a long pose) one block of time.
@@ -88,7 +92,7 @@ class Dataset:
     def with_poses(self, scene: Scene, path: str | PathLike[str] | None = None) -> None:
         """Leave out stations before the first pose of a surface with ``pose: truth``, which is noted.
 
-        Raises `InputError` where no station has all poses.
+        Raises `MissingPoses` where no station has all poses, `InputError` where there is no station.
         """
         needed = scene.needs_truth
         if not self.stations:
@@ -100,7 +104,7 @@ class Dataset:
         if not kept:
             present = {name for one in self.stations for name in one.truth}
             absent = [name for name in needed if name not in present]
-            raise InputError(
+            raise MissingPoses(
                 f"holds no pose of {', '.join(absent) or 'all surfaces together'}",
                 file=path,
                 place="scene with pose: truth",
