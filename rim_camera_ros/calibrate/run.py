@@ -52,8 +52,9 @@ class Request:
     of the camera file and those that the recordings ask for; else exactly those (``empirical:COVARIATE``
     for a
     smooth function of it; ``integral_table`` alone for a table by position). ``geometry`` estimates the
-    optics with them. ``camera_name``, ``scene_name`` and ``command`` go into the provenance. The result is
-    the same with any number of ``threads``.
+    optics with them. ``camera_name``, ``scene_name`` and ``command`` go into the provenance, and so do the
+    ``originals`` of recordings that were made of others for this. The result is the same with any number of
+    ``threads``.
     """
 
     recordings: tuple[Path, ...]
@@ -67,6 +68,7 @@ class Request:
     camera_name: str = ""
     scene_name: str | None = None
     command: str = ""
+    originals: tuple[Path, ...] | None = None
 
 
 @dataclass
@@ -254,7 +256,7 @@ def _finished(
     camera = replace(camera, validity=validity)
     camera = stated(camera, paths, covariance) if not only_integral else replace(camera, covariance=None)
     watch.say("checksums")
-    sources = _sources(request.recordings, dataset, watch.tick)
+    sources = _sources(request.originals or request.recordings, dataset, watch.tick)
     camera = replace(
         camera,
         provenance=provenance(

@@ -6,7 +6,7 @@ import argparse
 import shlex
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -109,17 +109,23 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(given: argparse.Namespace) -> int:
     """Calibrate, write, and print the table of results."""
     request, report = _checked(given)
+    named: Callable[[str], str] = str
     with ExitStack() as stack:
         if given.board is not None:
             board = scene_of(given.board)
             posed = posed_recordings(given, request.recordings, board, request.camera, topics_of(given))
-            request = replace(request, recordings=stack.enter_context(posed), topics=None)
+            found = stack.enter_context(posed)
+            request = replace(request, recordings=found.recordings, originals=found.originals, topics=None)
+            named = found.named
         elif given.scene is not None and len(given.scene) == 1:
             stack.enter_context(board_as_remedy(scene_of(given.scene[0]), given.scene[0]))
-        return _calibrated(given, request, report)
+        return _calibrated(given, request, report, named)
 
 
-def _calibrated(given: argparse.Namespace, request: Request, report: Path | None) -> int:
+def _calibrated(
+    given: argparse.Namespace, request: Request, report: Path | None, named: Callable[[str], str]
+) -> int:
+    """Calibrate and write; ``named`` puts names of recordings into notes as they were given."""
     measurement = measurement_of(request.camera)
     made: list[tuple[Part, Calibration, Path | None, bytes | None]] = []
     notes: list[str] = []
@@ -128,6 +134,7 @@ def _calibrated(given: argparse.Namespace, request: Request, report: Path | None
             for part in measurement.parts(request.camera):
                 one = _of_part(request, part)
                 result = calibrate(one, progress=line.show, reducer=_reducer(given.scheduler))
+                result.notes = [named(note) for note in result.notes]
                 if not given.force_result:
                     _require_a_good_one(given, result)
                 line.show("report", None, None)

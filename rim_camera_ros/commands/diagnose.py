@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -127,9 +127,10 @@ def run(given: argparse.Namespace) -> int:
     results: list[tuple[Part, Diagnosis]] = []
     with ExitStack() as stack:
         bag, topics = given.bag, topics_of(given)
+        named: Callable[[str], str] = str
         if given.board is not None:
-            posed = posed_recordings(given, (given.bag,), scene, camera, topics)
-            (bag,), topics = stack.enter_context(posed), Topics()
+            posed = stack.enter_context(posed_recordings(given, (given.bag,), scene, camera, topics))
+            (bag,), topics, named = posed.recordings, Topics(), posed.named
         else:
             stack.enter_context(board_as_remedy(scene, given.scene))
         stages = stack.enter_context(Stages(quiet=given.quiet))
@@ -138,6 +139,7 @@ def run(given: argparse.Namespace) -> int:
         measurement = measurement_of(reviewed)
         for part in measurement.parts(reviewed):
             dataset = _stations(given, bag, part, scene, topics)
+            dataset.notes = [named(note) for note in dataset.notes]
             against = None
             if given.against is not None:
                 against = _stations(given, given.against, part, scene, topics_of(given))

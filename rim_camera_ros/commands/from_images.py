@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from rim_camera_ros.bags import Recording, Topics
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.commands.common import Progress, say
-from rim_camera_ros.errors import InputError, nearest_name
+from rim_camera_ros.errors import InputError, RimError, nearest_name
 from rim_camera_ros.fit.data import MissingPoses
 from rim_camera_ros.photogrammetry.board_stations import board_of
 from rim_camera_ros.photogrammetry.from_images import (
@@ -24,6 +25,10 @@ from rim_camera_ros.photogrammetry.from_images import (
 )
 from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS
 from rim_camera_ros.scene import Scene
+from rim_camera_ros.temporary import temporary_folder
+
+#: Name of the folder of recordings with poses.
+_FOLDER = "rim_poses"
 
 
 def _sigma(text: str) -> float:
@@ -106,26 +111,47 @@ def board_as_remedy(scene: Scene, name: str) -> Iterator[None]:
         ) from None
 
 
+@dataclass(frozen=True)
+class Posed:
+    """Recordings with poses that were made of ``originals``, in their order."""
+
+    recordings: tuple[Path, ...]
+    originals: tuple[Path, ...]
+
+    def named(self, text: str) -> str:
+        """Return a text that names the originals in the place of the recordings."""
+        pairs = zip(self.recordings, self.originals, strict=True)
+        # longer names first: 1 begins 10
+        for its, original in sorted(pairs, key=lambda pair: -len(str(pair[0]))):
+            text = text.replace(str(its), str(original))
+        return text
+
+
 @contextmanager
 def posed_recordings(
     given: argparse.Namespace, bags: tuple[Path, ...], board: Scene, camera: Camera, topics: Topics
-) -> Iterator[tuple[Path, ...]]:
+) -> Iterator[Posed]:
     """Recordings with the poses of a board found in their images, for as long as the context lasts.
 
-    Says what was found. Names of the recordings stay.
+    Says what was found. They are in a folder that is removed, by the next run where this one is killed.
+    Errors name the originals.
     """
-    with tempfile.TemporaryDirectory(prefix="rim_poses.") as folder:
-        made = []
+    with closing(temporary_folder(Path(tempfile.gettempdir()), _FOLDER)) as folder:
+        made: list[Path] = []
         for number, bag in enumerate(bags):
             with Recording(bag, topics=topics) as recording:
                 total = recording.frame_count
             with Progress("searched", total, quiet=given.quiet) as progress:
                 found = poses_of_recording(bag, board, camera, topics=topics, progress=progress.over)
-            place = Path(folder) / str(number)
-            place.mkdir()
-            write_poses(bag, found, place / bag.name, topics=topics)
+            made.append(folder.path / str(number))
+            write_poses(bag, found, made[-1], topics=topics)
             say(given, [*found.notes, found.scale_words(DEFAULT_BOARD_SIGMA)])
             if not given.quiet:
                 print("\n".join(found.words()))
-            made.append(place / bag.name)
-        yield tuple(made)
+        posed = Posed(tuple(made), bags)
+        try:
+            yield posed
+        except RimError as error:
+            file = None if error.file is None else posed.named(error.file)
+            problem = posed.named(error.problem)
+            raise type(error)(problem, file=file, place=error.place, remedy=error.remedy) from None
