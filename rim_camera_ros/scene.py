@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Literal
@@ -29,6 +29,8 @@ TRUTH = "truth"
 UNKNOWN = "unknown"
 #: Stands for a reflectivity that nobody stated.
 _GREY = 0.5
+#: Least distance of a surface from the optical centre [m]: of a nearer one light has no size.
+LEAST_DISTANCE = 0.001
 
 _EMPTY: Mapping[str, Any] = MappingProxyType({})
 
@@ -37,7 +39,7 @@ _EMPTY: Mapping[str, Any] = MappingProxyType({})
 class ScenePose:
     """A pose in a scene file; ``free`` names the components that are not known."""
 
-    position: tuple[float, float, float] = quantity("m", "x y z")
+    position: tuple[float, float, float] = quantity("m", "x y z; its surface 1 mm or more from the origin")
     orientation: tuple[float, float, float, float] = quantity("-", "x y z w", default=(0.0, 0.0, 0.0, 1.0))
     free: tuple[Literal["x", "y", "z", "roll", "pitch", "yaw"], ...] = quantity(
         "-", "components to be estimated", default=()
@@ -155,6 +157,19 @@ class Surface:
         errors[1:, 3:] = rotation[:, :2].T
         result: Array = errors @ np.array(pose.covariance).reshape(6, 6) @ errors.T
         return result
+
+    def distance(self, pose: Pose) -> float:
+        """Return the distance of its nearest point from the optical centre in metres."""
+        position = np.array(pose.position)
+        if self.radius is not None and self.type == "sphere":
+            return float(abs(np.linalg.norm(position) - self.radius))
+        x, y, z = -position @ rotation_matrix(pose.orientation)
+        beyond = (0.0, 0.0)
+        if self.size is not None:
+            beyond = (max(abs(x) - self.size[0] / 2, 0.0), max(abs(y) - self.size[1] / 2, 0.0))
+        elif self.radius is not None:
+            beyond = (max(math.hypot(x, y) - self.radius, 0.0), 0.0)
+        return math.hypot(z, *beyond)
 
     def lengths(self, pose: Pose, origins: Array, directions: Array) -> Array:
         """Return the lengths (N,) along rays at which the surface is met; inf where it is not.
@@ -294,7 +309,26 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         replace(one, poses=MappingProxyType({name: _normalised(pose) for name, pose in one.poses.items()}))
         for one in scene.schedule
     )
-    return replace(scene, surfaces=surfaces, schedule=schedule)
+    scene = replace(scene, surfaces=surfaces, schedule=schedule)
+    for place, surface, pose in _stated(scene):
+        if surface.distance(pose.pose) < LEAST_DISTANCE:
+            raise document.error(
+                (*place, "position"),
+                f"'{surface.name}' lies {surface.distance(pose.pose):.2g} m from the optical centre",
+                f"place it {LEAST_DISTANCE:g} m away or more, x y z in metres before the camera",
+            )
+    return scene
+
+
+def _stated(scene: Scene) -> Iterator[tuple[tuple[str | int, ...], Surface, ScenePose]]:
+    """Yield the poses that a scene file states, with their place in it and their surface."""
+    for number, surface in enumerate(scene.surfaces):
+        if isinstance(surface.pose, ScenePose):
+            yield ("surfaces", number, "pose"), surface, surface.pose
+    by_name = {surface.name: surface for surface in scene.surfaces}
+    for number, station in enumerate(scene.schedule):
+        for name, pose in station.poses.items():
+            yield ("schedule", number, "poses", name), by_name[name], pose
 
 
 def _normalised(pose: ScenePose) -> ScenePose:

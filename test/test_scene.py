@@ -84,7 +84,7 @@ def test_quaternions_are_normalised_everywhere(tmp_path: Path) -> None:
     """Four printed digits are enough; also in the schedule."""
     text = (
         HEAD
-        + "- {name: a, type: plane, pose: {position: [0, 0, 2], orientation: [0, 0.7073, 0, 0.7073]}}\nschedule:\n- {poses: {a: {position: [0, 0, 3], orientation: [0.7073, 0, 0, 0.7073], free: [y, yaw]}}}\n"
+        + "- {name: a, type: plane, pose: {position: [1, 0, 2], orientation: [0, 0.7073, 0, 0.7073]}}\nschedule:\n- {poses: {a: {position: [0, 1, 3], orientation: [0.7073, 0, 0, 0.7073], free: [y, yaw]}}}\n"
     )
     scene = load(tmp_path, text)
     pose, later = scene.surfaces[0].pose, scene.schedule[0].poses["a"]
@@ -124,6 +124,11 @@ FAULTS = {
     "setting 0": (HEAD + WALL + "schedule:\n- {integration_time: 0}\n", r"schedule\.0\.integration_time \(line 5\): must be greater than 0"),
     "uptime before": (HEAD + WALL + "schedule:\n- {uptime: -1}\n", r"schedule\.0\.uptime \(line 5\): must be at least 0 s"),
     "key in a station": (HEAD + WALL + "schedule:\n- {frames: 3, ambeint: 20}\n", r"schedule\.0\.ambeint \(line 5\): unknown key \(did you mean 'ambient'\?\)"),
+    "plane at the lens": (HEAD + "- {name: a, type: plane, pose: {position: [0, 0, 1e-100]}}\n", r"scene\.yaml: surfaces\.0\.pose\.position \(line 3\): 'a' lies 1e-100 m from the optical centre \(place it 0\.001 m away or more, x y z in metres"),
+    "plane through the lens": (HEAD + "- {name: a, type: plane, pose: {position: [3, 4, 0]}}\n", r"position \(line 3\): 'a' lies 0 m from the optical centre"),
+    "station at the lens": (HEAD + WALL + "schedule:\n- {poses: {a: {position: [0, 0, 1e-300]}}}\n", r"schedule\.0\.poses\.a\.position \(line 5\): 'a' lies 1e-300 m from the optical centre"),
+    "disc at the lens": (HEAD + "- {name: a, type: disc, radius: 0.5, pose: {position: [0.4, 0, 0.0009]}}\n", r"position \(line 3\): 'a' lies 0\.0009 m from the optical centre"),
+    "sphere through the lens": (HEAD + "- {name: a, type: sphere, radius: 5, pose: {position: [3, 4, 0]}}\n", r"position \(line 3\): 'a' lies 0 m from the optical centre"),
     "schedule that is a group": (HEAD + WALL + "schedule: {frames: 3}\n", r"schedule \(line 4\): expected a list, found a group of keys"),
 }  # fmt: skip
 

@@ -152,7 +152,7 @@ def test_the_gain_is_of_the_first_scene_where_nobody_tells_poses() -> None:
     for number, frame in enumerate(frames(16)):
         distance = (1.0 + 0.3 * (number // 4)) / cosine
         amplitude = 700.0 * 4.0 * 0.85 * cosine / distance**2
-        # of the first scene every second column, so that the median of reflectivities is 0.6 of the bright one
+        # of the first scene every second column: the median reflectivity is 0.6 of the bright one
         amplitude[:, :: 2 + number // 4] *= 0.2
         many.append(
             replace(frame, distance=distance.astype(np.float32), amplitude=amplitude.astype(np.float32))
