@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rim_camera_ros.calibrate.effect_status import likelier
 from rim_camera_ros.calibrate.held_out import Accuracy
 from rim_camera_ros.calibrate.solution import Solution
 from rim_camera_ros.effects import CovariateTable
@@ -147,6 +148,6 @@ def beyond_form(problem: Problem, solution: Solution) -> str | None:
     low, high = int(np.argmin(departure)), int(np.argmax(departure))
     return (
         f"a smooth curve in amplitude fits held-out poses better than the form of {' and '.join(names)} "
-        f"({gain:.0f} nats): it departs by {np.ptp(departure) * 1e3:.1f} mm between {knots[low]:.0f} and "
+        f"({likelier(gain)}): it departs by {np.ptp(departure) * 1e3:.1f} mm between {knots[low]:.0f} and "
         f"{knots[high]:.0f} counts; compare with --effects {CovariateTable.name}:amplitude"
     )

@@ -205,9 +205,14 @@ def _absent(
         limits.append(f"{brightness * 100:.2g} % of the amplitude")
     text = f"absent: at most {' and '.join(limits)}"
     if gain > threshold:
-        text = text.replace("absent: at", "left out, at") + f", though {gain:.0f} nats speak for it"
+        text = text.replace("absent: at", "left out, at") + f", though with it {likelier(gain)}"
         return EffectStatus(name, "left out", text, bound, brightness, gain)
     return EffectStatus(name, "absent", text, bound, brightness, gain)
+
+
+def likelier(gain: float) -> str:
+    """Return a gain in nats in words."""
+    return f"held-out poses are 10^{gain / np.log(10):.0f} times as probable"
 
 
 def _posterior(scores: Scores, span: Array) -> Array:

@@ -17,6 +17,7 @@ import psutil
 import pytest
 import yaml
 
+from rim_camera_ros.calibrate.effect_status import likelier
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import draw_parameters, load_camera, save_camera
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
@@ -283,6 +284,34 @@ def test_offsets_of_pixels_alone(folder: Path, capsys: pytest.CaptureFixture[str
     found = load_camera(own / "c.yaml")
     assert "fixed_pattern_offset" in found.effects
     assert found.effects["cyclic_error"] == TOLD
+
+
+@pytest.mark.long
+def test_what_speaks_for_an_effect_that_is_left_out_is_said_without_units_of_evidence(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A cyclic error of 12 mm beside a scale, which alone was asked for; 10 nats are a factor of 22,026."""
+    assert likelier(10.0) == "held-out poses are 10^4 times as probable"
+    plain = replace(load_camera(folder / "start.yaml"), effects={})
+    save_camera(plain, folder / "plain.yaml")
+    files = [
+        "--camera",
+        folder / "plain.yaml",
+        "--scene",
+        folder / "scene.yaml",
+        "--out",
+        folder / "scale.yaml",
+    ]
+    words = ["calibrate", folder / "bag", *files, "--effects", "distance_scale", "--force-result"]
+    status, out, error = run(capsys, *words)
+    assert status == 0, error
+    said = r"left out, at most [\d.]+ mm RMS, though with it held-out poses are 10\^(\d+) times as probable"
+    page = (folder / "scale.report.html").read_text()
+    found = re.search(f"cyclic_error {said}", " ".join(out.split()))
+    assert found is not None
+    assert int(found[1]) > 30
+    assert found[1] in re.findall(said, page)
+    assert not re.search(r"\bnats\b", out + page)
 
 
 @pytest.mark.long
