@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 from dataclasses import replace
@@ -20,6 +21,8 @@ from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.fit.reduction import reduce_recording
 from rim_camera_ros.frame import Pose
+from rim_camera_ros.reports.diagnosis.evidence import evidence
+from rim_camera_ros.reports.diagnosis.page import page
 from rim_camera_ros.scene import load_scene
 
 from ..calibrate.bags import frames, write
@@ -89,6 +92,23 @@ def test_a_pose_that_is_off_is_no_physics(tmp_path: Path) -> None:
     assert "2 of 24 poses" in result.reason
     report = as_json(result)
     assert report["reason"] == result.reason
+    # the page shows the worst of them: told to be 50 mm farther away, and at its place in the image
+    worst = evidence(result).worst
+    assert worst is not None
+    assert worst.pose in (4, 9)
+    recorded = data.stations[worst.pose].amplitude
+    np.testing.assert_array_equal(worst.recorded[recorded > 0], recorded[recorded > 0])
+    assert np.nanmedian(worst.difference) == pytest.approx(-0.05, abs=0.008)
+    assert np.corrcoef(recorded.ravel(), worst.simulated.ravel())[0, 1] > 0.9
+    html = page(result, recording="bag", camera="camera.yaml", scene="scene.yaml")
+    alt = f"Recorded amplitude, simulated amplitude and difference of distances at pose {worst.pose}; median"
+    shown = re.search(rf'<img alt="{alt} difference (\d+) mm" src="data:image/svg\+xml;base64,([^"]+)"', html)
+    assert shown is not None
+    assert int(shown[1]) == pytest.approx(50, abs=8)
+    drawn = base64.b64decode(shown[2]).decode()
+    for title in ("recorded amplitude", "simulated amplitude", "recorded - simulated distance"):
+        assert title in drawn
+    assert drawn.count("<image ") >= 3
 
 
 @pytest.mark.long
