@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rim_camera_ros.bags import Recording
+from rim_camera_ros.calibrate.solution import stated
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import save_camera
 from rim_camera_ros.commands.common import (
@@ -50,7 +51,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--start", type=Path, metavar="YAML", help="camera_info to start from")
     parser.add_argument("--out", type=Path, required=True, metavar="YAML", help="camera_info to write")
     parser.add_argument(
-        "--camera-out", type=Path, metavar="CAMERA2", help="camera file to write with the optics"
+        "--camera-out",
+        type=Path,
+        metavar="CAMERA2",
+        help="camera file to write with the optics and their covariance; all else is that of --camera",
     )
     add_known(parser)
     add_topics(parser)
@@ -85,8 +89,9 @@ def run(given: argparse.Namespace) -> int:
     assert found.report is not None
     write_camera_info(given.out, found.optics, shape=camera.shape, name=camera.device)
     if given.camera_out is not None:
-        # a covariance of the old optics does not hold for the new ones
-        save_camera(replace(camera, optics=found.optics, covariance=None), given.camera_out)
+        sigmas = found.covariance
+        new = stated(replace(camera, optics=found.optics), list(sigmas.parameters), sigmas.matrix)
+        save_camera(new, given.camera_out)
     say(given, [*found.notes, found.scale_words(given.board_sigma)])
     if not given.quiet:
         print(found.report.text())
@@ -103,4 +108,5 @@ def _started(camera: Camera, path: Path) -> Camera:
             file=path,
             remedy="give the camera_info of the same mode",
         )
-    return replace(camera, optics=optics)
+    known = None if camera.covariance is None else camera.covariance.without(["optics."])
+    return replace(camera, optics=optics, covariance=known)

@@ -1,0 +1,68 @@
+"""``rim optics`` on recordings of a board by a camera whose optics are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rim_camera_ros.camera import ArrayFile, Covariance
+from rim_camera_ros.camera_file import load_camera, save_camera
+from rim_camera_ros.cli import main
+from rim_camera_ros.photogrammetry.from_images import poses_of_recording
+from rim_camera_ros.scene import load_scene
+
+from .test_board_poses import CAMERA, make
+
+EFFECTS = """
+effects:
+  mixed_pixels: {blur: 0.3, footprint: 1.0}
+  distance_scale: {scale: 0.0}
+  background_light: {level: 10.0, offset: 0.001}
+"""
+#: 1-sigma of the scale [-] and the offset [m], which have a correlation of -0.5.
+OF_EFFECTS = np.array([[4e-8, -1e-7], [-1e-7, 1e-6]])
+PATHS = ("effects.distance_scale.scale", "effects.background_light.offset")
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight stations of a checkerboard; camera.yaml states a covariance of its effects and fx."""
+    folder = tmp_path_factory.mktemp("optics")
+    camera, _, _ = make(folder, ["checkerboard", "--distance", "0.5"], stations=8)
+    text = CAMERA[: CAMERA.index("effects:")] + EFFECTS.lstrip()
+    (folder / "told.yaml").write_text(text)
+    matrix = np.zeros((3, 3))
+    matrix[:2, :2], matrix[2, 2] = OF_EFFECTS, 0.04
+    covariance = Covariance((*PATHS, "optics.fx"), ArrayFile("told_covariance.npy", matrix))
+    save_camera(replace(load_camera(folder / "told.yaml"), covariance=covariance), folder / "told.yaml")
+    assert camera.optics == load_camera(folder / "told.yaml").optics
+    return folder
+
+
+def test_the_covariance_that_was_found_is_written(recorded: Path, tmp_path: Path) -> None:
+    words = ["optics", str(recorded / "bag"), "--scene", str(recorded / "board.yaml")]
+    words += ["--camera", str(recorded / "told.yaml"), "--estimate", "fx,cx,cy", "--quiet"]
+    words += ["--out", str(tmp_path / "info.yaml"), "--camera-out", str(tmp_path / "new.yaml")]
+    assert main(words) == 0
+    told, new = load_camera(recorded / "told.yaml"), load_camera(tmp_path / "new.yaml")
+    assert new.covariance is not None
+    assert set(new.covariance.parameters) == {*PATHS, "optics.fx", "optics.fy", "optics.cx", "optics.cy"}
+    at = [new.covariance.parameters.index(one) for one in PATHS]
+    np.testing.assert_allclose(new.covariance.matrix.values[np.ix_(at, at)], OF_EFFECTS, rtol=1e-12)
+    assert new.effects == told.effects
+    found, true = new.optics, told.optics
+    for name, least, most in (("fx", 0.005, 0.5), ("fy", 0.005, 0.5), ("cx", 0.005, 0.5), ("cy", 0.005, 0.5)):
+        i = new.covariance.parameters.index(f"optics.{name}")
+        sigma = float(np.sqrt(new.covariance.matrix.values[i, i]))
+        assert least < sigma < most
+        assert abs(getattr(found, name) - getattr(true, name)) < 3.5 * sigma
+    # it is what poses are given their covariance by
+    scene = load_scene(recorded / "board.yaml")
+    poses = poses_of_recording(recorded / "bag", scene, new)
+    assert poses.covariance.sigma("optics.cx") == pytest.approx(
+        np.sqrt(new.covariance.matrix.values[i - 1, i - 1])
+    )
+    assert not [one for one in poses.notes if "states no covariance" in one]
