@@ -7,7 +7,6 @@ nothing else gives one (Brown 1971; Triggs et al. 2000; Kahlmann 2007, sec. 3.2)
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +15,24 @@ from scipy.sparse import coo_array, csr_array
 from scipy.spatial.transform import Rotation
 
 from rim_camera_ros.errors import RimError
-from rim_camera_ros.optics import project
+from rim_camera_ros.photogrammetry.bundle import (
+    Adjusted,
+    Bundle,
+    Loss,
+    NotDetermined,
+    State,
+    in_camera,
+    predicted,
+    shared_errors,
+    to_optics,
+)
 from rim_camera_ros.photogrammetry.projection import (
-    OPTICS_PARAMETERS,
     ellipse_centre_offset,
     optics_of,
     projection_derivatives,
 )
 
 Array = NDArray[np.float64]
-Loss = Literal["huber", "squared"]
 
 #: Huber's limit in units of the sigma of one coordinate; for points in the plane it costs 1 % of precision.
 _HUBER = 3.0
@@ -42,77 +49,6 @@ _ELLIPSE_ROUNDS = 10
 _ELLIPSE_SHIFT = 1e-5
 #: Median of chi-square with two degrees of freedom, by which a median becomes a variance.
 _MEDIAN_CHI2 = 2 * np.log(2)
-
-
-@dataclass(frozen=True)
-class Bundle:
-    """What is adjusted.
-
-    ``image`` (n, 2) px with ``sigma`` (n,) px, ``station`` and ``target`` (n,) indices. ``targets`` (t, 3) m
-    with ``radii`` (t,) and ``normals`` (t, 3); ``distances``: (first, second, length, sigma) with indices
-    of free targets. ``aspect``: fx / fy where the two are not told apart (``estimated`` without ``fy``).
-    ``offsets`` (n, 2) px: centres of the ellipses less images of the circles' centres; None: not known yet.
-    """
-
-    image: Array
-    sigma: Array
-    station: NDArray[np.intp]
-    target: NDArray[np.intp]
-    targets: Array
-    radii: Array
-    normals: Array
-    free_targets: bool
-    distances: tuple[tuple[int, int, float, float], ...]
-    aspect: float
-    correct_ellipses: bool
-    offsets: Array | None = None
-
-
-@dataclass(frozen=True)
-class State:
-    """Unknowns: the nine optics parameters, rotations (s, 3, 3) and translations (s, 3), targets (t, 3)."""
-
-    optics: Array
-    rotations: Array
-    translations: Array
-    targets: Array
-
-
-@dataclass(frozen=True)
-class Adjusted:
-    """Result of an adjustment.
-
-    ``covariance``: of all unknowns, already times sigma zero squared; the first ``optics_unknowns`` are the
-    estimated optics parameters, then six for each station (rotation [rad] about x y z of the optical frame,
-    translation [m]), then three for each free target. ``residuals`` (n, 2) px; ``redundancy``: the degrees
-    of freedom; ``point_redundancy`` (n,) 0..1: the share of an error of that point which its residual shows.
-    """
-
-    state: State
-    estimated: tuple[str, ...]
-    covariance: Array
-    sigma_zero: float
-    redundancy: int
-    residuals: Array
-    point_redundancy: Array
-
-    @property
-    def optics_unknowns(self) -> int:
-        return len(self.estimated)
-
-    @property
-    def optics_covariance(self) -> Array:
-        """Covariance of the estimated parameters, with ``fy`` as the departure of fy from its aspect [px]."""
-        n = len(self.estimated)
-        return self.covariance[:n, :n]
-
-
-class NotDetermined(RimError):
-    """The observations do not determine the unknowns. ``unknown``: index of the one that is least so."""
-
-    def __init__(self, unknown: int) -> None:
-        self.unknown = unknown
-        super().__init__(f"unknown {unknown} is not determined by the observations")
 
 
 def adjust(bundle: Bundle, start: State, *, estimated: tuple[str, ...], loss: Loss = "squared") -> Adjusted:
@@ -206,7 +142,7 @@ def outliers(adjusted: Adjusted, bundle: Bundle, *, limit: float) -> NDArray[np.
     It is the one whose residual exceeds its own sigma most, if by more than ``limit``; it pulls at its
     neighbours, which therefore have to wait for another adjustment.
     """
-    size = np.linalg.norm(adjusted.residuals, axis=1) / bundle.sigma
+    size = np.linalg.norm(adjusted.residuals, axis=1) / bundle.whole_sigma
     reach = np.sqrt(np.maximum(adjusted.point_redundancy, 0.05))
     freedom = max(adjusted.redundancy, 1) / (2 * len(size))
     spread = np.sqrt(np.median(size**2) / _MEDIAN_CHI2 / freedom)
@@ -244,28 +180,17 @@ class _Datum:
 # --- equations --------------------------------------------------------------------------------------
 
 
-def in_camera(bundle: Bundle, state: State) -> Array:
-    """Return the targets of all points (n, 3) m in the optical frame of their stations."""
-    rotated = np.einsum("nij,nj->ni", state.rotations[bundle.station], state.targets[bundle.target])
-    result: Array = rotated + state.translations[bundle.station]
-    return result
-
-
-def predicted(bundle: Bundle, state: State) -> Array:
-    """Return where the points (n, 2) px should be, circles at the centres of their ellipses."""
-    image = project(optics_of(state.optics), in_camera(bundle, state))
-    return image if bundle.offsets is None else image + bundle.offsets
-
-
 def _residuals(bundle: Bundle, state: State, datum: _Datum) -> Array:
-    """Observed less computed over sigma: u and v of each point, distances, inner constraints."""
-    image = ((bundle.image - predicted(bundle, state)) / bundle.sigma[:, None]).ravel()
+    """Observed less computed over sigma: u and v of each point, distances, inner constraints, prior."""
+    image = ((bundle.image - predicted(bundle, state)) / bundle.whole_sigma[:, None]).ravel()
     lengths = [
         (length - float(np.linalg.norm(state.targets[i] - state.targets[j]))) / sigma
         for i, j, length, sigma in bundle.distances
     ]
     inner = -datum.constraints @ (state.targets - datum.origin).ravel()
-    return np.concatenate([image, lengths, inner])
+    known = bundle.prior
+    before = np.zeros(0) if known is None else known.root @ (known.mean - state.optics)
+    return np.concatenate([image, lengths, inner, before])
 
 
 def _jacobian(bundle: Bundle, state: State, datum: _Datum, estimated: tuple[str, ...]) -> csr_array:
@@ -273,8 +198,9 @@ def _jacobian(bundle: Bundle, state: State, datum: _Datum, estimated: tuple[str,
     points = in_camera(bundle, state)
     optics = optics_of(state.optics)
     by_optics, by_point = projection_derivatives(optics, points)
-    inverse = 1 / bundle.sigma[:, None, None]
-    interior = (by_optics * inverse) @ _to_optics(optics.fx, optics.fy, estimated)
+    follow = to_optics(optics.fx, optics.fy, estimated)
+    inverse = 1 / bundle.whole_sigma[:, None, None]
+    interior = (by_optics * inverse) @ follow
     by_point = by_point * inverse
     arm = points - state.translations[bundle.station]
     turn = np.cross(np.eye(3)[None], arm[:, None, :])  # rows: axis x arm
@@ -307,15 +233,15 @@ def _jacobian(bundle: Bundle, state: State, datum: _Datum, estimated: tuple[str,
         column.append(at + inner_column.ravel())
         value.append(datum.constraints.ravel())
         height += len(datum.constraints)
+    if bundle.prior is not None:
+        known = bundle.prior.root @ follow
+        prior_row, prior_column = np.indices(known.shape)
+        row.append(height + prior_row.ravel())
+        column.append(prior_column.ravel())
+        value.append(known.ravel())
+        height += len(known)
     entries = (np.concatenate(value), (np.concatenate(row), np.concatenate(column)))
     return coo_array(entries, shape=(height, width)).tocsr()
-
-
-def _to_optics(fx: float, fy: float, estimated: tuple[str, ...]) -> Array:
-    """Return (9, k): how the nine parameters follow the estimated ones; fy follows fx and departs from it."""
-    matrix = np.eye(len(OPTICS_PARAMETERS))
-    matrix[1, 0] = fy / fx
-    return matrix[:, [OPTICS_PARAMETERS.index(name) for name in estimated]]
 
 
 def _with_aspect(state: State, aspect: float) -> State:
@@ -326,7 +252,7 @@ def _with_aspect(state: State, aspect: float) -> State:
 
 def _stepped(state: State, step: Array, bundle: Bundle, estimated: tuple[str, ...]) -> State:
     k, stations = len(estimated), len(state.translations)
-    optics = state.optics + _to_optics(float(state.optics[0]), float(state.optics[1]), estimated) @ step[:k]
+    optics = state.optics + to_optics(float(state.optics[0]), float(state.optics[1]), estimated) @ step[:k]
     poses = step[k : k + 6 * stations].reshape(stations, 6)
     targets = state.targets
     if bundle.free_targets:
@@ -363,7 +289,11 @@ def _huber_weights(residual: Array, bundle: Bundle, spread: float) -> Array:
 
 
 def _result(
-    bundle: Bundle, state: State, datum: _Datum, estimated: tuple[str, ...], weights: Array
+    bundle: Bundle,
+    state: State,
+    datum: _Datum,
+    estimated: tuple[str, ...],
+    weights: Array,
 ) -> Adjusted:
     residual = _residuals(bundle, state, datum)
     row_weights = _row_weights(weights, len(residual))
@@ -378,16 +308,27 @@ def _result(
         raise NotDetermined(int(np.argmax(np.abs(vectors[:, 0]))))
     inverse = (vectors / values) @ vectors.T / np.outer(scale, scale)
     redundancy = len(residual) - normal.shape[0]
-    sigma_zero = float(np.sqrt(np.sum(row_weights * residual**2) / max(redundancy, 1)))
     n = len(bundle.sigma)
     rows = weighted[: 2 * n].toarray()
+    # what observations err by, in units of their sigmas: of their own, and together
+    own = np.ones(len(residual))
+    own[: 2 * n] = np.repeat((bundle.sigma / bundle.whole_sigma) ** 2, 2)
+    together = shared_errors(bundle, state)
+    moved = together.T @ rows
+    alone = inverse @ (weighted.multiply(own[:, None]).T @ weighted).toarray() @ inverse
+    shared = inverse @ (moved.T @ moved) @ inverse
+    expected = float(own.sum() + together.power(2).sum() - np.sum(normal * (alone + shared)))
+    sigma_zero = float(np.sqrt(np.sum(row_weights * residual**2) / max(expected, 1e-9 * len(residual))))
     leverage = np.sum((rows @ inverse) * rows, axis=1).reshape(n, 2).mean(axis=1)
     return Adjusted(
         state=state,
         estimated=estimated,
-        covariance=inverse * sigma_zero**2,
+        own=alone,
+        together=shared,
+        inverse=inverse,
         sigma_zero=sigma_zero,
         redundancy=redundancy,
-        residuals=residual[: 2 * n].reshape(n, 2) * bundle.sigma[:, None],
+        expected=expected,
+        residuals=bundle.image - predicted(bundle, state),
         point_redundancy=1 - leverage,
     )

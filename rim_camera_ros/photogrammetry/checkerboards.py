@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.photogrammetry.edges import edge_coverage
 from rim_camera_ros.photogrammetry.greyfit import fit_grey_values
+from rim_camera_ros.photogrammetry.sampling import Jaggedness, hidden_share
 
 Array = NDArray[np.float64]
 Image = NDArray[Any]
@@ -22,16 +23,25 @@ _LARGEST_WINDOW = 6.0
 _SMALLEST_WINDOW = 2.5
 #: Residuals in units of the step between the squares above which there is no corner.
 _LARGEST_RESIDUAL = 0.25
+#: A pixel is beside an edge up to this distance [px]: half its diagonal, and what is blurred.
+_BESIDE = 1.0
 _STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-3, 1e-5, 1e-5])
 
 
 @dataclass(frozen=True, slots=True)
 class Corner:
-    """A corner at (u, v) in px (column, row) and its ``sigma`` in px (RMS of u and v)."""
+    """A corner at (u, v) in px (column, row) and its ``sigma`` in px (RMS of u and v).
+
+    ``normals`` (2, 2): unit normals of the two edges, which are ``length`` px long in the window of the fit;
+    ``jagged``: what they show of the sampling. What they do not show is not in ``sigma``, see `sampling`.
+    """
 
     u: float
     v: float
     sigma: float
+    normals: Array
+    length: float
+    jagged: Jaggedness
 
 
 def find_checkerboard(amplitude: Image, *, rows: int, columns: int) -> list[list[Corner]] | None:
@@ -66,18 +76,24 @@ def find_checkerboard(amplitude: Image, *, rows: int, columns: int) -> list[list
     return result
 
 
-def refine_corners(amplitude: Image, approximate: Array, *, axes: Array) -> list[Corner | None]:
+def refine_corners(
+    amplitude: Image, approximate: Array, *, axes: Array, bends: Array | None = None
+) -> list[Corner | None]:
     """Return the corners near approximate positions (n, 2) as (u, v) in px; None where there is none.
 
     ``axes`` (n, 2, 2): the vectors in px from each corner to the next along the two edges of the board that
-    cross in it. OpenCV's cornerSubPix leads to the corner, a fit to the grey values gives it its
-    precision: two crossing edges, blurred by the pixel's square and the optics, under a linear
-    illumination.
+    cross in it. ``bends`` (n, 2) 1/px: curvature of the edges by the lens, positive towards their normal, the
+    edge turned from u to v; None: straight. OpenCV's cornerSubPix leads to the corner, a fit to the grey
+    values gives it its precision: two crossing edges, blurred by the pixel's square and the optics, under a
+    linear illumination.
     """
     image = np.nan_to_num(np.asarray(amplitude, np.float32))
     height, width = image.shape
     result: list[Corner | None] = []
-    for start, edges in zip(np.asarray(approximate, float), np.asarray(axes, float), strict=True):
+    bends = np.zeros((len(axes), 2)) if bends is None else bends
+    for start, edges, bend in zip(
+        np.asarray(approximate, float), np.asarray(axes, float), bends, strict=True
+    ):
         spacing = min(
             np.linalg.norm(edges[0]),
             np.linalg.norm(edges[1]),
@@ -98,11 +114,11 @@ def refine_corners(amplitude: Image, approximate: Array, *, axes: Array) -> list
             (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3),
         ).reshape(2)
         near = np.linalg.norm(moved - start) < 0.4 * spacing
-        result.append(_fit_corner(image, moved.astype(float) if near else start, edges, radius))
+        result.append(_fit_corner(image, moved.astype(float) if near else start, edges, bend, radius))
     return result
 
 
-def _fit_corner(image: Image, start: Array, edges: Array, radius: float) -> Corner | None:
+def _fit_corner(image: Image, start: Array, edges: Array, bend: Array, radius: float) -> Corner | None:
     height, width = image.shape
     u0, u1 = max(int(np.ceil(start[0] - radius)), 0), min(int(start[0] + radius), width - 1)
     v0, v1 = max(int(np.ceil(start[1] - radius)), 0), min(int(start[1] + radius), height - 1)
@@ -116,13 +132,20 @@ def _fit_corner(image: Image, start: Array, edges: Array, radius: float) -> Corn
     scale = max(float(grey.std()), 1e-9)
     mean = float(grey.mean()) / scale
 
+    def depths(p: Array) -> list[Array]:
+        dx, dy = x - p[:, 0], y - p[:, 1]
+        result = []
+        for angle, curvature in zip((p[:, 2], p[:, 3]), bend, strict=True):
+            along, across = np.cos(angle), np.sin(angle)
+            bow = curvature / 2 * (along * dx + across * dy) ** 2
+            result.append(along * dy - across * dx - bow)
+        return result
+
     def sides(parameters: Array) -> Array:
         p = parameters[..., None]
-        dx, dy = x - p[:, 0], y - p[:, 1]
         both: Array = np.ones(1)
-        for angle in (p[:, 2], p[:, 3]):
-            along, across = np.cos(angle), np.sin(angle)
-            both = both * (2 * edge_coverage(along * dy - across * dx, across, along, p[:, 6]) - 1)
+        for angle, depth in zip((p[:, 2], p[:, 3]), depths(p), strict=True):
+            both = both * (2 * edge_coverage(depth, np.sin(angle), np.cos(angle), p[:, 6]) - 1)
         return both
 
     def model(parameters: Array) -> Array:
@@ -148,4 +171,11 @@ def _fit_corner(image: Image, start: Array, edges: Array, radius: float) -> Corn
         or not sigma < 1
     ):
         return None
-    return Corner(float(p[0]), float(p[1]), sigma)
+    normals = np.column_stack([-np.sin(p[2:4]), np.cos(p[2:4])])
+    beside = np.abs(depths(p[None, :, None])).min(axis=0)[0] < _BESIDE
+    # away from the edges there is noise alone
+    noise = float(fit.squares[~beside].mean()) if not beside.all() else 0.0
+    squares = float((fit.squares[beside] - noise).sum()) / (2 * p[5]) ** 2
+    length = 2 * radius
+    shown = length * sum(1 - hidden_share(normal, length) for normal in normals)
+    return Corner(float(p[0]), float(p[1]), sigma, normals, length, Jaggedness(squares, shown))

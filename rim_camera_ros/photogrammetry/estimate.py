@@ -12,15 +12,8 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.errors import InputError, nearest_name
 from rim_camera_ros.optics import Optics, rays_through
-from rim_camera_ros.photogrammetry.adjustment import (
-    Adjusted,
-    Bundle,
-    Loss,
-    NotDetermined,
-    State,
-    adjust,
-    outliers,
-)
+from rim_camera_ros.photogrammetry.adjustment import adjust, outliers
+from rim_camera_ros.photogrammetry.bundle import Adjusted, Bundle, Loss, NotDetermined, State
 from rim_camera_ros.photogrammetry.checks import (
     LEAST_TARGETS,
     check_directions,
@@ -160,9 +153,14 @@ def block_from(
     station_of = {name: i for i, name in enumerate(stations)}
     target_of = {name: i for i, name in enumerate(names)}
     known = [observations.field.targets[name] for name in names]
+    shared = [one.shifts for one in points]
+    shape = next((one.shape for one in shared if one is not None), None)
     bundle = Bundle(
         image=np.array([(one.u, one.v) for one in points], dtype=float),
         sigma=np.array([one.sigma for one in points], dtype=float),
+        shifts=None
+        if shape is None
+        else np.array([np.zeros(shape) if one is None else one for one in shared]),
         station=np.array([station_of[one.station] for one in points], dtype=np.intp),
         target=np.array([target_of[one.target] for one in points], dtype=np.intp),
         targets=np.array([one.position for one in known], dtype=float),

@@ -17,11 +17,15 @@ GreyModel = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class GreyFit:
-    """Parameters (p,), their covariance (p, p) and the RMS of the residuals in grey values."""
+    """Parameters (p,), their covariance (p, p) and the RMS of the residuals in grey values.
+
+    ``squares`` (n,): squared residuals, without what each grey value has taken of its own by the fit.
+    """
 
     parameters: Array
     covariance: Array
     residual_rms: float
+    squares: Array
 
 
 def fit_grey_values(model: GreyModel, start: Array, grey: Array, *, steps: Array) -> GreyFit | None:
@@ -58,4 +62,4 @@ def fit_grey_values(model: GreyModel, start: Array, grey: Array, *, steps: Array
     to_parameters[moving] = np.linalg.solve(r, q.T) / scale[moving, None]
     spread = to_parameters * (found.fun / (1 - leverage))
     rms = float(np.sqrt(np.sum(found.fun**2) / (count - unknowns)))
-    return GreyFit(found.x, spread @ spread.T, rms)
+    return GreyFit(found.x, spread @ spread.T, rms, found.fun**2 / (1 - leverage))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,9 +14,15 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Pose, RawFrame
 from rim_camera_ros.geometry import see
 from rim_camera_ros.optics import project
-from rim_camera_ros.photogrammetry.checkerboards import refine_corners
+from rim_camera_ros.photogrammetry.checkerboards import Corner, refine_corners
 from rim_camera_ros.photogrammetry.circles import Ellipse, find_circles
 from rim_camera_ros.photogrammetry.projection import ellipse_centre_offset
+from rim_camera_ros.photogrammetry.sampling import (
+    POINT_VARIANCE,
+    SHORT_WAVES,
+    sampling_variance,
+    shifts_of_edges,
+)
 from rim_camera_ros.photogrammetry.scene_field import FieldOnSurfaces
 from rim_camera_ros.photogrammetry.targets import ImagePoint, Observations
 from rim_camera_ros.rotations import quaternion
@@ -60,7 +66,7 @@ def observe(
     if not gate > 0:
         raise InputError(f"gate is {gate:g} px", place="gate", remedy="it must be positive")
     field: FieldOnSurfaces | None = None
-    points: list[ImagePoint] = []
+    seen: list[tuple[str, int, _Found]] = []
     poses: dict[int, Pose] = {}
     missed: Counter[str] = Counter()
     without = 0
@@ -89,16 +95,17 @@ def observe(
         saturated = {name for name, one in found.items() if _near_saturated(view, one)}
         missed["not found"] += len(expected.names) - len(found)
         missed["saturated"] += len(saturated)
-        points += [
-            ImagePoint(name, station, *one[:3]) for name, one in found.items() if name not in saturated
-        ]
+        seen += [(name, station, one) for name, one in found.items() if name not in saturated]
     if field is None:
         raise InputError(
             "no frame has the poses of the scene's targets",
             place="frames",
             remedy="record /ground_truth/<surface>/pose of each surface with pose: truth",
         )
-    notes = [f"{count} targets in view {reason}" for reason, count in sorted(missed.items()) if count]
+    points, coarse = _with_sampling(seen)
+    notes = coarse + [
+        f"{count} targets in view {reason}" for reason, count in sorted(missed.items()) if count
+    ]
     if without:
         notes.append(f"{without} stations without the poses of all targets left out")
     return Observations(field.field, tuple(points), poses, tuple(notes))
@@ -146,11 +153,38 @@ def _views(frames: Iterable[RawFrame], camera: Camera) -> Iterator[_View]:
         yield view()
 
 
-def _near_saturated(view: _View, found: tuple[float, ...]) -> bool:
-    u, v, _, reach_u, reach_v = found
+def _near_saturated(view: _View, found: _Found) -> bool:
+    u, v, (reach_u, reach_v) = found.place.u, found.place.v, found.reach
     rows = slice(max(round(v - reach_v), 0), round(v + reach_v) + 1)
     columns = slice(max(round(u - reach_u), 0), round(u + reach_u) + 1)
     return bool(view.saturated[rows, columns].any())
+
+
+def _with_sampling(seen: Sequence[tuple[str, int, _Found]]) -> tuple[list[ImagePoint], list[str]]:
+    """Return the points with the errors by sampling that their edges hide, as far as others show them.
+
+    A note where these are more than half of the variance of most corners.
+    """
+    variance = sampling_variance(
+        [target.place.jagged for _, _, target in seen if isinstance(target.place, Corner)]
+    )
+    points, hidden = [], []
+    for name, station, target in seen:
+        place, shifts, sigma = target.place, None, target.place.sigma
+        if isinstance(place, Corner):
+            shifts = np.sqrt(variance) * shifts_of_edges(place.normals, place.length)
+            together = float(np.sum(shifts**2)) / 4
+            hidden.append(sigma**2 < together)
+            sigma = float(np.sqrt(sigma**2 + SHORT_WAVES * together))
+        points.append(ImagePoint(name, station, place.u, place.v, sigma, shifts))
+    if not hidden or 2 * sum(hidden) <= len(hidden):
+        return points, []
+    side = max(1 - np.sqrt(variance / POINT_VARIANCE), 0.0)
+    return points, [
+        f"edges are jagged, as if pixels saw {100 * side**2:.0f} % of their area, and where they run along "
+        f"rows or columns corners are off by {np.sqrt(variance):.2g} px: roll and tilt the board (a "
+        "simulation: footprint: 1.0 of mixed_pixels in the camera file)"
+    ]
 
 
 # --- prediction ------------------------------------------------------------------------------------
@@ -161,7 +195,8 @@ class _Expected:
     """Targets in view: ids, image points (n, 2), distances to the nearest of the others (n,), all px.
 
     Circles: ``axes`` (n, 2) long and short semi-axis in px, ``dark`` (n,) against what surrounds them; NaN
-    for corners. Corners: ``edges`` (n, 2, 2) px to the next corners; NaN for circles.
+    for corners. Corners: ``edges`` (n, 2, 2) px to the next corners, ``bends`` (n, 2) 1/px their curvature by
+    the lens; NaN for circles.
     """
 
     names: list[str]
@@ -170,6 +205,7 @@ class _Expected:
     axes: Array
     dark: NDArray[np.bool_]
     edges: Array
+    bends: Array
 
 
 def _expected(
@@ -185,7 +221,7 @@ def _expected(
     index = {one.name: i for i, one in enumerate(scene.surfaces)}
     optics = camera.optics
     height, width = camera.shape
-    names, image, axes, dark, edges = [], [], [], [], []
+    names, image, axes, dark, edges, bends = [], [], [], [], [], []
     for name, target in targets:
         centre = rotation @ np.array(target.position) + translation
         if centre[2] <= 0:
@@ -196,7 +232,7 @@ def _expected(
             slant = abs(float(normal @ centre)) / float(np.linalg.norm(centre))
             long = np.sqrt(optics.fx * optics.fy) * target.radius / centre[2]
             size = (float(long), float(long * slant))
-            step = np.full((2, 2), np.nan)
+            step, bend = np.full((2, 2), np.nan), np.full(2, np.nan)
             uv = project(optics, centre[None])[0]
             uv = uv + ellipse_centre_offset(optics, centre[None], normal[None], np.array([target.radius]))[0]
         else:
@@ -206,6 +242,7 @@ def _expected(
             ends = project(optics, np.concatenate([centre + sides, centre - sides]))
             step = (ends[:2] - ends[2:]) / 2
             uv = project(optics, centre[None])[0]
+            bend = _bends(step, ends[:2] + ends[2:] - 2 * uv)
         outline = project(optics, centre + rim)
         if not (np.isfinite(outline).all() and (outline >= 0).all()):
             continue
@@ -222,6 +259,7 @@ def _expected(
         axes.append(size)
         dark.append(bool(np.median(around) > seen.reflectivity[0, 0]))
         edges.append(step)
+        bends.append(bend)
     points = np.array(image).reshape(-1, 2)
     apart = np.linalg.norm(points[:, None] - points[None], axis=2) + np.diag(np.full(len(points), np.inf))
     return _Expected(
@@ -231,7 +269,15 @@ def _expected(
         axes=np.array(axes).reshape(-1, 2),
         dark=np.array(dark, dtype=bool),
         edges=np.array(edges).reshape(-1, 2, 2),
+        bends=np.array(bends).reshape(-1, 2),
     )
+
+
+def _bends(step: Array, second: Array) -> Array:
+    """Return the curvature [1/px] of edges (2, 2) px towards their normals, by second differences [px]."""
+    across = (step[:, 0] * second[:, 1] - step[:, 1] * second[:, 0]) / np.linalg.norm(step, axis=1)
+    result: Array = across / np.sum(step**2, axis=1)
+    return result
 
 
 def _rim(normal: Array, radius: float) -> Array:
@@ -245,8 +291,13 @@ def _rim(normal: Array, radius: float) -> Array:
 
 # --- identification --------------------------------------------------------------------------------
 
-#: u, v, sigma, reach along u, reach along v, all px.
-_Found = tuple[float, float, float, float, float]
+
+@dataclass(frozen=True)
+class _Found:
+    """A target where it was measured, and how far it reaches from there along u and v [px]."""
+
+    place: Ellipse | Corner
+    reach: tuple[float, float]
 
 
 def _circles(expected: _Expected, view: _View, gate: float, reference: Array | None) -> dict[str, _Found]:
@@ -274,7 +325,7 @@ def _circles(expected: _Expected, view: _View, gate: float, reference: Array | N
             if near and np.argmin(apart[:, j]) == row and _fits(ellipses[j], expected.axes[i]):
                 one = ellipses[j]
                 reach = (float(np.sqrt(one.shape[0])), float(np.sqrt(one.shape[2])))
-                found[expected.names[i]] = (one.u, one.v, one.sigma, *reach)
+                found[expected.names[i]] = _Found(one, reach)
     return found
 
 
@@ -285,7 +336,9 @@ def _fits(ellipse: Ellipse, axes: Array) -> bool:
 
 def _corners(expected: _Expected, view: _View, gate: float) -> dict[str, _Found]:
     wanted = np.flatnonzero(np.isfinite(expected.edges[:, 0, 0]))
-    corners = refine_corners(view.amplitude, expected.image[wanted], axes=expected.edges[wanted])
+    corners = refine_corners(
+        view.amplitude, expected.image[wanted], axes=expected.edges[wanted], bends=expected.bends[wanted]
+    )
     found: dict[str, _Found] = {}
     for i, corner in zip(wanted, corners, strict=True):
         if corner is None:
@@ -295,5 +348,5 @@ def _corners(expected: _Expected, view: _View, gate: float) -> dict[str, _Found]
         short = float(np.linalg.norm(expected.edges[i], axis=1).min())
         if away <= min(gate, _GATE_SHARE * expected.spacing[i], _GATE_SHARE * short):
             reach = np.abs(expected.edges[i]).max(axis=0)
-            found[expected.names[i]] = (corner.u, corner.v, corner.sigma, float(reach[0]), float(reach[1]))
+            found[expected.names[i]] = _Found(corner, (float(reach[0]), float(reach[1])))
     return found

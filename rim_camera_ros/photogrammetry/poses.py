@@ -12,14 +12,8 @@ from scipy.optimize import brentq
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.optics import Optics
-from rim_camera_ros.photogrammetry.adjustment import (
-    Adjusted,
-    Bundle,
-    NotDetermined,
-    adjust,
-    in_camera,
-    outliers,
-)
+from rim_camera_ros.photogrammetry.adjustment import adjust, outliers
+from rim_camera_ros.photogrammetry.bundle import Adjusted, Bundle, NotDetermined, in_camera
 from rim_camera_ros.photogrammetry.checks import LEAST_TARGETS
 from rim_camera_ros.photogrammetry.estimate import GROSS, block_from, start_poses, state_from
 from rim_camera_ros.photogrammetry.projection import (
@@ -104,7 +98,8 @@ def estimate_poses(
     residuals of the station, drawn towards that of all stations. Gross errors are rejected (Baarda 1968).
     The sigma of a target is what its own grey values say: of some they are fitted by luck, and neither the
     board's print nor the lens model is in them. A variance that all targets have in common is added to
-    theirs, such that residuals are as large as they should be (Mandel & Paule 1970).
+    theirs, such that residuals are as large as they should be (Mandel & Paule 1970). What the sampling of the
+    image moves all targets of a station by is part of the covariance of its targets, and so of the pose.
 
     Raises `RimError` where no station has a pose.
     """
@@ -121,7 +116,7 @@ def estimate_poses(
             f"no station has a pose{': ' + notes[-1] if notes else ''}",
             remedy="check that the scene file describes the board that was recorded",
         )
-    freedom = {station: max(one.redundancy, 1) for station, (one, _, _) in found.items()}
+    freedom = {station: max(one.expected, 1.0) for station, (one, _, _) in found.items()}
     total = sum(freedom[station] * one.sigma_zero**2 for station, (one, _, _) in found.items())
     pooled = total / sum(freedom.values())
     stations = {}
@@ -131,13 +126,12 @@ def estimate_poses(
         variance = (_COMMON_FREEDOM * pooled + freedom[station] * own_variance) / (
             _COMMON_FREEDOM + freedom[station]
         )
-        inverse = adjusted.covariance / max(own_variance, 1e-300)
         shift = adjusted.state.translations[0]
-        optical = _by_optics(adjusted, bundle, inverse)
+        optical = _by_optics(adjusted, bundle)
         order = [3, 4, 5, 0, 1, 2]
         common = (optical @ by_optics @ optical.T)[np.ix_(order, order)]
         common[:3, :3] += board_scale_sigma**2 * np.outer(shift, shift)
-        own = (inverse * variance)[np.ix_(order, order)]
+        own = adjusted.covariance_by(variance)[np.ix_(order, order)]
         pose = Pose(
             (float(shift[0]), float(shift[1]), float(shift[2])),
             quaternion(adjusted.state.rotations[0]),
@@ -185,21 +179,21 @@ def _all_adjusted(
 def _common_error(found: Iterable[_Found], now: float) -> float:
     """Return the error [px] that explains the residuals beside the sigmas of the targets, which hold ``now``.
 
-    The one with which squares of residuals over their variances add up to the redundancy, 0 where they are
+    The one with which squares of residuals over their variances add up to what is expected, 0 where they are
     smaller than that without it.
     """
-    parts = [(one.residuals, bundle.sigma**2 - now**2, one.redundancy) for one, bundle, _ in found]
+    parts = [(one.residuals, bundle.whole_sigma**2 - now**2, one.expected) for one, bundle, _ in found]
     if not parts:
         return now
     squares = np.concatenate([np.sum(residuals**2, axis=1) for residuals, _, _ in parts])
     own = np.concatenate([variance for _, variance, _ in parts])
-    redundancy = sum(count for _, _, count in parts)
+    expected = sum(count for _, _, count in parts)
 
     def excess(variance: float) -> float:
-        return float(np.sum(squares / (own + variance))) - redundancy
+        return float(np.sum(squares / (own + variance))) - expected
 
-    most = float(squares.sum()) / max(redundancy, 1)
-    if redundancy <= 0 or excess(1e-12 * most) <= 0:
+    most = float(squares.sum()) / max(expected, 1)
+    if expected <= 0 or excess(1e-12 * most) <= 0:
         return 0.0
     return float(np.sqrt(brentq(excess, 1e-12 * most, most)))
 
@@ -282,14 +276,14 @@ def _adjusted_from(
         points = tuple(one for one, bad in zip(block.points, gross, strict=True) if not bad)
 
 
-def _by_optics(adjusted: Adjusted, bundle: Bundle, inverse: Array) -> Array:
+def _by_optics(adjusted: Adjusted, bundle: Bundle) -> Array:
     """Return how the pose (6: rotation, shift) follows the nine parameters of the optics."""
     points = in_camera(bundle, adjusted.state)
     by_optics, by_point = projection_derivatives(optics_of(adjusted.state.optics), points)
-    weight = 1 / bundle.sigma[:, None, None]
+    weight = 1 / bundle.whole_sigma[:, None, None]
     arm = points - adjusted.state.translations[0]
     turn = np.cross(np.eye(3)[None], arm[:, None, :])
     pose = np.concatenate([by_point @ np.swapaxes(turn, 1, 2), by_point], axis=2) * weight
     a, b = pose.reshape(-1, 6), (by_optics * weight).reshape(-1, len(OPTICS_PATHS))
-    result: Array = -inverse @ (a.T @ b)
+    result: Array = -adjusted.inverse @ (a.T @ b)
     return result

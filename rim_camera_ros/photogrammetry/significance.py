@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from rim_camera_ros.optics import Optics
-from rim_camera_ros.photogrammetry.adjustment import Adjusted, State
+from rim_camera_ros.photogrammetry.bundle import Adjusted, State
 from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS
 from rim_camera_ros.photogrammetry.report import LeftOut
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.frame import Pose
-from rim_camera_ros.photogrammetry.adjustment import Adjusted
+from rim_camera_ros.photogrammetry.bundle import Adjusted
 from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS, OPTICS_PATHS
 from rim_camera_ros.photogrammetry.report import LeftOut, OpticsCovariance, OpticsReport, RejectedPoint
 from rim_camera_ros.photogrammetry.targets import ImagePoint

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
@@ -44,6 +44,8 @@ class ImagePoint:
     """A target as seen from one station: (u, v) = (column, row) in px and the 1-sigma of each, in px.
 
     For a circle this is the centre of the ellipse that is its image, which is not the image of its centre.
+    ``shifts`` (frequencies, 2) px: errors by the sampling of the image, see `sampling`, which the targets of
+    a station share, beside the ``sigma`` of its own. None: each target errs for itself.
     """
 
     target: str
@@ -51,6 +53,7 @@ class ImagePoint:
     u: float
     v: float
     sigma: float
+    shifts: NDArray[np.float64] | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,169 @@
+"""What a bundle adjustment adjusts: observations with their covariance, unknowns, and the result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
+
+from rim_camera_ros.errors import RimError
+from rim_camera_ros.optics import project
+from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS, optics_of
+from rim_camera_ros.photogrammetry.sampling import columns_of
+
+Array = NDArray[np.float64]
+Loss = Literal["huber", "squared"]
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of the optics before: nine parameters ``mean``, and rows ``root`` (k, 9).
+
+    ``root`` times the departures from the mean has independent errors of sigma 1.
+    """
+
+    mean: Array
+    root: Array
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """What is adjusted.
+
+    ``image`` (n, 2) px with ``sigma`` (n,) px of what each target errs by for itself, ``station`` and
+    ``target`` (n,) indices. ``shifts`` (n, frequencies, 2) px: what the targets of a station err by together,
+    see `sampling`; None: nothing. ``targets`` (t, 3) m with ``radii`` (t,) and ``normals`` (t, 3);
+    ``distances``: (first, second, length, sigma) with indices of free targets. ``aspect``: fx / fy where the
+    two are not told apart (``estimated`` without ``fy``). ``offsets`` (n, 2) px: centres of the ellipses less
+    images of the circles' centres; None: not known yet. ``prior`` of the optics; None: nothing is known.
+    """
+
+    image: Array
+    sigma: Array
+    station: NDArray[np.intp]
+    target: NDArray[np.intp]
+    targets: Array
+    radii: Array
+    normals: Array
+    free_targets: bool
+    distances: tuple[tuple[int, int, float, float], ...]
+    aspect: float
+    correct_ellipses: bool
+    offsets: Array | None = None
+    shifts: Array | None = None
+    prior: Prior | None = None
+
+    @property
+    def whole_sigma(self) -> Array:
+        """1-sigma (n,) px of one coordinate, of its own and shared errors together."""
+        if self.shifts is None:
+            return self.sigma
+        result: Array = np.sqrt(self.sigma**2 + np.sum(self.shifts**2, axis=(1, 2)) / 4)
+        return result
+
+
+@dataclass(frozen=True)
+class State:
+    """Unknowns: the nine optics parameters, rotations (s, 3, 3) and translations (s, 3), targets (t, 3)."""
+
+    optics: Array
+    rotations: Array
+    translations: Array
+    targets: Array
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """Result of an adjustment.
+
+    ``own`` and ``together``: covariance of all unknowns by the errors that targets have for themselves and
+    together, as these are stated; the first ``optics_unknowns`` are the estimated optics parameters, then six
+    for each station (rotation [rad] about x y z of the optical frame, translation [m]), then three for each
+    free target. ``inverse``: of the normal equations, in that order, by which unknowns follow observations.
+    ``residuals`` (n, 2) px; ``redundancy``: the degrees of freedom; ``expected``: the sum of squares of
+    residuals over their sigmas that errors as stated leave, which is less where targets err together;
+    ``sigma_zero``: root of the sum over that. ``point_redundancy`` (n,) 0..1: the share of an error of that
+    point which its residual shows.
+    """
+
+    state: State
+    estimated: tuple[str, ...]
+    own: Array
+    together: Array
+    inverse: Array
+    sigma_zero: float
+    redundancy: int
+    expected: float
+    residuals: Array
+    point_redundancy: Array
+
+    def covariance_by(self, factor: float) -> Array:
+        """Return the covariance of all unknowns for a variance factor of the observations.
+
+        What targets err by together shows little in residuals: they make it no smaller.
+        """
+        result: Array = factor * self.own + max(factor, 1.0) * self.together
+        return result
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of all unknowns, by the variance factor a posteriori."""
+        return self.covariance_by(self.sigma_zero**2)
+
+    @property
+    def optics_unknowns(self) -> int:
+        return len(self.estimated)
+
+    @property
+    def optics_covariance(self) -> Array:
+        """Covariance of the estimated parameters, with ``fy`` as the departure of fy from its aspect [px]."""
+        n = len(self.estimated)
+        return self.covariance[:n, :n]
+
+
+class NotDetermined(RimError):
+    """The observations do not determine the unknowns. ``unknown``: index of the one that is least so."""
+
+    def __init__(self, unknown: int) -> None:
+        self.unknown = unknown
+        super().__init__(f"unknown {unknown} is not determined by the observations")
+
+
+def in_camera(bundle: Bundle, state: State) -> Array:
+    """Return the targets of all points (n, 3) m in the optical frame of their stations."""
+    rotated = np.einsum("nij,nj->ni", state.rotations[bundle.station], state.targets[bundle.target])
+    result: Array = rotated + state.translations[bundle.station]
+    return result
+
+
+def predicted(bundle: Bundle, state: State) -> Array:
+    """Return where the points (n, 2) px should be, circles at the centres of their ellipses."""
+    image = project(optics_of(state.optics), in_camera(bundle, state))
+    return image if bundle.offsets is None else image + bundle.offsets
+
+
+def to_optics(fx: float, fy: float, estimated: tuple[str, ...]) -> Array:
+    """Return (9, k): how the nine parameters follow the estimated ones; fy follows fx and departs from it."""
+    matrix = np.eye(len(OPTICS_PARAMETERS))
+    matrix[1, 0] = fy / fx
+    return matrix[:, [OPTICS_PARAMETERS.index(name) for name in estimated]]
+
+
+def shared_errors(bundle: Bundle, state: State) -> csr_array:
+    """Return what the targets of each station err by together (2 n, columns), over the sigma of coordinates.
+
+    Columns have independent coefficients of sigma 1; their waves are taken at the places of ``state``.
+    """
+    count = len(bundle.sigma)
+    if bundle.shifts is None:
+        return csr_array((2 * count, 0))
+    columns = columns_of(bundle.shifts, predicted(bundle, state)) / bundle.whole_sigma[:, None, None]
+    width = columns.shape[2]
+    row = np.broadcast_to(np.arange(2 * count).reshape(count, 2, 1), columns.shape)
+    column = np.broadcast_to((width * bundle.station)[:, None, None] + np.arange(width), columns.shape)
+    entries = (columns.ravel(), (row.ravel(), column.ravel()))
+    return coo_array(entries, shape=(2 * count, width * len(state.rotations))).tocsr()

@@ -1,0 +1,95 @@
+"""What edges hide of how an image is sampled, and how far targets are off by it.
+
+A pixel that sees less than its square (a fill factor below 1, or a simulation of one ray per pixel) moves
+the image of an edge by up to half a pixel. Across the rows it is jagged, which shows; along a row of pixels
+all of it moves alike, and nothing shows. How much is hidden is told by the edges that are seen jagged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Frequencies [1/px] of the sampling in u and v, one of each pair of opposite ones.
+_LATTICE = np.array([(g, h) for g in range(4) for h in range(-3, 4) if g > 0 or h > 0], dtype=float)
+#: Nearly along the edge a frequency does not move it.
+_LEAST_ACROSS = 0.5
+#: Mean square [px^2] by which a pixel moves an edge that sees a point: uniform over a px. With a sensitive
+#: square of side a [px] it is (1 - a)^2 / 12, over all a from 0 to 1 a third of that in the mean.
+POINT_VARIANCE = 1 / 12
+_UNKNOWN_VARIANCE = POINT_VARIANCE / 3
+#: Length [px] of an edge that tells as much as is known without: the spread of (1 - a)^2 / 12 over all a is
+#: that of what one px of jagged edge shows.
+_UNKNOWN_LENGTH = 1.0
+#: What higher frequencies than these have of the variance of an edge along a row, over what these have. Their
+#: waves are so short that each target has a phase of its own.
+SHORT_WAVES = POINT_VARIANCE / ((1 + 1 / 4 + 1 / 9) / (2 * np.pi**2)) - 1
+
+
+@dataclass(frozen=True)
+class Jaggedness:
+    """What the edges of a target show of the sampling.
+
+    ``squares`` [px]: squared residuals over the squared contrast, summed over the pixels beside its edges and
+    without what noise makes of it. ``length`` [px]: of the edges, as far as they show it.
+    """
+
+    squares: float
+    length: float
+
+
+def sampling_variance(found: Iterable[Jaggedness]) -> float:
+    """Return the mean square [px^2] by which single pixels move edges, from what the edges show.
+
+    For a point-sampled edge the squared residuals of a px of its length are 1/12 of the squared contrast, as
+    its shifts are 1/12 px^2: both are the power of the sampling's frequencies (Parseval).
+    """
+    seen = list(found)
+    squares = _UNKNOWN_LENGTH * _UNKNOWN_VARIANCE + sum(shown.squares for shown in seen)
+    length = _UNKNOWN_LENGTH + sum(shown.length for shown in seen)
+    return max(float(squares / length), 0.0)
+
+
+def shifts_of_edges(normals: Array, length: float) -> Array:
+    """Return by how much each frequency moves a corner of two edges (frequencies, 2), px by a px of pixels.
+
+    ``normals`` (2, 2): unit normals of the edges, which are ``length`` px long where the corner is measured.
+    An edge with normal n is moved along it by sum over G of sin(2 pi G.p) / (pi G.n), of which a length L
+    averages sinc(L G.t), t along the edge. Frequencies that all of an edge shows alike remain.
+    """
+    moved = np.stack([_shift(normal, length) for normal in normals], axis=1)
+    result: Array = moved @ np.linalg.inv(normals).T
+    result /= np.sqrt(POINT_VARIANCE)
+    return result
+
+
+def hidden_share(normal: Array, length: float) -> float:
+    """Return the share of the variance of an edge's shifts by sampling that does not show as jaggedness."""
+    long_waves = 0.5 * float(np.sum(_shift(normal, length) ** 2))
+    return min(long_waves * (1 + SHORT_WAVES) / POINT_VARIANCE, 1.0)
+
+
+def _shift(normal: Array, length: float) -> Array:
+    across = _LATTICE @ normal
+    along = _LATTICE @ np.array([-normal[1], normal[0]])
+    moves = np.abs(across) > _LEAST_ACROSS
+    result: Array = np.where(moves, np.sinc(length * along) / (np.pi * np.where(moves, across, 1.0)), 0.0)
+    return result
+
+
+def columns_of(shifts: Array, places: Array) -> Array:
+    """Return the columns F (n, 2, 2 frequencies) of the covariance F F' [px^2] that targets share.
+
+    ``shifts`` (n, frequencies, 2) px of `shifts_of_edges`, times the standard deviation of the sampling;
+    ``places`` (n, 2) px. The phases of the frequencies are unknown, but alike for all targets.
+    """
+    phase = 2 * np.pi * places @ _LATTICE.T
+    waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1) * np.sqrt(0.5)
+    both = np.concatenate([shifts, shifts], axis=1)
+    result: Array = np.swapaxes(both * waves[:, :, None], 1, 2)
+    return result
