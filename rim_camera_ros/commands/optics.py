@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from rim_camera_ros.bags import Recording
-from rim_camera_ros.calibrate.solution import stated
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import save_camera
 from rim_camera_ros.commands.common import (
@@ -27,6 +26,7 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.photogrammetry.camera_info_file import read_camera_info, write_camera_info
 from rim_camera_ros.photogrammetry.from_images import poses_of_recording
+from rim_camera_ros.photogrammetry.known_optics import with_optics
 
 _EXAMPLES = """
 rim optics bag --scene board.yaml --camera sr3000 --out camera_info.yaml
@@ -89,9 +89,7 @@ def run(given: argparse.Namespace) -> int:
     assert found.report is not None
     write_camera_info(given.out, found.optics, shape=camera.shape, name=camera.device)
     if given.camera_out is not None:
-        sigmas = found.covariance
-        new = stated(replace(camera, optics=found.optics), list(sigmas.parameters), sigmas.matrix)
-        save_camera(new, given.camera_out)
+        save_camera(with_optics(camera, found.optics, found.covariance), given.camera_out)
     say(given, [*found.notes, found.scale_words(given.board_sigma)])
     if not given.quiet:
         print(found.report.text())

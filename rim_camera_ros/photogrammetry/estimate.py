@@ -21,9 +21,10 @@ from rim_camera_ros.photogrammetry.checks import (
     geometry_notes,
     usable_points,
 )
+from rim_camera_ros.photogrammetry.known_optics import departure_note, prior_of
 from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS, optics_of, optics_vector
 from rim_camera_ros.photogrammetry.report import LeftOut, OpticsCovariance, OpticsReport, RejectedPoint
-from rim_camera_ros.photogrammetry.significance import least_significant, zeroed
+from rim_camera_ros.photogrammetry.significance import least_significant, returned
 from rim_camera_ros.photogrammetry.summarise import Labels, correlation_of, covariance_of, report_on
 from rim_camera_ros.photogrammetry.targets import Distance, ImagePoint, Observations
 from rim_camera_ros.rotations import rotation_matrix
@@ -42,6 +43,7 @@ def estimate_optics(
     distances: Sequence[Distance] = (),
     parameters: Sequence[str] = OPTICS_PARAMETERS,
     significance: float | None = 0.05,
+    known: OpticsCovariance | None = None,
     loss: Loss = "huber",
     correct_ellipses: bool = True,
 ) -> tuple[Optics, OpticsCovariance, OpticsReport]:
@@ -51,8 +53,10 @@ def estimate_optics(
     optics, which also give the parameters that are not in ``parameters`` (names of fx fy cx cy k1 k2 p1 p2
     k3; without fy the ratio fy / fx is held). ``targets``: the field's coordinates are ``known``, or
     ``free``: the datum then comes from inner constraints, the scale from ``distances`` if there are any.
-    ``significance``: level at which parameters are tested and left out, one group after the other, the least
-    significant first (k3, then k2, then k1; p1 with p2; fy apart from fx); None: nothing is left out.
+    ``significance``: level at which departures from ``start`` are tested; parameters without a significant
+    one keep its value, one group after the other, the least significant first (k3, then k2, then k1; p1 with
+    p2; fy apart from fx); None: all are estimated. ``known``: covariance of ``start`` by what was known
+    before; its parameters are estimated with it as a prior, and not tested.
     ``loss``: ``huber`` bounds the influence of gross errors, which are then rejected; ``squared`` is plain
     least squares. ``correct_ellipses``: circles are compared with the centres of their ellipses.
 
@@ -61,12 +65,14 @@ def estimate_optics(
     that does not determine a parameter; `RimError` where the adjustment does not converge.
     """
     _check_names(parameters)
-    estimated = tuple(name for name in OPTICS_PARAMETERS if name in parameters)
+    prior, before = (None, ()) if known is None else prior_of(start, known)
+    estimated = tuple(name for name in OPTICS_PARAMETERS if name in (*parameters, *before))
     points, notes = usable_points(observations)
     check_field(observations.field, distances=distances, free=targets == "free")
 
     def block_of(points: Sequence[ImagePoint]) -> Block:
         block = block_from(observations, points, start, targets, distances, correct_ellipses)
+        block = replace(block, bundle=replace(block.bundle, prior=prior))
         _check_redundancy(block, len(estimated))
         return block
 
@@ -88,15 +94,21 @@ def estimate_optics(
     if loss == "huber":
         adjusted = _adjusted(block, adjusted.state, estimated, "squared")
 
+    if prior is not None:
+        # its weight beside observations that err by sigma zero times what they state
+        scaled = replace(prior, root=adjusted.sigma_zero * prior.root)
+        block = replace(block, bundle=replace(block.bundle, prior=scaled))
+        adjusted = _adjusted(block, adjusted.state, estimated, "squared")
     left_out: list[LeftOut] = []
-    while significance is not None and (group := least_significant(adjusted, start, significance)):
+    while significance is not None and (group := least_significant(adjusted, start, significance, before)):
         left_out.append(group)
         estimated = tuple(name for name in estimated if name not in group.parameters)
-        adjusted = _adjusted(block, zeroed(adjusted.state, group.parameters), estimated, "squared")
+        adjusted = _adjusted(block, returned(adjusted.state, group.parameters, start), estimated, "squared")
     check_directions(adjusted.state.targets, adjusted.state.rotations)
-    correlation = correlation_of(adjusted.optics_covariance)
+    correlation, covariance = correlation_of(adjusted.optics_covariance), covariance_of(adjusted)
     notes = [
         *observations.notes,
+        *([] if prior is None else departure_note(adjusted.state.optics, covariance, prior)),
         *notes,
         *geometry_notes(adjusted.state.rotations, correlation, adjusted.estimated),
     ]
@@ -109,7 +121,7 @@ def estimate_optics(
         rejected=tuple(rejected),
         notes=notes,
     )
-    return optics_of(adjusted.state.optics), covariance_of(adjusted), report
+    return optics_of(adjusted.state.optics), covariance, report
 
 
 # --- setting up ------------------------------------------------------------------------------------

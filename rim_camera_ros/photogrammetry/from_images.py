@@ -15,6 +15,7 @@ from rim_camera_ros.frame import RawFrame
 from rim_camera_ros.optics import Optics
 from rim_camera_ros.photogrammetry.board_stations import BoardStations, board_of
 from rim_camera_ros.photogrammetry.estimate import estimate_optics
+from rim_camera_ros.photogrammetry.known_optics import stated_optics
 from rim_camera_ros.photogrammetry.observe import observe
 from rim_camera_ros.photogrammetry.poses import BoardPoses, estimate_poses
 from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS, OPTICS_PATHS
@@ -140,7 +141,8 @@ def poses_of_recording(
     """Find the board of a scene in a recording and return its poses.
 
     ``estimate`` names parameters of the optics (fx fy cx cy k1 k2 p1 p2 k3) that are adjusted together with
-    the poses; none: the optics of ``camera`` are held. ``known`` says how well they, and the size of the
+    the poses, and with them those of which the camera file states a covariance, which is a prior; none: the
+    optics of ``camera`` are held. ``known`` says how well they, and the size of the
     board, are known. Raises `InputError` where the scene has no board or no frame shows it, `RimError`
     where no pose is determined.
     """
@@ -176,7 +178,7 @@ def poses_of_recording(
             f"turned by half a turn the board '{surface.name}' looks alike: which end is which is taken from "
             "the frame before (grey fields, markers, or an even by an odd number of squares would tell)"
         )
-    if report is None and not _states_optics(camera):
+    if report is None and stated_optics(camera) is None:
         notes.append(
             "the camera file states no covariance of its optics: focal length known to "
             f"{100 * known.focal:.2g} % and principal point to {known.centre:.2g} px are taken"
@@ -203,11 +205,6 @@ def write_poses(
             writer.write_raw(frame)
 
 
-def _states_optics(camera: Camera) -> bool:
-    stated = camera.covariance
-    return stated is not None and any(path in OPTICS_PATHS for path in stated.parameters)
-
-
 def _optics(
     observed: Observations, camera: Camera, known: Known, estimate: tuple[str, ...]
 ) -> tuple[Optics, OpticsCovariance, OpticsReport | None]:
@@ -219,23 +216,18 @@ def _optics(
                 place="--estimate",
                 remedy="hold the board at other distances and tilts, or hold the optics (leave it out)",
             )
-        optics, covariance, report = estimate_optics(observed, start=camera.optics, parameters=estimate)
+        optics, covariance, report = estimate_optics(
+            observed, start=camera.optics, parameters=estimate, known=stated_optics(camera)
+        )
         held = _declared(optics, known, [one for one in OPTICS_PARAMETERS[:4] if one not in report.sigmas])
         paths = (*covariance.parameters, *held.parameters)
         matrix = np.zeros((len(paths), len(paths)))
         n = len(covariance.parameters)
         matrix[:n, :n], matrix[n:, n:] = covariance.matrix, held.matrix
         return optics, OpticsCovariance(paths, matrix), report
-    stated = camera.covariance
-    if (
-        stated is not None
-        and _states_optics(camera)
-        and known.focal_sigma is None
-        and known.centre_sigma is None
-    ):
-        at = [i for i, path in enumerate(stated.parameters) if path in OPTICS_PATHS]
-        paths = tuple(stated.parameters[i] for i in at)
-        return camera.optics, OpticsCovariance(paths, np.asarray(stated.matrix.values)[np.ix_(at, at)]), None
+    stated = stated_optics(camera)
+    if stated is not None and known.focal_sigma is None and known.centre_sigma is None:
+        return camera.optics, stated, None
     return camera.optics, _declared(camera.optics, known, OPTICS_PARAMETERS[:4]), None
 
 

@@ -36,7 +36,7 @@ class OpticsCovariance:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Parameters that were tested together and found not significant: F statistic and its probability."""
+    """Parameters whose departure from the start was tested and found not significant: F, its probability."""
 
     parameters: tuple[str, ...]
     statistic: float
@@ -96,8 +96,8 @@ class OpticsReport:
             )
         for left in self.left_out:
             names = " and ".join(left.parameters)
-            what = f"left out, F = {left.statistic:.2f}, probability {left.probability:.2f}"
-            lines.append(f"  not significant: {names} ({what})")
+            what = f"kept as given, F = {left.statistic:.2f}, probability {left.probability:.2f}"
+            lines.append(f"  no significant change: {names} ({what})")
         for one, other, value in (*self.correlations, *self.pose_correlations):
             lines.append(f"  correlation {one} - {other}: {value:+.3f}")
         worst = sorted(self.rejected, key=lambda one: -float(np.hypot(*one.residual)))

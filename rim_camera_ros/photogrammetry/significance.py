@@ -9,7 +9,7 @@ from scipy.special import fdtrc
 
 from rim_camera_ros.optics import Optics
 from rim_camera_ros.photogrammetry.bundle import Adjusted, State
-from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS
+from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS, optics_vector
 from rim_camera_ros.photogrammetry.report import LeftOut
 
 
@@ -31,10 +31,16 @@ def _groups(estimated: Sequence[str]) -> list[tuple[str, ...]]:
     return groups
 
 
-def least_significant(adjusted: Adjusted, start: Optics, significance: float) -> LeftOut | None:
-    """Return the group with the greatest probability of being zero if that exceeds ``significance``."""
-    values = dict(zip(OPTICS_PARAMETERS, adjusted.state.optics, strict=True))
-    values["fy"] -= values["fx"] * start.fy / start.fx
+def least_significant(
+    adjusted: Adjusted, start: Optics, significance: float, known: Sequence[str] = ()
+) -> LeftOut | None:
+    """Return the group with the greatest probability of being as in ``start`` if it exceeds ``significance``.
+
+    ``known``: parameters that have a prior, which need no test.
+    """
+    departures = adjusted.state.optics - optics_vector(start)
+    values = dict(zip(OPTICS_PARAMETERS, departures, strict=True))
+    values["fy"] = adjusted.state.optics[1] - adjusted.state.optics[0] * start.fy / start.fx
     transfer = np.eye(len(adjusted.estimated))
     if "fy" in adjusted.estimated:
         # what is tested is fy - fx * (start.fy / start.fx), not the departure from the present ratio
@@ -43,7 +49,7 @@ def least_significant(adjusted: Adjusted, start: Optics, significance: float) ->
         transfer[i, j] = optics[1] / optics[0] - start.fy / start.fx
     covariance = transfer @ adjusted.optics_covariance @ transfer.T
     worst: LeftOut | None = None
-    for group in _groups(adjusted.estimated):
+    for group in _groups([name for name in adjusted.estimated if name not in known]):
         where = [adjusted.estimated.index(name) for name in group]
         value = np.array([values[name] for name in group])
         weight = np.linalg.solve(covariance[np.ix_(where, where)], value)
@@ -54,10 +60,10 @@ def least_significant(adjusted: Adjusted, start: Optics, significance: float) ->
     return worst
 
 
-def zeroed(state: State, names: Sequence[str]) -> State:
-    """Return the state without these parameters; without fy the adjustment holds the ratio itself."""
-    optics = state.optics.copy()
+def returned(state: State, names: Sequence[str], start: Optics) -> State:
+    """Return the state with these parameters as in ``start``; of fy the adjustment holds the ratio itself."""
+    optics, before = state.optics.copy(), optics_vector(start)
     for name in names:
         if name != "fy":
-            optics[OPTICS_PARAMETERS.index(name)] = 0.0
+            optics[OPTICS_PARAMETERS.index(name)] = before[OPTICS_PARAMETERS.index(name)]
     return State(optics, state.rotations, state.translations, state.targets)

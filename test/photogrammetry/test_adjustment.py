@@ -197,7 +197,7 @@ def test_parameters_without_significance_are_left_out() -> None:
     ):
         assert abs(value - true) < 3 * covariance.sigma(path)
     assert set(covariance.parameters) <= set(camera_numbers(camera(optics)))
-    assert "not significant: p1 and p2" in report.text()
+    assert "no significant change: p1 and p2 (kept as given, F = " in report.text()
     assert report.summary()["left_out"] == [name for one in report.left_out for name in one.parameters]
 
 
