@@ -22,6 +22,10 @@ _FLAT = 0.02
 #: tilts of 40 deg in different directions alone are up to 40 deg of roll between two stations.
 _LEAST_DIRECTIONS = np.deg2rad(5.0)
 _LEAST_ROLL = np.deg2rad(60.0)
+#: Routine data hold 1 to 10 % of gross errors (Hampel et al. 1986, sec. 1.2c); more are none of chance.
+_MOST_GROSS = 0.1
+#: Residuals of more than twice the variance that is stated have most of it from something else.
+_MOST_VARIANCE = 2.0
 
 
 def usable_points(observations: Observations) -> tuple[list[ImagePoint], list[str]]:
@@ -156,6 +160,21 @@ def geometry_notes(rotations: Array, correlation: Array, names: Sequence[str]) -
         "no station is rotated about the optical axis "
         f"(largest roll between stations {np.rad2deg(roll):.0f} deg): "
         f"principal point and decentring are not separable{measured}; add stations rolled by 90 deg"
+    ]
+
+
+def doubts(rejected: int, kept: int, sigma_zero: float) -> list[str]:
+    """Return a warning where more targets were rejected, or residuals are larger, than chance makes them."""
+    many = rejected > _MOST_GROSS * (rejected + kept)
+    large = sigma_zero**2 > _MOST_VARIANCE
+    if not (many or large):
+        return []
+    words = [f"{rejected} of {rejected + kept} targets were rejected as gross errors"] * many
+    words += [f"residuals are {sigma_zero:.2g} times as large as the images of the targets tell"] * large
+    widened = ", by which the standard deviations are widened" if large else ""
+    return [
+        f"{' and '.join(words)}{widened}: do not use these optics before the cause is known (a board that is "
+        "bent, moves, or is not as the scene file says; a lens that needs another model; reflections)"
     ]
 
 

@@ -18,6 +18,7 @@ from rim_camera_ros.photogrammetry.checks import (
     LEAST_TARGETS,
     check_directions,
     check_field,
+    doubts,
     geometry_notes,
     usable_points,
 )
@@ -119,6 +120,7 @@ def estimate_optics(
         names=block.names,
         left_out=tuple(left_out),
         rejected=tuple(rejected),
+        doubts=doubts(len(rejected), len(block.points), adjusted.sigma_zero),
         notes=notes,
     )
     return optics_of(adjusted.state.optics), covariance, report

@@ -114,6 +114,7 @@ class ImagePoses:
                 for name, value in self.report.values.items()
                 if value != 0
             ]
+            lines = [*(f"warning: {doubt}" for doubt in self.report.doubts), *lines]
             lines.append(f"optics: {', '.join(values)}; residuals {self.report.residual_rms:.2g} px")
         return lines
 
@@ -170,7 +171,7 @@ def poses_of_recording(
         )
     except RimError as error:
         raise error.located(path) from None
-    notes = list(dict.fromkeys((*poses.notes, *(() if report is None else report.notes))))
+    notes = list(dict.fromkeys((*(() if report is None else report.notes), *poses.notes)))
     if stations.unseen:
         notes.append(f"{path}: left out: {stations.unseen} frames in which the board was not found")
     if stations.ambiguous:

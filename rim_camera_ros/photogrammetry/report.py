@@ -62,6 +62,7 @@ class OpticsReport:
     ``station_rms`` px by station.
     ``correlations``: pairs of optics parameters beyond 0.9; ``pose_correlations``: the strongest one beyond
     0.9 of each parameter with a pose. ``poses`` of the field's frame in the optical frame by station.
+    ``doubts``: why the result should not be used as it is, in words.
     ``targets``: coordinates [m] by id, as adjusted. ``region``: u0 v0 u1 v1 [px] that the observations cover,
     beyond which the distortion is extrapolated. ``residuals``: (u, v) px by (station, target).
     """
@@ -81,13 +82,15 @@ class OpticsReport:
     targets: Mapping[str, tuple[float, float, float]]
     region: tuple[float, float, float, float]
     residuals: Mapping[tuple[int, str], tuple[float, float]]
+    doubts: tuple[str, ...]
     notes: tuple[str, ...]
 
     def text(self) -> str:
         """Return the report as lines of text."""
         lines = [
+            *(f"warning: {doubt}" for doubt in self.doubts),
             f"{self.points} points at {len(self.station_rms)} stations, redundancy {self.redundancy}, "
-            f"sigma zero {self.sigma_zero:.3g}, residuals {self.residual_rms:.3g} px RMS"
+            f"sigma zero {self.sigma_zero:.3g}, residuals {self.residual_rms:.3g} px RMS",
         ]
         for name, value in self.values.items():
             sigma = self.sigmas.get(name)
@@ -123,5 +126,5 @@ class OpticsReport:
             "correlations": [f"{one} - {other}: {value:+.3f}" for one, other, value in self.correlations],
             "rejected": len(self.rejected),
             "region": list(self.region),
-            "notes": list(self.notes),
+            "notes": [*self.doubts, *self.notes],
         }

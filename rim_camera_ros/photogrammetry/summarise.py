@@ -61,6 +61,7 @@ def report_on(
     names: Sequence[str],
     left_out: tuple[LeftOut, ...],
     rejected: tuple[RejectedPoint, ...],
+    doubts: Sequence[str],
     notes: Sequence[str],
 ) -> OpticsReport:
     """Return the report on an adjustment of ``points`` at ``stations`` of targets with ``names``."""
@@ -95,6 +96,7 @@ def report_on(
             (one.station, one.target): (float(u), float(v))
             for one, (u, v) in zip(points, adjusted.residuals, strict=True)
         },
+        doubts=tuple(doubts),
         notes=tuple(notes),
     )
 

@@ -177,6 +177,30 @@ def test_gross_errors_are_rejected_and_named() -> None:
     assert plain.sigma_zero > 3 * report.sigma_zero
 
 
+def test_a_result_that_is_not_to_be_used_says_so_first() -> None:
+    """Every seventh target is a gross error; or all err three times as much as is stated."""
+    rng = np.random.default_rng(19)
+    observations = seen(field(), stations(rng, 10), rng)
+    points = list(observations.points)
+    for i in range(0, len(points), 7):
+        points[i] = replace(points[i], u=points[i].u + 2.0)
+    _, _, report = estimate_optics(replace(observations, points=tuple(points)), start=START)
+    first = report.text().splitlines()[0]
+    assert first.startswith(
+        f"warning: {len(range(0, len(points), 7))} of {len(points)} targets were rejected"
+    )
+    assert "do not use these optics" in first
+    closer = [replace(point, sigma=point.sigma / 3) for point in observations.points]
+    _, covariance, report = estimate_optics(replace(observations, points=tuple(closer)), start=START)
+    assert report.text().startswith(
+        "warning: residuals are 3 times as large as the images of the targets tell"
+    )
+    _, stated, report = estimate_optics(observations, start=START)
+    assert report.doubts == ()
+    for path in stated.parameters:
+        assert covariance.sigma(path) == pytest.approx(stated.sigma(path), rel=1e-3)
+
+
 def test_parameters_without_significance_are_left_out() -> None:
     """A lens with k1 only and square pixels."""
     rng = np.random.default_rng(13)
