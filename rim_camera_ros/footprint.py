@@ -23,10 +23,27 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class Cells:
-    """Square cells that are sampled at their centres: side [px], and number along a side (odd)."""
+    """Square cells that are sampled each at a place: side [px], and number along a side (odd)."""
 
     side: float
     number: int
+
+    @property
+    def places(self) -> tuple[Array, Array]:
+        """Where the cells are sampled, (K, K) px down and across from the middle of the pixel.
+
+        No two in the same row or column (multi-jittered: Chiu et al. 1994), so that an edge along the rows
+        meets as many places as the cells are, and not as many as their rows.
+        """
+        cell = np.arange(self.number) - self.number // 2
+        # a step that meets all of an odd number, about as far as the golden section
+        step = next(k for k in range(round(0.382 * self.number), self.number) if np.gcd(k, self.number) == 1)
+        half = self.number // 2
+        within = ((step * cell + half) % self.number - half) / self.number
+        return (
+            self.side * (cell[:, None] + within[None, :]),
+            self.side * (cell[None, :] + within[:, None]),
+        )
 
     @property
     def widest(self) -> float:
@@ -101,9 +118,9 @@ def footprint_light(
     ``ambiguity`` is the ambiguity range [m].
     """
     pixels = np.flatnonzero(beside_edges(geometry, 1) & geometry.hit)
-    steps = cells.side * (np.arange(cells.number) - cells.number // 2)
     down, across = (np.gradient(rays, axis=axis).reshape(-1, 1, 1, 3)[pixels] for axis in (0, 1))
-    moved = rays.reshape(-1, 1, 1, 3)[pixels] + steps[:, None, None] * down + steps[:, None] * across
+    rows, columns = (place[..., None] for place in cells.places)
+    moved = rays.reshape(-1, 1, 1, 3)[pixels] + rows * down + columns * across
     moved /= np.sqrt(np.einsum("nijk,nijk->nij", moved, moved))[..., None]
     shape = moved.shape[:3]
     seen = see(scene, poses, moved.reshape(shape[0], shape[1] * shape[2], 3))

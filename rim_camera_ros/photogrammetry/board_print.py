@@ -157,6 +157,8 @@ def scene_text(design: BoardDesign, *, name: str, ink: float, paper: float, dist
     return f"""# {design.words[0].upper()}{design.words[1:]}, written by rim board.
 # Origin in the middle, x right, y down as it is looked at. Reflectivities of ink and paper are guesses
 # ({ink:g}, {paper:g}); those of grey fields are shares between them. The white margin belongs to the board.
+# For rim simulate: pixels see an area where the camera file has mixed_pixels: {{blur: 0.0, footprint: 1.0}};
+# without a footprint each sees a point, and corners are off by up to half a pixel.
 format: rim_scene/1
 surfaces:
 - name: {name}

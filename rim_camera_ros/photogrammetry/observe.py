@@ -183,7 +183,7 @@ def _with_sampling(seen: Sequence[tuple[str, int, _Found]]) -> tuple[list[ImageP
     return points, [
         f"edges are jagged, as if pixels saw {100 * side**2:.0f} % of their area, and where they run along "
         f"rows or columns corners are off by {np.sqrt(variance):.2g} px: roll and tilt the board (a "
-        "simulation: footprint: 1.0 of mixed_pixels in the camera file)"
+        "simulation of one ray a pixel: state footprint: 1.0 of mixed_pixels in its camera file)"
     ]
 
 
