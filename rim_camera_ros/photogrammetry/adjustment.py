@@ -23,7 +23,6 @@ from rim_camera_ros.photogrammetry.bundle import (
     State,
     in_camera,
     predicted,
-    shared_errors,
     to_optics,
 )
 from rim_camera_ros.photogrammetry.projection import (
@@ -31,6 +30,7 @@ from rim_camera_ros.photogrammetry.projection import (
     optics_of,
     projection_derivatives,
 )
+from rim_camera_ros.photogrammetry.sampling import shared_covariance
 
 Array = NDArray[np.float64]
 
@@ -47,6 +47,8 @@ _SPREAD_ROUNDS = 10
 #: Corrections of ellipse centres are repeated until none changes by this many px.
 _ELLIPSE_ROUNDS = 10
 _ELLIPSE_SHIFT = 1e-5
+#: Rounds in which errors that targets share and what is known of their places are found in turn.
+_SHARED_ROUNDS = 4
 #: Median of chi-square with two degrees of freedom, by which a median becomes a variance.
 _MEDIAN_CHI2 = 2 * np.log(2)
 
@@ -119,14 +121,14 @@ def _minimise(bundle: Bundle, start: State, estimated: tuple[str, ...], loss: Lo
                 break
             damping = max(damping * 10, 1e-12)
             if damping > 1e8:
-                return _result(bundle, state, datum, estimated, weights)
+                return _result(bundle, state, datum, estimated, weights, loss)
         gain = float(np.linalg.norm(step * scale)) / np.sqrt(max(cost, 1e-30))
         # residuals of nothing are no scale to compare with
         small = float(np.linalg.norm(step * scale)) < _NO_STEP
         state, residual, damping = trial, there, max(damping / 10, 1e-14)
         if gain < enough or small:
-            return _result(bundle, state, datum, estimated, weights)
-    result = _result(bundle, state, datum, estimated, weights)
+            return _result(bundle, state, datum, estimated, weights, loss)
+    result = _result(bundle, state, datum, estimated, weights, loss)
     if loss == "huber":
         # it only has to be near enough to tell gross errors
         return result
@@ -294,6 +296,7 @@ def _result(
     datum: _Datum,
     estimated: tuple[str, ...],
     weights: Array,
+    loss: Loss,
 ) -> Adjusted:
     residual = _residuals(bundle, state, datum)
     row_weights = _row_weights(weights, len(residual))
@@ -310,25 +313,56 @@ def _result(
     redundancy = len(residual) - normal.shape[0]
     n = len(bundle.sigma)
     rows = weighted[: 2 * n].toarray()
-    # what observations err by, in units of their sigmas: of their own, and together
+    # what observations err by for themselves, in units of their sigmas
     own = np.ones(len(residual))
     own[: 2 * n] = np.repeat((bundle.sigma / bundle.whole_sigma) ** 2, 2)
-    together = shared_errors(bundle, state)
-    moved = together.T @ rows
     alone = inverse @ (weighted.multiply(own[:, None]).T @ weighted).toarray() @ inverse
-    shared = inverse @ (moved.T @ moved) @ inverse
-    expected = float(own.sum() + together.power(2).sum() - np.sum(normal * (alone + shared)))
+    together, shared, trace = np.zeros_like(inverse), tuple[Array, ...](), 0.0
+    if bundle.shifts is not None and loss == "squared":
+        together, shared, trace = _by_shared_errors(bundle, state, rows, inverse, alone)
+    expected = float(own.sum()) + trace - float(np.sum(normal * (alone + together)))
     sigma_zero = float(np.sqrt(np.sum(row_weights * residual**2) / max(expected, 1e-9 * len(residual))))
     leverage = np.sum((rows @ inverse) * rows, axis=1).reshape(n, 2).mean(axis=1)
     return Adjusted(
         state=state,
         estimated=estimated,
         own=alone,
-        together=shared,
+        together=together,
         inverse=inverse,
         sigma_zero=sigma_zero,
         redundancy=redundancy,
         expected=expected,
         residuals=bundle.image - predicted(bundle, state),
         point_redundancy=1 - leverage,
+        shared=shared,
     )
+
+
+def _by_shared_errors(
+    bundle: Bundle, state: State, rows: Array, inverse: Array, alone: Array
+) -> tuple[Array, tuple[Array, ...], float]:
+    """Return the covariance of the unknowns by what the targets of each station err by together.
+
+    ``rows`` (2 n, unknowns): derivatives over sigmas; ``alone``: covariance by all other errors. Where
+    targets stand to each other, which decides how alike they err, is known as well as the unknowns are: both
+    are found in turn, beginning with errors that are all independent. With the covariances of the targets
+    (px^2) of each station, and the sum of their diagonals over the squares of the sigmas.
+    """
+    assert bundle.shifts is not None
+    places, unknown = predicted(bundle, state), inverse
+    for _ in range(_SHARED_ROUNDS):
+        together, shared, trace = np.zeros_like(inverse), [], 0.0
+        for station in range(len(state.rotations)):
+            mine = np.flatnonzero(bundle.station == station)
+            row = np.stack([2 * mine, 2 * mine + 1], axis=1).ravel()
+            sigma = np.repeat(bundle.whole_sigma[mine], 2)
+            moving = np.flatnonzero(rows[row].any(axis=0))
+            values, vectors = np.linalg.eigh(unknown[np.ix_(moving, moving)])
+            moves = (rows[np.ix_(row, moving)] * sigma[:, None]) @ (vectors * np.sqrt(np.maximum(values, 0)))
+            covariance = shared_covariance(bundle.shifts[mine], places[mine], moves.reshape(len(mine), 2, -1))
+            to_unknowns = inverse @ (rows[row] / sigma[:, None]).T
+            together += to_unknowns @ covariance @ to_unknowns.T
+            trace += float(np.sum(np.diag(covariance) / sigma**2))
+            shared.append(covariance)
+        unknown = alone + together
+    return together, tuple(shared), trace

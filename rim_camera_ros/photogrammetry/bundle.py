@@ -8,12 +8,10 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
 
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.optics import project
 from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS, optics_of
-from rim_camera_ros.photogrammetry.sampling import columns_of
 
 Array = NDArray[np.float64]
 Loss = Literal["huber", "squared"]
@@ -87,7 +85,8 @@ class Adjusted:
     ``residuals`` (n, 2) px; ``redundancy``: the degrees of freedom; ``expected``: the sum of squares of
     residuals over their sigmas that errors as stated leave, which is less where targets err together;
     ``sigma_zero``: root of the sum over that. ``point_redundancy`` (n,) 0..1: the share of an error of that
-    point which its residual shows.
+    point which its residual shows. ``shared``: covariance px^2 of what the targets of each station err by
+    together, (2 m, 2 m) in their order.
     """
 
     state: State
@@ -100,6 +99,7 @@ class Adjusted:
     expected: float
     residuals: Array
     point_redundancy: Array
+    shared: tuple[Array, ...] = ()
 
     def covariance_by(self, factor: float) -> Array:
         """Return the covariance of all unknowns for a variance factor of the observations.
@@ -151,19 +151,3 @@ def to_optics(fx: float, fy: float, estimated: tuple[str, ...]) -> Array:
     matrix = np.eye(len(OPTICS_PARAMETERS))
     matrix[1, 0] = fy / fx
     return matrix[:, [OPTICS_PARAMETERS.index(name) for name in estimated]]
-
-
-def shared_errors(bundle: Bundle, state: State) -> csr_array:
-    """Return what the targets of each station err by together (2 n, columns), over the sigma of coordinates.
-
-    Columns have independent coefficients of sigma 1; their waves are taken at the places of ``state``.
-    """
-    count = len(bundle.sigma)
-    if bundle.shifts is None:
-        return csr_array((2 * count, 0))
-    columns = columns_of(bundle.shifts, predicted(bundle, state)) / bundle.whole_sigma[:, None, None]
-    width = columns.shape[2]
-    row = np.broadcast_to(np.arange(2 * count).reshape(count, 2, 1), columns.shape)
-    column = np.broadcast_to((width * bundle.station)[:, None, None] + np.arange(width), columns.shape)
-    entries = (columns.ravel(), (row.ravel(), column.ravel()))
-    return coo_array(entries, shape=(2 * count, width * len(state.rotations))).tocsr()

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
+from scipy.special import expit
 
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.frame import Pose
@@ -16,6 +17,7 @@ from rim_camera_ros.photogrammetry.adjustment import adjust, outliers
 from rim_camera_ros.photogrammetry.bundle import Adjusted, Bundle, NotDetermined, in_camera
 from rim_camera_ros.photogrammetry.checks import LEAST_TARGETS
 from rim_camera_ros.photogrammetry.estimate import GROSS, block_from, start_poses, state_from
+from rim_camera_ros.photogrammetry.mirrored import Fitted, PlacedPose, log_odds, mirrored, mixture
 from rim_camera_ros.photogrammetry.projection import (
     OPTICS_PATHS,
     optics_of,
@@ -100,6 +102,8 @@ def estimate_poses(
     board's print nor the lens model is in them. A variance that all targets have in common is added to
     theirs, such that residuals are as large as they should be (Mandel & Paule 1970). What the sampling of the
     image moves all targets of a station by is part of the covariance of its targets, and so of the pose.
+    Where residuals do not decide between two poses that are mirrored at the line of sight, pose and
+    covariance are those of their mixture.
 
     Raises `RimError` where no station has a pose.
     """
@@ -116,35 +120,31 @@ def estimate_poses(
             f"no station has a pose{': ' + notes[-1] if notes else ''}",
             remedy="check that the scene file describes the board that was recorded",
         )
-    freedom = {station: max(one.expected, 1.0) for station, (one, _, _) in found.items()}
-    total = sum(freedom[station] * one.sigma_zero**2 for station, (one, _, _) in found.items())
+    likely = {station: fits[0] for station, fits in found.items()}
+    freedom = {station: max(fit.adjusted.expected, 1.0) for station, fit in likely.items()}
+    total = sum(freedom[station] * fit.adjusted.sigma_zero**2 for station, fit in likely.items())
     pooled = total / sum(freedom.values())
     stations = {}
     scales, shares = [], []
-    for station, (adjusted, bundle, rejected) in found.items():
-        own_variance = adjusted.sigma_zero**2
+    for station, fits in found.items():
+        own_variance = likely[station].adjusted.sigma_zero ** 2
         variance = (_COMMON_FREEDOM * pooled + freedom[station] * own_variance) / (
             _COMMON_FREEDOM + freedom[station]
         )
-        shift = adjusted.state.translations[0]
-        optical = _by_optics(adjusted, bundle)
-        order = [3, 4, 5, 0, 1, 2]
-        common = (optical @ by_optics @ optical.T)[np.ix_(order, order)]
-        common[:3, :3] += board_scale_sigma**2 * np.outer(shift, shift)
-        own = adjusted.covariance_by(variance)[np.ix_(order, order)]
-        pose = Pose(
-            (float(shift[0]), float(shift[1]), float(shift[2])),
-            quaternion(adjusted.state.rotations[0]),
-            tuple((own + common).ravel().tolist()),
-        )
-        residual = float(np.sqrt(np.mean(adjusted.residuals**2)))
-        stations[station] = StationPose(pose, own, common, residual, len(bundle.sigma))
+        made = [_placed(fit, variance, by_optics, board_scale_sigma) for fit in fits]
+        placed = made[0]
+        if len(fits) > 1:
+            first = float(expit(log_odds(fits[0], fits[1], variance)))
+            placed = mixture(made[0], made[1], first)
+            notes += _undecided(station, made, placed, first)
+        stations[station] = _station_pose(placed, likely[station])
+        shift, common = placed.shift, placed.common
         along = shift / np.linalg.norm(shift)
         scales.append(along @ common[:3, :3] @ along / (shift @ shift))
-        normal = adjusted.state.rotations[0][:, 2]
-        shares.append(normal @ common[:3, :3] @ normal / (normal @ (own + common)[:3, :3] @ normal))
-        if rejected:
-            notes.append(f"station {station}: {rejected} targets rejected as gross errors")
+        normal = placed.rotation[:, 2]
+        shares.append(normal @ common[:3, :3] @ normal / (normal @ (placed.own + common)[:3, :3] @ normal))
+        if likely[station].rejected:
+            notes.append(f"station {station}: {likely[station].rejected} targets rejected as gross errors")
     return BoardPoses(
         stations=stations,
         scale_sigma=float(np.sqrt(np.mean(scales))),
@@ -155,7 +155,40 @@ def estimate_poses(
     )
 
 
-_Found = tuple[Adjusted, Bundle, int]
+#: The pose with the smallest residuals, and the other one where there are two.
+_Found = tuple[Fitted, ...]
+
+
+def _placed(fit: Fitted, variance: float, by_optics: Array, board_scale_sigma: float) -> PlacedPose:
+    state = fit.adjusted.state
+    shift, order = state.translations[0], [3, 4, 5, 0, 1, 2]
+    optical = _by_optics(fit.adjusted, fit.bundle)
+    common = (optical @ by_optics @ optical.T)[np.ix_(order, order)]
+    common[:3, :3] += board_scale_sigma**2 * np.outer(shift, shift)
+    own = fit.adjusted.covariance_by(variance)[np.ix_(order, order)]
+    return PlacedPose(state.rotations[0], shift, own, common)
+
+
+def _station_pose(placed: PlacedPose, fit: Fitted) -> StationPose:
+    x, y, z = (float(value) for value in placed.shift)
+    covariance = tuple((placed.own + placed.common).ravel().tolist())
+    pose = Pose((x, y, z), quaternion(placed.rotation), covariance)
+    residual = float(np.sqrt(np.mean(fit.adjusted.residuals**2)))
+    return StationPose(pose, placed.own, placed.common, residual, len(fit.bundle.sigma))
+
+
+def _undecided(station: int, made: Sequence[PlacedPose], placed: PlacedPose, first: float) -> list[str]:
+    """Return a note where most of what is not known of the tilt is which of two poses it is."""
+    tilts = [float(np.trace(pose.own[3:, 3:])) for pose in made]
+    if np.trace(placed.own[3:, 3:]) < 2 * (first * tilts[0] + (1 - first) * tilts[1]):
+        return []
+    cosine = float(made[0].rotation[:, 2] @ made[1].rotation[:, 2])
+    return [
+        f"station {station}: two poses, mirrored at the line of sight, fit its image "
+        f"({np.degrees(np.arccos(min(cosine, 1.0))):.1f} deg apart, probability of the more likely one "
+        f"{max(first, 1 - first):.2f}): the pose is their mean, and its covariance holds both; tilt the "
+        "board by 20 deg and more, or come nearer"
+    ]
 
 
 def _all_adjusted(
@@ -182,7 +215,10 @@ def _common_error(found: Iterable[_Found], now: float) -> float:
     The one with which squares of residuals over their variances add up to what is expected, 0 where they are
     smaller than that without it.
     """
-    parts = [(one.residuals, bundle.whole_sigma**2 - now**2, one.expected) for one, bundle, _ in found]
+    parts = [
+        (fit.adjusted.residuals, fit.bundle.whole_sigma**2 - now**2, fit.adjusted.expected)
+        for fit, *_ in found
+    ]
     if not parts:
         return now
     squares = np.concatenate([np.sum(residuals**2, axis=1) for residuals, _, _ in parts])
@@ -208,33 +244,22 @@ def _optics_matrix(covariance: OpticsCovariance | None) -> Array:
 
 
 def _adjusted(observations: Observations, optics: Optics) -> _Found:
-    """Adjust one station; the number of targets that were rejected.
-
-    A plane that is seen small looks nearly the same mirrored at the line of sight (Schweighofer & Pinz 2006):
-    the adjustment begins on either side, and the one with the smaller residuals is it.
-    """
+    """Adjust one station from both sides of the line of sight."""
     _require_targets(observations.points)
     block = block_from(observations, observations.points, optics, "known", (), correct_ellipses=True)
     start = start_poses(observations, block, optics)
     found = _adjusted_from(observations, optics, start)
-    targets = found[1].targets
-    mirrored = {
-        station: _mirrored(rotation, shift, targets.mean(axis=0))
+    targets = found.bundle.targets
+    opposite = {
+        station: mirrored(rotation, shift, targets.mean(axis=0))
         for station, (rotation, shift) in start.items()
     }
     try:
-        other = _adjusted_from(observations, optics, mirrored)
+        other = _adjusted_from(observations, optics, opposite)
     except RimError:
-        return found
-    # beside wrong residuals no target looks like a gross error: those rejected count at their limit
-    scale = min(found[0].sigma_zero, other[0].sigma_zero)
-    return min(found, other, key=lambda one: _cost(one[0], one[2], scale))
-
-
-def _cost(adjusted: Adjusted, rejected: int, scale: float) -> float:
-    """Return the sum of squares of residuals, in units of ``scale`` of their sigmas."""
-    ratio = adjusted.sigma_zero / max(scale, 1e-300)
-    return adjusted.redundancy * ratio**2 + rejected * GROSS**2
+        return (found,)
+    scale = min(found.adjusted.sigma_zero, other.adjusted.sigma_zero) ** 2
+    return tuple(sorted((found, other), key=lambda fit: fit.cost(scale)))
 
 
 def _require_targets(points: Sequence[ImagePoint]) -> None:
@@ -242,21 +267,9 @@ def _require_targets(points: Sequence[ImagePoint]) -> None:
         raise RimError(f"{len(points)} targets found, at least {LEAST_TARGETS} are needed")
 
 
-def _mirrored(rotation: Array, shift: Array, centre: Array) -> tuple[Array, Array]:
-    """Return the pose whose normal is mirrored at the line of sight to a point of the target."""
-    seen = rotation @ centre + shift
-    sight = seen / np.linalg.norm(seen)
-    normal = rotation[:, 2] * np.sign(rotation[:, 2] @ sight)
-    # two reflections turn the normal by twice its angle with the line of sight
-    half_turn = 2 * np.outer(sight, sight) - np.eye(3)
-    back = 2 * np.outer(normal, normal) - np.eye(3)
-    turned = half_turn @ back @ rotation
-    return turned, seen - turned @ centre
-
-
 def _adjusted_from(
     observations: Observations, optics: Optics, start: Mapping[int, tuple[Array, Array]]
-) -> _Found:
+) -> Fitted:
     """Adjust one station from approximate poses, without gross errors."""
     points, rejected = observations.points, 0
     while True:
@@ -269,7 +282,7 @@ def _adjusted_from(
             gross = outliers(adjusted, block.bundle, limit=GROSS)
             if not gross.any():
                 final = adjust(block.bundle, adjusted.state, estimated=(), loss="squared")
-                return final, block.bundle, rejected
+                return Fitted(final, block.bundle, rejected)
         except NotDetermined:
             raise RimError("its targets lie on one line") from None
         rejected += int(gross.sum())

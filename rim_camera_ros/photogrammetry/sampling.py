@@ -82,14 +82,22 @@ def _shift(normal: Array, length: float) -> Array:
     return result
 
 
-def columns_of(shifts: Array, places: Array) -> Array:
-    """Return the columns F (n, 2, 2 frequencies) of the covariance F F' [px^2] that targets share.
+def shared_covariance(shifts: Array, places: Array, moves: Array) -> Array:
+    """Return the covariance (2 n, 2 n) px^2 of what the targets of a station err by together.
 
     ``shifts`` (n, frequencies, 2) px of `shifts_of_edges`, times the standard deviation of the sampling;
-    ``places`` (n, 2) px. The phases of the frequencies are unknown, but alike for all targets.
+    ``places`` (n, 2) px. The phase of each frequency is unknown, but the same for all targets, of which two
+    at p and q err alike by cos(2 pi G.(p - q)). That is blurred where their places are not known: ``moves``
+    (n, 2, k) px are the errors of the places by k independent causes of sigma 1.
     """
-    phase = 2 * np.pi * places @ _LATTICE.T
-    waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1) * np.sqrt(0.5)
-    both = np.concatenate([shifts, shifts], axis=1)
-    result: Array = np.swapaxes(both * waves[:, :, None], 1, 2)
-    return result
+    count = len(places)
+    result = np.zeros((count, 2, count, 2))
+    for number, frequency in enumerate(2 * np.pi * _LATTICE):
+        phase = places @ frequency
+        blurred = np.tensordot(frequency, moves, axes=(0, 1))
+        square = np.sum(blurred**2, axis=1)
+        between = square[:, None] + square[None, :] - 2 * blurred @ blurred.T
+        alike = 0.5 * np.cos(phase[:, None] - phase[None, :]) * np.exp(-0.5 * np.maximum(between, 0.0))
+        shift = shifts[:, number]
+        result += alike[:, None, :, None] * shift[:, :, None, None] * shift[None, None]
+    return result.reshape(2 * count, 2 * count)

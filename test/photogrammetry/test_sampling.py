@@ -10,9 +10,9 @@ from rim_camera_ros.photogrammetry.checkerboards import Corner
 from rim_camera_ros.photogrammetry.sampling import (
     POINT_VARIANCE,
     SHORT_WAVES,
-    columns_of,
     hidden_share,
     sampling_variance,
+    shared_covariance,
     shifts_of_edges,
 )
 
@@ -91,8 +91,10 @@ def test_what_corners_of_a_board_along_the_rows_err_by_together_is_stated() -> N
     # 48 numbers that are uniform over a pixel: their mean square has a relative 1-sigma of 0.13
     assert np.mean(whole) == pytest.approx(1 / 12, rel=0.4)
     places = np.array([(corner.u, corner.v) for corner in found])
-    mean = columns_of(shifts, places).mean(axis=0)
-    assert np.mean(np.sum(mean**2, axis=1)) == pytest.approx(stated, rel=0.02)
+    count = len(places)
+    covariance = shared_covariance(shifts, places, np.zeros((count, 2, 0)))
+    mean = np.tile(np.eye(2), (1, count)) / count
+    np.testing.assert_allclose(np.diag(mean @ covariance @ mean.T), stated, rtol=0.02)
     assert np.mean(np.square(together)) == pytest.approx(stated, rel=0.45)
 
 
