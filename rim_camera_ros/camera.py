@@ -135,7 +135,7 @@ class Covariance:
 
     def without(self, prefixes: Collection[str]) -> Covariance | None:
         """Return the covariance of parameters whose paths begin with none of the prefixes, or None."""
-        kept = [i for i, one in enumerate(self.parameters) if not one.startswith(tuple(prefixes))]
+        kept = [i for i, parameter in enumerate(self.parameters) if not parameter.startswith(tuple(prefixes))]
         if len(kept) == len(self.parameters):
             return self
         matrix = ArrayFile(self.matrix.file, self.matrix.values[np.ix_(kept, kept)])

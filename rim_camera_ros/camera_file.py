@@ -77,7 +77,7 @@ def load_camera(path: str | os.PathLike[str]) -> Camera:
         raise document.error(
             ("measurement", "type"), "has one modulation frequency", f"give type: {SeveralFrequencies.type}"
         )
-    return _checked(measurement.camera_of(tuple(_camera(one) for one in parts)), document)
+    return _checked(measurement.camera_of(tuple(_camera(part) for part in parts)), document)
 
 
 def _checked(camera: Camera, document: Document) -> Camera:
@@ -94,7 +94,11 @@ def _camera(document: Document) -> Camera:
     provenance = content.provenance if content.provenance is not None else {}
     if not isinstance(provenance, dict):
         raise document.error(("provenance",), "expected a group of keys")
-    values = {one.name: getattr(content, one.name) for one in fields(_File) if one.name != "format"}
+    values = {
+        attribute.name: getattr(content, attribute.name)
+        for attribute in fields(_File)
+        if attribute.name != "format"
+    }
     values["effects"] = _EMPTY
     values["provenance"] = MappingProxyType(provenance)
     values["measurement"] = _decode_measurement(content.measurement, document)
@@ -246,13 +250,13 @@ def save_camera(camera: Camera, path: str | os.PathLike[str], *, comment: str = 
     path = Path(path)
     arrays = list(arrays_of(camera.measurement))
     for part in camera.channels or (camera,):
-        arrays += [one for effect in part.effects.values() for one in arrays_of(effect)]
+        arrays += [array_file for effect in part.effects.values() for array_file in arrays_of(effect)]
         if part.covariance is not None:
             arrays.append(part.covariance.matrix)
-    new = [path.parent / one.file for one in arrays if not (path.parent / one.file).exists()]
+    new = [path.parent / array.file for array in arrays if not (path.parent / array.file).exists()]
     try:
-        for one in arrays:
-            _write_array(path.parent, one)
+        for array in arrays:
+            _write_array(path.parent, array)
         write_yaml(path, _document(camera), comment=comment)
     except BaseException:
         for written in new:
@@ -287,29 +291,33 @@ def save_camera_apart(camera: Camera, path: str | os.PathLike[str], *, comment: 
 
 
 def _with_own_arrays(camera: Camera, stem: str) -> Camera:
-    def name(place: str, one: ArrayFile) -> ArrayFile:
-        values = np.ascontiguousarray(one.values)
+    def name(place: str, array_file: ArrayFile) -> ArrayFile:
+        values = np.ascontiguousarray(array_file.values)
         text = hashlib.sha256(f"{values.dtype.str}{values.shape}".encode() + values.tobytes()).hexdigest()
-        return ArrayFile(f"{stem}.{place}.{text[:8]}.npy", one.values)
+        return ArrayFile(f"{stem}.{place}.{text[:8]}.npy", array_file.values)
 
     effects = {effect: _with_arrays(one, effect, name) for effect, one in camera.effects.items()}
     covariance = camera.covariance
     if covariance is not None:
         covariance = replace(covariance, matrix=name("covariance", covariance.matrix))
-    channels = tuple(_with_own_arrays(one, stem) for one in camera.channels)
+    channels = tuple(_with_own_arrays(channel, stem) for channel in camera.channels)
     return replace(camera, effects=MappingProxyType(effects), covariance=covariance, channels=channels)
 
 
 def _with_arrays(effect: Effect, place: str, name: Callable[[str, ArrayFile], ArrayFile]) -> Effect:
-    found = {one.name: getattr(effect, one.name) for one in fields(effect) if one.init}
-    renamed = {key: name(place, one) for key, one in found.items() if isinstance(one, ArrayFile)}
+    found = {
+        attribute.name: getattr(effect, attribute.name) for attribute in fields(effect) if attribute.init
+    }
+    renamed = {
+        key: name(place, array_file) for key, array_file in found.items() if isinstance(array_file, ArrayFile)
+    }
     return replace(effect, **renamed) if renamed else effect
 
 
 def _document(camera: Camera) -> dict[str, Any]:
     """Return a camera file's content as plain data."""
     if camera.channels:
-        data = merged([_document(one) for one in camera.channels])
+        data = merged([_document(channel) for channel in camera.channels])
         return {**data, "measurement": {"type": camera.measurement.type, **encode(camera.measurement)}}
     data = {"format": CAMERA_FORMAT, "device": camera.device}
     for section in ("sensor", "optics", "radiometry", "noise"):
@@ -328,9 +336,9 @@ def _document(camera: Camera) -> dict[str, Any]:
     return data
 
 
-def _write_array(folder: Path, one: ArrayFile) -> None:
-    path = folder / one.file
+def _write_array(folder: Path, array_file: ArrayFile) -> None:
+    path = folder / array_file.file
     if folder.is_dir() and not path.parent.exists():
         path.parent.mkdir(parents=True)
-    values = one.values
+    values = array_file.values
     write_whole(path, lambda stream: np.save(stream, values, allow_pickle=False))

@@ -48,11 +48,13 @@ class Chain:
     @classmethod
     def of(cls, effects: Iterable[Effect], *, of_means: bool = False) -> Chain:
         """Sort ordered effects; ``of_means`` leaves out those without a mean that could be predicted."""
-        kept = [one for one in effects if one.predictable or not of_means]
-        responses = [one for one in kept if isinstance(one, ResponseEffect)]
+        kept = [effect for effect in effects if effect.predictable or not of_means]
+        responses = [
+            response_effect for response_effect in kept if isinstance(response_effect, ResponseEffect)
+        ]
         return cls(
-            tuple(one for one in kept if not isinstance(one, DistanceTerm | ResponseEffect)),
-            tuple(one for one in kept if isinstance(one, DistanceTerm)),
+            tuple(effect for effect in kept if not isinstance(effect, DistanceTerm | ResponseEffect)),
+            tuple(distance_term for distance_term in kept if isinstance(distance_term, DistanceTerm)),
             responses[-1] if responses else None,
         )
 
@@ -63,14 +65,14 @@ class Chain:
         total: Any = 0.0
         by_distance: Any = 0.0
         by_amplitude: Any = 0.0
-        for one in self.terms:
-            total = total + one.term(distance, amplitude, context)
-            depends = one.depends_on() if slopes else ()
+        for term in self.terms:
+            total = total + term.term(distance, amplitude, context)
+            depends = term.depends_on() if slopes else ()
             if "distance" in depends:
-                sides = (one.term(distance + step, amplitude, context) for step in (_STEP, -_STEP))
+                sides = (term.term(distance + step, amplitude, context) for step in (_STEP, -_STEP))
                 by_distance = by_distance + (next(sides) - next(sides)) / (2 * _STEP)
             if "amplitude" in depends:
-                sides = (one.term(distance, amplitude * (1 + step), context) for step in (_STEP, -_STEP))
+                sides = (term.term(distance, amplitude * (1 + step), context) for step in (_STEP, -_STEP))
                 by_amplitude = by_amplitude + (next(sides) - next(sides)) / (2 * _STEP * amplitude)
         return Terms(total, by_distance, by_amplitude)
 
@@ -88,17 +90,17 @@ def deliver(
 ) -> Signal:
     """Return the light after effects on it; ``before`` collects it before each of them by name."""
     phasor: Array | None = None
-    for one in effects:
-        if phasor is not None and (before is not None or not isinstance(one, ComplexEffect)):
+    for effect in effects:
+        if phasor is not None and (before is not None or not isinstance(effect, ComplexEffect)):
             signal = from_phasor(phasor, signal, context)
         if before is not None:
-            before[one.name] = signal
-        if isinstance(one, ComplexEffect):
+            before[effect.name] = signal
+        if isinstance(effect, ComplexEffect):
             if phasor is None:
                 phasor = to_phasor(signal.distance, signal.amplitude, context.ambiguity)
-            phasor = one.apply(phasor, context)
+            phasor = effect.apply(phasor, context)
         else:
-            signal, phasor = one.simulate(signal, context), None
+            signal, phasor = effect.simulate(signal, context), None
     return signal if phasor is None else from_phasor(phasor, signal, context)
 
 

@@ -65,7 +65,7 @@ def parser(names: Sequence[str] = COMMANDS) -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; no traceback reaches the user."""
     try:
-        return _run([_with_home(one) for one in (sys.argv[1:] if argv is None else argv)])
+        return _run([_with_home(argument) for argument in (sys.argv[1:] if argv is None else argv)])
     except RimError as error:
         return _failed(str(error), error.exit_status)
     except KeyboardInterrupt as end:

@@ -43,8 +43,8 @@ def complete(parser: argparse.ArgumentParser) -> None:
         import argcomplete
     except ImportError:
         return
-    for one in _parsers(parser):
-        for action in one._actions:  # argparse has no public list of them
+    for argument_parser in _parsers(parser):
+        for action in argument_parser._actions:  # argparse has no public list of them
             completer = _completer(action)
             if completer is not None:
                 action.completer = completer  # type: ignore[attr-defined]
@@ -84,7 +84,7 @@ def _names_and_files(*kinds: str, also: tuple[str, ...] = ()) -> Completer:
         except RimError:  # an installation without them
             names = list(also)
         files = FilesCompleter() if "usb" in also else FilesCompleter(("yaml", "yml"))
-        return [one for one in names if one.startswith(prefix)] + list(files(prefix))
+        return [name for name in names if name.startswith(prefix)] + list(files(prefix))
 
     return completer
 
@@ -95,10 +95,10 @@ def _effects(prefix: str, **_: object) -> list[str]:
 
     before, comma, last = prefix.rpartition(",")
     given = before.split(",")
-    return [f"{before}{comma}{one}" for one in registry() if one.startswith(last) and one not in given]
+    return [f"{before}{comma}{name}" for name in registry() if name.startswith(last) and name not in given]
 
 
 def _roles(prefix: str, **_: object) -> list[str]:
     from rim_camera_ros.bags.topics import ROLES
 
-    return [f"{one}=" for one in ROLES if one.startswith(prefix)]
+    return [f"{role}=" for role in ROLES if role.startswith(prefix)]

@@ -19,7 +19,7 @@ def expanded(text: str) -> str:
 
     Shells leave ``--out=~/bag``, and values of parameters, as they are.
     """
-    return os.pathsep.join(os.path.expanduser(one) for one in text.split(os.pathsep))
+    return os.pathsep.join(os.path.expanduser(word) for word in text.split(os.pathsep))
 
 
 def share_folder() -> Path:
@@ -53,7 +53,7 @@ def shipped(kind: str) -> list[str]:
 
 def _paths(kind: str) -> dict[str, Path]:
     wanted = b"format: rim_camera/" if kind == _CAMERAS else b"format: rim_scene/"
-    folders = [share_folder() / one for one in (_EXPERIMENTS, kind)]
+    folders = [share_folder() / experiment for experiment in (_EXPERIMENTS, kind)]
     return {p.stem: p for folder in folders for p in folder.glob("*.yaml") if wanted in p.read_bytes()}
 
 

@@ -99,7 +99,7 @@ class FootprintLight:
         return result
 
     def _laid_out(self, weights: tuple[Array, Array], result: Array) -> Array:
-        down, across = (one.astype(self.light.dtype) for one in weights)
+        down, across = (weight.astype(self.light.dtype) for weight in weights)
         np.put(result, self.pixels, (self.light @ across) @ down)
         return result
 

@@ -151,8 +151,8 @@ class RawFrame:
             return self
         return replace(
             self,
-            truth={name: one for name, one in self.truth.items() if name in surfaces},
-            pose_stamps={name: one for name, one in self.pose_stamps.items() if name in surfaces},
+            truth={name: pose for name, pose in self.truth.items() if name in surfaces},
+            pose_stamps={name: stamp for name, stamp in self.pose_stamps.items() if name in surfaces},
         )
 
 

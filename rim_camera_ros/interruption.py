@@ -68,7 +68,7 @@ def end_quietly_while_importing() -> None:
         for number in heard:
             signal.signal(number, signal.SIG_IGN)
 
-    heard = [one for one in _ENDING if signal.getsignal(one) != signal.SIG_IGN]
+    heard = [signals for signals in _ENDING if signal.getsignal(signals) != signal.SIG_IGN]
     for number in heard:
         signal.signal(number, end)
     # the interpreter goes back to the system's handlers at its end, but leaves what is ignored

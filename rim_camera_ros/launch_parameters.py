@@ -53,7 +53,7 @@ def log_levels(text: str, *, namespace: str, nodes: tuple[str, ...]) -> list[str
     `InputError` for what is no level or no node.
     """
     levels: dict[str, str] = {}
-    for part in (one.strip() for one in text.split(",") if one.strip()):
+    for part in (word.strip() for word in text.split(",") if word.strip()):
         node, _, level = part.rpartition("=")
         if level not in _LEVELS:
             raise InputError(
@@ -62,7 +62,7 @@ def log_levels(text: str, *, namespace: str, nodes: tuple[str, ...]) -> list[str
         if node and node not in nodes:
             raise InputError(f"no node '{node}'", place="log_level", remedy="one of: " + ", ".join(nodes))
         levels |= dict.fromkeys([node] if node else nodes, level)
-    prefix = "".join(f"{one}." for one in namespace.strip("/").split("/") if one)
+    prefix = "".join(f"{word}." for word in namespace.strip("/").split("/") if word)
     return [word for node, level in levels.items() for word in ("--log-level", f"{prefix}{node}:={level}")]
 
 

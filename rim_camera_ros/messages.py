@@ -124,14 +124,14 @@ def frame_info(message: Any) -> FrameInfo:
 
 def device_info(message: Any) -> DeviceInfo:
     """Return what a device_info message says; `InputError` where it has no status."""
-    one = _only(message, "device_info")
-    values = one.values
+    status = _only(message, "device_info")
+    values = status.values
     return DeviceInfo(
-        device=one.hardware_id,
+        device=status.hardware_id,
         source=values.get("source"),
         serial_number=values.get("serial_number"),
         firmware=values.get("firmware"),
-        modulation_frequency=one.number("modulation_frequency"),
+        modulation_frequency=status.number("modulation_frequency"),
         file=values.get("file"),
         file_sha256=values.get("file_sha256"),
         values=values,
@@ -140,30 +140,30 @@ def device_info(message: Any) -> DeviceInfo:
 
 def progress(message: Any) -> Progress:
     """Return what a message of calibration/progress says; `InputError` where it has no status."""
-    one = _only(message, "progress")
-    done, total = one.number("done"), one.number("total")
+    status = _only(message, "progress")
+    done, total = status.number("done"), status.number("total")
     return Progress(
-        state=one.values.get("state", ""),
-        stage=one.values.get("stage"),
+        state=status.values.get("state", ""),
+        stage=status.values.get("stage"),
         fraction=done / total if done is not None and total else None,
-        seconds=one.number("seconds"),
-        message=one.message,
+        seconds=status.number("seconds"),
+        message=status.message,
     )
 
 
 def result(message: Any) -> Result:
     """Return what a message of calibration/result says; `InputError` where it has no status."""
-    one = _only(message, "result")
-    millimetres = one.number("systematic_mm")
-    listed = (name.strip() for name in one.values.get("effects", "").split(","))
+    status = _only(message, "result")
+    millimetres = status.number("systematic_mm")
+    listed = (name.strip() for name in status.values.get("effects", "").split(","))
     return Result(
-        state=one.values.get("state", ""),
-        file=one.values.get("file"),
+        state=status.values.get("state", ""),
+        file=status.values.get("file"),
         systematic=None if millimetres is None else millimetres / 1e3,
-        chi_square=one.number("chi_square"),
+        chi_square=status.number("chi_square"),
         effects=tuple(name for name in listed if name not in ("", "none")),
-        reason=one.values.get("reason"),
-        message=one.message,
+        reason=status.values.get("reason"),
+        message=status.message,
     )
 
 

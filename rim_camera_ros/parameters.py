@@ -95,7 +95,7 @@ def decode[T](cls: type[T], data: Any, document: Document, place: tuple[Any, ...
         data = {}
     if not isinstance(data, dict):
         raise document.error(place, f"expected a group of keys, found {_kind(data)}")
-    fields = {one.name: one for one in dataclasses.fields(cast(Any, cls)) if one.init}
+    fields = {attribute.name: attribute for attribute in dataclasses.fields(cast(Any, cls)) if attribute.init}
     hints = typing.get_type_hints(cls)
     for key in data:
         if key not in fields:
@@ -140,15 +140,20 @@ def _decode_value(
     if origin in (typing.Union, types.UnionType):
         if data is None and type(None) in arguments:
             return None
-        choices = [one for one in arguments if one is not type(None)]
-        words = [word for one in choices if typing.get_origin(one) is typing.Literal for word in one.__args__]
+        choices = [argument for argument in arguments if argument is not type(None)]
+        words = [
+            word
+            for choice in choices
+            if typing.get_origin(choice) is typing.Literal
+            for word in choice.__args__
+        ]
         if isinstance(data, str) and words:
             if data not in words:
                 raise document.error(place, f"unknown value '{data}'", nearest_name(data, words))
             return data
         if str in choices and isinstance(data, str):
             return data
-        choices = [one for one in choices if one is not str] or choices
+        choices = [choice for choice in choices if choice is not str] or choices
         return _decode_value(choices[0], data, metadata, document, place)
     if origin is typing.Literal:
         if data not in arguments:
@@ -296,8 +301,8 @@ def _nested_list(
 def encode(value: Any) -> Any:
     """Return plain YAML data for a parameter dataclass, without what is absent; the inverse of `decode`."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type | ArrayFile | NestedList):
-        given = {one.name: getattr(value, one.name) for one in dataclasses.fields(value) if one.init}
-        absent = {one.name for one in dataclasses.fields(value) if one.default is None}
+        given = {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
+        absent = {field.name for field in dataclasses.fields(value) if field.default is None}
         return {name: encode(one) for name, one in given.items() if one is not None or name not in absent}
     if isinstance(value, ArrayFile):
         return value.file
@@ -321,8 +326,8 @@ def arrays_of(value: Any) -> Iterator[ArrayFile]:
     if isinstance(value, ArrayFile):
         yield value
     elif dataclasses.is_dataclass(value) and not isinstance(value, type | NestedList):
-        for one in dataclasses.fields(value):
-            yield from arrays_of(getattr(value, one.name))
+        for field in dataclasses.fields(value):
+            yield from arrays_of(getattr(value, field.name))
     elif isinstance(value, Mapping):
         for inner in value.values():
             yield from arrays_of(inner)
@@ -372,9 +377,9 @@ def _replaced(value: Any, values: Mapping[str, float], prefix: str) -> Any:
 
 def _children(value: Any) -> Iterator[tuple[str, Any]]:
     if dataclasses.is_dataclass(value) and not isinstance(value, type | ArrayFile | NestedList):
-        for one in dataclasses.fields(value):
-            if one.init:
-                yield one.name, getattr(value, one.name)
+        for field in dataclasses.fields(value):
+            if field.init:
+                yield field.name, getattr(value, field.name)
     elif isinstance(value, tuple):
         for i, inner in enumerate(value):
             yield str(i), inner

@@ -194,7 +194,7 @@ def parse_waveform(text: str) -> Waveform:
         if kind == "square":
             return Waveform.square(float(rest) if rest else 0.5)
         if kind == "harmonics" and rest:
-            pairs = [one.split("=") for one in rest.split(",")]
+            pairs = [word.split("=") for word in rest.split(",")]
             return Waveform(tuple((int(order), complex(strength)) for order, strength in pairs))
     except ValueError as error:
         raise ValueError(f"waveform '{text}': {error}") from None

@@ -255,7 +255,7 @@ class Scene:
             raise ValueError(f"format is '{self.format}', expected {SCENE_FORMAT}")
         if not self.surfaces:
             raise ValueError("surfaces is empty: nothing can be seen")
-        names = [one.name for one in self.surfaces]
+        names = [surface.name for surface in self.surfaces]
         twice = sorted({one for one in names if names.count(one) > 1})
         if twice:
             raise ValueError(f"surface name '{twice[0]}' is given twice")
@@ -267,11 +267,15 @@ class Scene:
     @property
     def needs_truth(self) -> tuple[str, ...]:
         """Names of the surfaces whose pose comes from the recording."""
-        return tuple(one.name for one in self.surfaces if one.pose == TRUTH)
+        return tuple(surface.name for surface in self.surfaces if surface.pose == TRUTH)
 
     def fixed_poses(self) -> dict[str, Pose]:
         """Return the poses that the scene file itself states."""
-        return {one.name: one.pose.pose for one in self.surfaces if isinstance(one.pose, ScenePose)}
+        return {
+            surface.name: surface.pose.pose
+            for surface in self.surfaces
+            if isinstance(surface.pose, ScenePose)
+        }
 
     def poses_for(self, truth: Mapping[str, Pose]) -> dict[str, Pose]:
         """Return the pose of every surface, those with ``pose: truth`` taken from ``truth``.

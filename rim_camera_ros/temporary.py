@@ -123,7 +123,11 @@ def clear(folder: Path) -> None:
     """Remove the hidden files and folders of killed runs; what cannot be removed stays."""
     try:
         with os.scandir(folder) as entries:
-            found = [Path(one.path) for one in entries if _OURS.fullmatch(one.name) and not one.is_symlink()]
+            found = [
+                Path(entry.path)
+                for entry in entries
+                if _OURS.fullmatch(entry.name) and not entry.is_symlink()
+            ]
     except OSError:
         return
     for path in found:

@@ -298,7 +298,7 @@ class Pairing:
 
     def _with_sides(self, settings: Settings | None, stamp: int) -> Settings:
         sides = {
-            role: found[1] for role, one in self._sides.items() if (found := one.latest(stamp)) is not None
+            role: found[1] for role, side in self._sides.items() if (found := side.latest(stamp)) is not None
         }
         if settings is None:
             settings = Settings(extra={})

@@ -141,14 +141,14 @@ class Recording:
             TopicSummary(name, info.msgtype, info.count, self._role(name, by_name))
             for name, info in sorted(storage.topics.items())
         )
-        found = {one.role for one in topics}
+        found = {topic.role for topic in topics}
         start, end = storage.start, storage.end
         return RecordingSummary(
             path=self.path,
             storage=storage.kind,
             start=start,
             duration=0.0 if start is None or end is None else (end - start) / NANOSECONDS,
-            message_count=sum(one.count for one in topics),
+            message_count=sum(topic.count for topic in topics),
             frame_count=self.frame_count,
             topics=topics,
             roles={role: self._topics[role] for role in self._topics.roles if role in found}

@@ -93,7 +93,7 @@ class StampPairing:
         exposure.parts[role] = value
         if role == "frame_info":
             self._newest_info = stamp
-        if exposure.complete_since is None and all(one in exposure.parts for one in self._images):
+        if exposure.complete_since is None and all(image in exposure.parts for image in self._images):
             exposure.complete_since = now
         return self._ready(now)
 

@@ -240,7 +240,7 @@ class Folder:
     def _look_into_files(self) -> None:
         self.files = _storage_files(self.path)
         if not self.files:
-            inner = sorted(one.parent for one in self.path.glob(f"*/{METADATA}"))
+            inner = sorted(path.parent for path in self.path.glob(f"*/{METADATA}"))
             raise InputError(
                 f"the folder holds no recording: neither {METADATA} nor mcap or db3 files",
                 file=self.path,
@@ -260,10 +260,10 @@ class Folder:
 def _storage_files(folder: Path) -> list[Path]:
     """Return the recording files of a folder in the order of their numbers, mcap before db3."""
     for kinds in (_SUFFIXES[:2], _SUFFIXES[2:]):
-        found = [one for one in folder.iterdir() if one.name.endswith(kinds) and one.is_file()]
+        found = [path for path in folder.iterdir() if path.name.endswith(kinds) and path.is_file()]
         if found:
             return sorted(
-                found, key=lambda one: [int(x) if x.isdigit() else x for x in re.split(r"(\d+)", one.name)]
+                found, key=lambda path: [int(x) if x.isdigit() else x for x in re.split(r"(\d+)", path.name)]
             )
     return []
 

@@ -183,7 +183,7 @@ class Topics:
     @property
     def roles(self) -> tuple[str, ...]:
         """All roles, without the images of other frequencies where one is chosen."""
-        return tuple(one for one in KNOWN_ROLES if self.frequency is None or one not in FURTHER_IMAGES)
+        return tuple(role for role in KNOWN_ROLES if self.frequency is None or role not in FURTHER_IMAGES)
 
     @property
     def automatic(self) -> bool:
@@ -217,7 +217,7 @@ class Topics:
     @property
     def raw_roles(self) -> tuple[str, ...]:
         """Roles that make up or accompany a raw frame, other than poses."""
-        return tuple(one for one in self.roles if one in {*RAW_ROLES, *FURTHER_IMAGES, *SAMPLES})
+        return tuple(role for role in self.roles if role in {*RAW_ROLES, *FURTHER_IMAGES, *SAMPLES})
 
     def info_beside(self, role: str) -> str:
         """Return the camera_info topic that image_transport pairs with the role's image."""
@@ -269,7 +269,7 @@ def is_swissranger_intensity(topic: str) -> bool:
 
 def _with_namespace(topics: Topics, types: Mapping[str, str], assumptions: list[str]) -> Topics:
     names = (ROLES["distance"][0], FURTHER_IMAGES["distance_0"][0], SWISSRANGER_DISTANCE)
-    suffixes = tuple("/" + one for one in names)
+    suffixes = tuple("/" + name for name in names)
     found = {
         name.removesuffix(suffix)
         for name, kind in types.items()

@@ -53,18 +53,21 @@ def _unsettled(fitted: Fit) -> list[str]:
     ]
 
 
-def _worse(one: Accuracy) -> list[str]:
-    whose = f"{one.poses} held-out poses" if one.held_out else "the poses that it was fitted to"
-    if one.rigid_after > WORSE * one.rigid_before:
+def _worse(accuracy: Accuracy) -> list[str]:
+    whose = f"{accuracy.poses} held-out poses" if accuracy.held_out else "the poses that it was fitted to"
+    if accuracy.rigid_after > WORSE * accuracy.rigid_before:
         return [
-            f"it does not improve {whose}: {one.rigid_after * 1e3:.2f} mm RMS beside offset and tilts of "
-            f"each pose, {one.rigid_before * 1e3:.2f} mm by the file before"
+            f"it does not improve {whose}: {accuracy.rigid_after * 1e3:.2f} mm RMS beside offset and tilts "
+            f"of each pose, {accuracy.rigid_before * 1e3:.2f} mm by the file before"
         ]
-    if one.after > WORSE * one.before and one.after**2 - one.before**2 > (_REFERENCE * one.reference) ** 2:
+    if (
+        accuracy.after > WORSE * accuracy.before
+        and accuracy.after**2 - accuracy.before**2 > (_REFERENCE * accuracy.reference) ** 2
+    ):
         return [
-            f"it does not improve {whose}: {one.after * 1e3:.2f} mm RMS against the scene, "
-            f"{one.before * 1e3:.2f} mm by the file before, of which the reference instrument explains "
-            f"{one.reference * 1e3:.2f} mm"
+            f"it does not improve {whose}: {accuracy.after * 1e3:.2f} mm RMS against the scene, "
+            f"{accuracy.before * 1e3:.2f} mm by the file before, of which the reference instrument explains "
+            f"{accuracy.reference * 1e3:.2f} mm"
         ]
     return []
 
@@ -82,7 +85,7 @@ def _widened(fitted: Fit, stated: Scene) -> list[str]:
 
 def _err_alike(fitted: Fit, stated: Scene) -> list[str]:
     """Return which surfaces' poses all err alike by far more than stated: poses that are alike allow that."""
-    sizes = {one.label: one.prior for one in common_pose_block(stated).regressors}
+    sizes = {regressor.label: regressor.prior for regressor in common_pose_block(stated).regressors}
     worst: dict[str, tuple[float, str]] = {}
     for label, value in fitted.parameters.items():
         if label in sizes:
@@ -113,10 +116,12 @@ def beyond_form(problem: Problem, solution: Solution) -> str | None:
     labels = list(fitted.parameters)
     names = [
         name
-        for name, one in fitted.camera.effects.items()
-        if "amplitude" in one.own_covariates() <= {"amplitude", "settings"}
+        for name, effect in fitted.camera.effects.items()
+        if "amplitude" in effect.own_covariates() <= {"amplitude", "settings"}
     ]
-    own = [i for i, label in enumerate(labels) if label.startswith(tuple(f"effects.{one}." for one in names))]
+    own = [
+        i for i, label in enumerate(labels) if label.startswith(tuple(f"effects.{name}." for name in names))
+    ]
     if not own or effect_of(fitted.camera, CovariateTable) or not solution.scores.trained:
         return None
     try:
@@ -141,7 +146,7 @@ def beyond_form(problem: Problem, solution: Solution) -> str | None:
     by_curve = Scores(wide.equations, instead, temper=factor, held=held)
     gain = by_curve.held_out() - Scores(wide.equations, base, temper=factor, held=held).held_out()
     values = by_curve.values()
-    departure = np.array([values[one.label] for one in block.regressors])
+    departure = np.array([values[regressor.label] for regressor in block.regressors])
     if gain < WITHOUT_REPLICATES or np.ptp(departure) < _MATTERS:
         return None
     knots = curve.knots[0]

@@ -87,7 +87,7 @@ def examine(path: str | PathLike[str], camera: Camera, topics: Topics | None) ->
 def agree(recordings: Sequence[RecordingFacts]) -> list[str]:
     """Return notes on recordings of one camera. Raises `InputError` for recordings of several cameras."""
     notes: list[str] = []
-    known = [one for one in recordings if one.device]
+    known = [recording for recording in recordings if recording.device]
     for one in known[1:]:
         if one.device != known[0].device:
             raise InputError(
@@ -95,18 +95,18 @@ def agree(recordings: Sequence[RecordingFacts]) -> list[str]:
                 file=one.path,
                 remedy="calibrate each camera by itself",
             )
-    with_geometry = [one for one in recordings if one.intrinsics is not None]
+    with_geometry = [recording for recording in recordings if recording.intrinsics is not None]
     for one in with_geometry[1:]:
         if one.intrinsics != with_geometry[0].intrinsics:
             notes.append(
                 f"{one.path}: its camera_info differs from that of {with_geometry[0].path}; the optics of "
                 "the camera file hold for all"
             )
-    for one in recordings:
-        if one.integration_time is None:
+    for recording in recordings:
+        if recording.integration_time is None:
             raise InputError(
                 "it states no integration_time (no frame_info)",
-                file=one.path,
+                file=recording.path,
                 remedy="give sensor.integration_time in the camera file",
             )
     return notes
@@ -124,13 +124,13 @@ def scenes_of(recordings: Sequence[RecordingFacts], given: Scene | Sequence[Scen
             place="--scene",
             remedy="give one scene for all recordings, or one for each in their order",
         )
-    return [require_scene([one], scene) for one, scene in zip(recordings, given, strict=True)]
+    return [require_scene([recording], scene) for recording, scene in zip(recordings, given, strict=True)]
 
 
 def require_scene(recordings: Sequence[RecordingFacts], scene: Scene | None) -> Scene:
     """Return the scene. Raises `InputError` where there is none, or a recording lacks a pose it needs."""
     if scene is None:
-        found = sorted({name for one in recordings for name in one.surfaces})
+        found = sorted({name for recording in recordings for name in recording.surfaces})
         surfaces = f"poses of {', '.join(found)}" if found else "no poses of surfaces"
         raise InputError(
             f"without a scene nothing says what the camera saw (the recordings hold {surfaces})",
@@ -139,15 +139,17 @@ def require_scene(recordings: Sequence[RecordingFacts], scene: Scene | None) -> 
             if found
             else "give a scene file with the poses of its surfaces, free: [...] where they are not known",
         )
-    if takes_schedule(scene, {name for one in recordings for name in one.surfaces}, len(recordings)):
+    if takes_schedule(
+        scene, {name for recording in recordings for name in recording.surfaces}, len(recordings)
+    ):
         return scene
-    for one in recordings:
+    for recording in recordings:
         for name in scene.needs_truth:
-            if name not in one.surfaces:
-                held = ", ".join(one.surfaces) or "none"
+            if name not in recording.surfaces:
+                held = ", ".join(recording.surfaces) or "none"
                 raise MissingPoses(
                     f"the scene takes the pose of '{name}' from the recording, which holds poses of: {held}",
-                    file=one.path,
+                    file=recording.path,
                     place=f"/ground_truth/{name}/pose",
                     remedy="record the poses, give the pose in the scene file, or give one recording for "
                     "each station of its schedule",
@@ -163,12 +165,16 @@ def require_fixed_poses(dataset: Dataset, scene: Scene, path: str | PathLike[str
     if scene.camera_motion.moves:
         return
     for surface in scene.surfaces:
-        stated = [one.truth[surface.name] for one in dataset.stations if surface.name in one.truth]
+        stated = [
+            station.truth[surface.name] for station in dataset.stations if surface.name in station.truth
+        ]
         if not isinstance(surface.pose, ScenePose) or len(stated) < 2:
             continue
         positions = np.array([one.position for one in stated])
         axes = np.array([rotation_matrix(one.orientation)[:, 2] for one in stated])
-        moved, turned = (float(np.linalg.norm(one - one[0], axis=1).max()) for one in (positions, axes))
+        moved, turned = (
+            float(np.linalg.norm(position - position[0], axis=1).max()) for position in (positions, axes)
+        )
         if moved > _STILL_METRES or turned > _STILL_RADIANS:
             raise InputError(
                 f"the scene states one pose of '{surface.name}', the recording holds poses that differ by up "
@@ -232,7 +238,7 @@ def with_plausible_poses(dataset: Dataset, scene: Scene, camera: Camera, tick: C
             file=file,
             remedy="check these poses in the scene file or the reference instrument's messages",
         )
-    kept = [one for one in dataset.stations if (one.recording, one.pose) not in bad]
+    kept = [station for station in dataset.stations if (station.recording, station.pose) not in bad]
     note = (
         f"{file}: left out {len(bad)} of {dataset.poses} poses that are off from what was recorded: {which}"
     )
@@ -270,12 +276,12 @@ def _beside_predictions(
     forward = Forward(dataset, scene, camera)
     forward.estimate_amplitudes()
     result = {}
-    for number, one in enumerate(forward.predictions(slopes=False)):
+    for number, prediction in enumerate(forward.predictions(slopes=False)):
         tick()
         for i, surface in enumerate(scene.surfaces):
-            mine = one.used & (one.view.geometry.surface == i)
+            mine = prediction.used & (prediction.view.geometry.surface == i)
             if mine.sum() >= LEAST_PIXELS:
-                result[number, surface.name] = float(np.median(one.residual[mine]))
+                result[number, surface.name] = float(np.median(prediction.residual[mine]))
     centre = float(np.median(list(result.values()))) if result else 0.0
     return {key: value - centre for key, value in result.items()}
 
@@ -315,9 +321,9 @@ def require_variety(dataset: Dataset, scene: Scene, camera: Camera, effects: Seq
         )
     shape = camera.shape
     near, far = np.full(shape, np.inf), np.full(shape, -np.inf)
-    for one in dataset.stations:
-        geometry = see(scene, scene.poses_for(one.truth), camera.rays)
-        used = geometry.hit & (one.count > 0)
+    for station in dataset.stations:
+        geometry = see(scene, scene.poses_for(station.truth), camera.rays)
+        used = geometry.hit & (station.count > 0)
         near[used] = np.minimum(near[used], geometry.distance[used])
         far[used] = np.maximum(far[used], geometry.distance[used])
     seen = np.isfinite(near) & (far > -np.inf)

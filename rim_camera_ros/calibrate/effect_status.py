@@ -76,13 +76,13 @@ def sizes_of(
 ) -> list[_Size]:
     """Return how much each candidate moves distances and amplitudes, per unit of its coefficients."""
     totals = [
-        [np.zeros((len(one.block.regressors),) * 2), np.zeros((len(one.block.regressors),) * 2)]
-        for one in candidates
+        [np.zeros((len(candidate.block.regressors),) * 2), np.zeros((len(candidate.block.regressors),) * 2)]
+        for candidate in candidates
     ]
     counts = [0, 0]
     shape = fitted.forward.camera.shape
     looks = np.zeros(shape)
-    sums = [np.zeros((len(one.block.regressors), *shape)) for one in candidates]
+    sums = [np.zeros((len(candidate.block.regressors), *shape)) for candidate in candidates]
     step = max(1, len(fitted.forward.dataset.stations) // MOST_STATIONS)
     for number, prediction in enumerate(fitted.forward.predictions()):
         if number % step:
@@ -94,8 +94,8 @@ def sizes_of(
         counts[1] += int(lit.sum())
         reading = prediction.station.amplitude[lit] - prediction.amplitude_residual[lit]
         looks += used
-        for one, total, by_pixel in zip(candidates, totals, sums, strict=True):
-            columns = one.block.columns(prediction)
+        for candidate, total, by_pixel in zip(candidates, totals, sums, strict=True):
+            columns = candidate.block.columns(prediction)
             distance = np.nan_to_num(np.stack([c[0][used] for c in columns]))
             total[0] += distance @ distance.T
             by_pixel[:, used] += distance
@@ -148,7 +148,7 @@ def statuses(
             elif why:
                 result.append(EffectStatus(name, "left out", why))
         else:
-            own = [k for k, one in enumerate(candidates) if one.effect == name]
+            own = [k for k, candidate in enumerate(candidates) if candidate.effect == name]
             result.append(_absent(name, own, candidates, scores, spans, sizes, threshold))
     return result
 
@@ -198,8 +198,8 @@ def _absent(
             "undetermined",
             f"cannot be determined from these recordings: {why}; {vocabulary()[name].record()}",
         )
-    bound, brightness = max(one[0] for one in determined), max(one[1] for one in determined)
-    gain = max(one[2] for one in determined)
+    bound, brightness = max(status[0] for status in determined), max(status[1] for status in determined)
+    gain = max(status[2] for status in determined)
     limits = [f"{bound * 1e3:.2g} mm RMS"] if bound > 5e-6 else []
     if brightness > 20 * bound:
         limits.append(f"{brightness * 100:.2g} % of the amplitude")

@@ -118,9 +118,9 @@ def evaluate(
         frame = _mean_frame(station)
         number = folds.get(key, 0)
         if everyone:
-            for fold, one in corrections.items():
+            for fold, correction in corrections.items():
                 if fold != number:
-                    one.correct(frame)
+                    correction.correct(frame)
         elif not mask.any():
             continue
         new = corrections[number].correct(frame)
@@ -187,7 +187,11 @@ class _Sums:
             np.sum(expected[valid] ** 2),
             np.sum(reference[valid]),
         ]
-        columns = [one.distance for one in view.pose_columns if not one.path.startswith("scene.")]
+        columns = [
+            pose_column.distance
+            for pose_column in view.pose_columns
+            if not pose_column.path.startswith("scene.")
+        ]
         rigid = [_without(error, columns, expected, known) for error in (before, after)]
         self._rigid += [float(np.sum(one**2)) for one in rigid]
         known_variance = expected[valid].astype(float) ** 2 + reference[valid]
@@ -272,7 +276,7 @@ def _without(error: Array, columns: Sequence[Array], sigma: Array, pixels: Array
     rest = error[pixels]
     if not columns or not rest.size:
         return rest
-    design = np.nan_to_num(np.stack([one[pixels] for one in columns], axis=1))
+    design = np.nan_to_num(np.stack([column[pixels] for column in columns], axis=1))
     root = 1.0 / np.maximum(sigma[pixels], 1e-6)
     found = np.linalg.lstsq(design * root[:, None], rest * root, rcond=None)[0]
     return np.asarray(rest - design @ found)

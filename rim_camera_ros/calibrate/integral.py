@@ -106,9 +106,9 @@ class IntegralFit:
 
     def _range(self) -> tuple[float, float]:
         low, high = np.inf, -np.inf
-        for one, mask in zip(self._predictions(), self._masks, strict=True):
+        for prediction, mask in zip(self._predictions(), self._masks, strict=True):
             if mask.any():
-                distances = one.view.geometry.distance[mask]
+                distances = prediction.view.geometry.distance[mask]
                 low, high = min(low, float(distances.min())), max(high, float(distances.max()))
         return low, max(high, low + 0.01)
 
@@ -128,21 +128,21 @@ class IntegralFit:
             fold = self._equations.setdefault(number, _Fold(np.zeros((count, count)), np.zeros(count), 0.0))
             _add_pose(fold, *(np.concatenate(part) for part in per_pose.pop(key)))
 
-        for one, mask in zip(self._predictions(), self._masks, strict=True):
+        for prediction, mask in zip(self._predictions(), self._masks, strict=True):
             self._tick()
-            key = (one.station.recording, one.station.pose)
+            key = (prediction.station.recording, prediction.station.pose)
             if waiting is not None and key != waiting and waiting in per_pose:
                 finish(waiting)
             waiting = key
             if not mask.any():
                 continue
             parts = per_pose.setdefault(key, ([], [], [], []))
-            for part, value in zip(parts, self._patches(one, mask), strict=True):
+            for part, value in zip(parts, self._patches(prediction, mask), strict=True):
                 part.append(value)
         for key in list(per_pose):
             finish(key)
 
-    def _patches(self, one: Prediction, mask: Array) -> tuple[Array, Array, Array, Array]:
+    def _patches(self, predicted: Prediction, mask: Array) -> tuple[Array, Array, Array, Array]:
         """Return design (N, K), pose columns (N, 12), of which few are not 0, residuals and weights of
         patches.
         """
@@ -150,7 +150,7 @@ class IntegralFit:
         v, u = np.nonzero(mask)
         cell = (v // self._patch) * (-(-width // self._patch)) + u // self._patch
         _, place = np.unique(cell, return_inverse=True)
-        weight = 1.0 / one.sigma[mask] ** 2
+        weight = 1.0 / predicted.sigma[mask] ** 2
         weight = np.where(np.isfinite(weight), weight, 0.0)
         total = np.bincount(place, weight)
         good = total > 0
@@ -158,14 +158,14 @@ class IntegralFit:
         def mean(values: Array) -> Array:
             return np.bincount(place, weight * values)[good] / total[good]
 
-        distance = mean(one.view.geometry.distance[mask])
+        distance = mean(predicted.view.geometry.distance[mask])
         splines = [axis.values(x) for axis, x in zip(self.axes, (mean(u), mean(v), distance), strict=True)]
         design = np.einsum("ni,nj,nk->nijk", *splines).reshape(len(distance), -1)
-        columns = [c for c in one.view.pose_columns if not c.path.startswith("scene.")]
+        columns = [c for c in predicted.view.pose_columns if not c.path.startswith("scene.")]
         pose = np.zeros((len(distance), _POSE_COLUMNS))
         for i, column in enumerate(columns[:_POSE_COLUMNS]):
             pose[:, i] = column.prior * mean(column.distance[mask])
-        return design, pose, mean(one.residual[mask]), total[good]
+        return design, pose, mean(predicted.residual[mask]), total[good]
 
     # --- smoothness -----------------------------------------------------------------------------
 
@@ -181,9 +181,9 @@ class IntegralFit:
         return np.asarray(total)
 
     def _solve(self, leave_out: int | None, penalty: float) -> Array:
-        kept = [one for number, one in self._equations.items() if number != leave_out]
-        gram = np.sum([one.gram for one in kept], axis=0)
-        right = np.sum([one.right for one in kept], axis=0)
+        kept = [equation for number, equation in self._equations.items() if number != leave_out]
+        gram = np.sum([fold_sums.gram for fold_sums in kept], axis=0)
+        right = np.sum([fold_sums.right for fold_sums in kept], axis=0)
         scale = float(np.trace(gram)) / len(gram)
         matrix = gram + penalty * scale * self._penalty
         matrix[np.diag_indices_from(matrix)] += 1e-9 * scale
@@ -214,16 +214,18 @@ class IntegralFit:
             fold: (table.knots, np.asarray(table.values.values, float)) for fold, table in tables.items()
         }
         v, u = np.mgrid[: shape[0], : shape[1]]
-        for one, mask in zip(self._predictions(), self._masks, strict=True):
+        for prediction, mask in zip(self._predictions(), self._masks, strict=True):
             self._tick()
-            key = (one.station.recording, one.station.pose)
+            key = (prediction.station.recording, prediction.station.pose)
             number = self._folds.get(key, 0)
-            weight = np.where(mask, 1.0 / one.sigma**2, 0.0)
+            weight = np.where(mask, 1.0 / prediction.sigma**2, 0.0)
             for fold in folds:
                 if fold is not None and fold == number and len(self._equations) > 1:
                     continue
                 knots, values = grids[fold]
-                rest = one.residual - interpolate(knots, values, (u, v, one.view.geometry.distance))
+                rest = prediction.residual - interpolate(
+                    knots, values, (u, v, prediction.view.geometry.distance)
+                )
                 sums[fold][0] += np.where(mask, weight * np.nan_to_num(rest), 0.0)
                 sums[fold][1] += weight
         result: dict[int | None, Camera] = {}
@@ -240,10 +242,10 @@ class IntegralFit:
         x = self._solve(leave_out, self.smoothness).reshape([axis.count for axis in self.axes])
         counts = (2 * _ACROSS[0] + 1, 2 * _ACROSS[1] + 1, self._knots())
         knots = [np.linspace(axis.low, axis.high, n) for axis, n in zip(self.axes, counts, strict=True)]
-        splines = [axis.values(one) for axis, one in zip(self.axes, knots, strict=True)]
+        splines = [axis.values(knot) for axis, knot in zip(self.axes, knots, strict=True)]
         values = np.einsum("ai,bj,ck,ijk->abc", *splines, x).astype(np.float32)
         return PositionTable(
-            knots=tuple(tuple(float(f"{k:.6g}") for k in one) for one in knots),
+            knots=tuple(tuple(float(f"{k:.6g}") for k in knot) for knot in knots),
             values=ArrayFile(f"{PositionTable.name}.npy", values),
         )
 

@@ -112,7 +112,7 @@ def by_search(
     last = result.explorations[-1]
     solution = _solved(last.fit, last.scores, result.folds, camera, result.problem)
     named = list(last.candidates)[: len(last.spans)]
-    ties = {one.effect: one.ties for one in result.found}
+    ties = {finding.effect: finding.ties for finding in result.found}
 
     def effect_statuses() -> list[EffectStatus]:
         return statuses(
@@ -126,7 +126,7 @@ def by_search(
             ties=ties,
         )
 
-    joined = [one.effect for one in result.found]
+    joined = [finding.effect for finding in result.found]
     notes = [_LAMBERT] if set(joined) & OF_SURFACES else []
     found_names = [name for name in joined if name not in OF_SURFACES]
     return Outcome(solution, result.problem, effect_statuses, found_names, notes, part)
@@ -167,7 +167,9 @@ def exactly(
         problem, camera if begin is None else begin, facts, names, folds, views, say
     )
     kept = {name: _KEPT_UNASKED for name in camera.effects if name not in names and _is_fitted(name)}
-    pool = [one for one in candidates(camera, facts) if one.effect not in (*geometry, *unseen)]
+    pool = [
+        candidate for candidate in candidates(camera, facts) if candidate.effect not in (*geometry, *unseen)
+    ]
     if covariates is not None:
         camera = _with_empirical(problem, camera, covariates, views)
     say("fitting " + (", ".join(names) or "offsets of pixels"))
@@ -207,10 +209,10 @@ def exactly(
             threshold=WITHOUT_REPLICATES,
         )
         return [
-            replace(one, status="left out", text=f"not among --effects; {one.text}")
-            if one.status == "absent" and (one.gain or 0.0) > WITHOUT_REPLICATES
-            else one
-            for one in found
+            replace(effect_status, status="left out", text=f"not among --effects; {effect_status.text}")
+            if effect_status.status == "absent" and (effect_status.gain or 0.0) > WITHOUT_REPLICATES
+            else effect_status
+            for effect_status in found
         ]
 
     added_names = [n for n in names if n not in camera_start.effects]
@@ -306,14 +308,14 @@ def _some_stations(problem: Problem, folds: Mapping[Key, int]) -> tuple[Problem,
     chosen = range(0, len(stations), max(1, min(step, len(stations) // 10)))
     masks = None if problem.masks is None else [problem.masks[i] for i in chosen]
     dataset = replace(problem.dataset, stations=[stations[i] for i in chosen])
-    kept = {(one.recording, one.pose) for one in dataset.stations}
+    kept = {(station.recording, station.pose) for station in dataset.stations}
     numbers = {old: new for new, old in enumerate(sorted({folds[key] for key in kept}))}
     return replace(problem, dataset=dataset, masks=masks), {key: numbers[folds[key]] for key in kept}
 
 
 def _restored(camera: Camera, before: Camera, names: Sequence[str]) -> Camera:
     """Return the camera with some effects as they were before, or without them where they were not."""
-    effects = {name: one for name, one in camera.effects.items() if name not in names}
+    effects = {name: effect for name, effect in camera.effects.items() if name not in names}
     effects |= {name: before.effects[name] for name in names if name in before.effects}
     return with_effects(camera, effects)
 

@@ -64,8 +64,8 @@ class LargeSensor:
             geometry = see(self.scene, self.scene.poses_for(station.truth), self.camera.rays)
             pick = slice(self.step // 2, None, self.step)
             found = np.full(prediction.distance.shape, WIDEST + 1, np.uint8)
-            for one in range(WIDEST, BESIDE - 1, -1):
-                found[beside_edges(geometry, one)[pick, pick]] = one
+            for number in range(WIDEST, BESIDE - 1, -1):
+                found[beside_edges(geometry, number)[pick, pick]] = number
             self._margins[key] = found
         return np.asarray(self._margins[key] <= margin)
 
@@ -80,7 +80,7 @@ class LargeSensor:
         """
         fitted = solution.fit
         small = fitted.camera
-        without = {name: one for name, one in small.effects.items() if name != PixelMap.name}
+        without = {name: effect for name, effect in small.effects.items() if name != PixelMap.name}
         camera = full_camera(with_effects(small, without), self.camera, self.step)
         if PixelMap.name in self.camera.effects:
             camera = with_effects(
@@ -99,12 +99,12 @@ class LargeSensor:
         masks, _ = usable_pixels(forward)
         total, weight = np.zeros(camera.shape), np.zeros(camera.shape)
         none = np.zeros(camera.shape)
-        for one, (used, _) in zip(forward.predictions(), masks, strict=True):
+        for prediction, (used, _) in zip(forward.predictions(), masks, strict=True):
             if edges_within:
-                used = used & ~beside_edges(one.view.geometry, edges_within)
-            rest, _ = after_nuisances(one, none, fitted.nuisances)
-            z = np.abs(rest[used]) / one.sigma[used]
-            own = np.minimum(1.0, ROBUST_LIMIT / np.maximum(z, ROBUST_LIMIT)) / one.sigma[used] ** 2
+                used = used & ~beside_edges(prediction.view.geometry, edges_within)
+            rest, _ = after_nuisances(prediction, none, fitted.nuisances)
+            z = np.abs(rest[used]) / prediction.sigma[used]
+            own = np.minimum(1.0, ROBUST_LIMIT / np.maximum(z, ROBUST_LIMIT)) / prediction.sigma[used] ** 2
             total[used] += own * rest[used]
             weight[used] += own
         with np.errstate(divide="ignore"):

@@ -78,7 +78,7 @@ def plan(
     regressors, experiments = _equations(small, scenes, built, progress)
 
     def narrowed(chosen: Iterable[Experiment]) -> dict[str, float]:
-        return narrowing(regressors, np.sum([one.gram for one in chosen], axis=0))
+        return narrowing(regressors, np.sum([experiment.gram for experiment in chosen], axis=0))
 
     everything = narrowed(experiments)
     wanted = {name for name, factor in everything.items() if factor >= NARROWED}
@@ -86,16 +86,16 @@ def plan(
     for size in range(1, _MOST_EXPERIMENTS + 1):
         for subset in combinations(experiments, size):
             got = {name for name, factor in narrowed(subset).items() if factor >= NARROWED}
-            entry = (len(got & wanted), -sum(one.minutes for one in subset), subset)
+            entry = (len(got & wanted), -sum(experiment.minutes for experiment in subset), subset)
             if best is None or entry[:2] > best[:2]:
                 best = entry
     assert best is not None
     chosen = best[2]
     final = narrowed(chosen)
     return Plan(
-        alone={one.name: narrowed([one]) for one in experiments},
-        minutes={one.name: one.minutes for one in experiments},
-        chosen=tuple(one.name for one in chosen),
+        alone={experiment.name: narrowed([experiment]) for experiment in experiments},
+        minutes={experiment.name: experiment.minutes for experiment in experiments},
+        chosen=tuple(experiment.name for experiment in chosen),
         determined={name: f for name, f in final.items() if f >= NARROWED},
         open=tuple(name for name, f in final.items() if f < NARROWED),
     )
@@ -109,10 +109,10 @@ def narrowing(regressors: Sequence[Regressor], gram: Array) -> dict[str, float]:
     """
     prior = priors_of(regressors)
     covariance = np.linalg.inv(gram * prior[:, None] * prior[None, :] + np.eye(len(prior)))
-    owners = [one.owner for one in regressors]
+    owners = [regressor.owner for regressor in regressors]
     known = vocabulary()
     result = {}
-    for name in (one for one in dict.fromkeys(owners) if one in known and known[one].planned):
+    for name in (fromkey for fromkey in dict.fromkeys(owners) if fromkey in known and known[fromkey].planned):
         own = [i for i, owner in enumerate(owners) if owner == name]
         log_det = np.linalg.slogdet(covariance[np.ix_(own, own)])[1]
         result[name] = float(np.exp(-0.5 * log_det / len(own)))
@@ -127,9 +127,9 @@ def blocks_of(camera: Camera, dataset: Dataset) -> list[Block]:
     facts = Facts.of(dataset, moves=False, surfaces=1, camera=camera)
     variants: dict[str, list[Candidate]] = {}
     known = vocabulary()
-    for one in candidates(camera, facts):
-        if known[one.effect].planned:
-            variants.setdefault(one.effect, []).append(one)
+    for candidate in candidates(camera, facts):
+        if known[candidate.effect].planned:
+            variants.setdefault(candidate.effect, []).append(candidate)
     middle = [found[len(found) // 2].block for found in variants.values()]
     return [*present_blocks(camera), gain_block(), *middle]
 
@@ -137,7 +137,7 @@ def blocks_of(camera: Camera, dataset: Dataset) -> list[Block]:
 def planning_camera(camera: Camera) -> tuple[Camera, int]:
     """Return the camera on the coarse grid of plans, without tables, and the step of the grid [px]."""
     step = max(1, round(camera.sensor.width / _COLUMNS))
-    physics = {name: one for name, one in camera.effects.items() if not one.stated_by_pixels}
+    physics = {name: effect for name, effect in camera.effects.items() if not effect.stated_by_pixels}
     camera = with_effects(camera, physics)
     return (decimated_camera(camera, step) if step > 1 else camera), step
 
@@ -148,7 +148,7 @@ def _equations(
     built: Mapping[str, tuple[Dataset, float]],
     progress: Callable[[str], None] | None,
 ) -> tuple[list[Regressor], list[Experiment]]:
-    stations = [one for dataset, _ in built.values() for one in dataset.stations]
+    stations = [station for dataset, _ in built.values() for station in dataset.stations]
     blocks = blocks_of(camera, Dataset(stations))
     experiments = []
     regressors: list[Regressor] = []
@@ -170,7 +170,9 @@ def planned_dataset(
     Of more than about ``most`` stations some are left out, and the others get their frames. The camera has
     every ``decimation``-th pixel of the sensor's.
     """
-    groups = [list(group) for _, group in groupby(Timeline(scene, camera), key=lambda one: one.station)]
+    groups = [
+        list(group) for _, group in groupby(Timeline(scene, camera), key=lambda exposure: exposure.station)
+    ]
     start, end = groups[0][0].stamp, groups[-1][-1].stamp
     thinned = max(1, len(groups) // most)
     stations = []
@@ -225,8 +227,8 @@ def with_expected_light(dataset: Dataset, scene: Scene, camera: Camera) -> Datas
     """Return planned stations with the amplitudes that are expected of them."""
     predictions = Forward(dataset, scene, camera).predictions(slopes=False)
     expected = [
-        replace(one.station, amplitude=np.nan_to_num(one.model_reading).astype(np.float32))
-        for one in predictions
+        replace(prediction.station, amplitude=np.nan_to_num(prediction.model_reading).astype(np.float32))
+        for prediction in predictions
     ]
     return replace(dataset, stations=expected)
 

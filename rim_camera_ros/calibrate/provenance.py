@@ -78,7 +78,8 @@ def provenance(
     if scene is not None:
         found["scene"] = scene
     found["recordings"] = [
-        {"path": one.path, "sha256": one.sha256, "frames": one.frames, "poses": one.poses} for one in sources
+        {"path": source.path, "sha256": source.sha256, "frames": source.frames, "poses": source.poses}
+        for source in sources
     ]
     found["fitted"] = list(fitted)
     found["left_out"] = dict(left_out)

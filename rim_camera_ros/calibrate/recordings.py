@@ -182,8 +182,8 @@ def joined(scenes: Sequence[Scene], datasets: Sequence[Dataset]) -> tuple[Scene,
             surfaces[name] = there
             names[surface.name] = name
         stations = [
-            replace(one, truth={names[k]: pose for k, pose in scene.poses_for(one.truth).items()})
-            for one in dataset.stations
+            replace(station, truth={names[k]: pose for k, pose in scene.poses_for(station.truth).items()})
+            for station in dataset.stations
         ]
         placed.append(replace(dataset, stations=stations))
     light = max(one.stray_light for one in scenes)
@@ -209,7 +209,7 @@ def placed_by_schedule(datasets: Sequence[Dataset], scenes: Sequence[Scene]) -> 
         return []
     poses: dict[str, Pose] = {}
     for dataset, station in zip(datasets, scene.schedule, strict=True):
-        poses = poses | {name: one.pose for name, one in station.poses.items() if name in needed}
+        poses = poses | {name: pose.pose for name, pose in station.poses.items() if name in needed}
         dataset.stations = [replace(one, truth=poses) for one in dataset.stations]
     return [
         f"the recordings hold no pose: that of {' and '.join(needed)} is taken from the scene file's "
@@ -224,7 +224,11 @@ def _require_joinable(scene: Scene, first: Scene) -> None:
             place="camera_motion",
             remedy="calibrate motion from recordings of one scene",
         )
-    free = [one.name for one in scene.surfaces if isinstance(one.pose, ScenePose) and one.pose.free]
+    free = [
+        surface.name
+        for surface in scene.surfaces
+        if isinstance(surface.pose, ScenePose) and surface.pose.free
+    ]
     if free:
         raise InputError(
             f"the pose of '{free[0]}' is to be estimated, which takes one scene for all recordings",

@@ -99,8 +99,8 @@ def fit_reference(solution: Solution, *, asked: bool) -> FittedReference | None:
     start = solution.fit.camera.effects.get(NAME)
     assert start is None or isinstance(start, InternalReference)
     region = None if start is None else start.region()
-    readings = [_reading(one, region) for one in solution.fit.forward.dataset.stations]
-    available = sum(one is not None for one in readings)
+    readings = [_reading(station, region) for station in solution.fit.forward.dataset.stations]
+    available = sum(reading is not None for reading in readings)
     if available == 0 and start is None and not asked:
         return None
     if available < _FEWEST:
@@ -149,22 +149,24 @@ def _drifts(solution: Solution, readings: Sequence[float | None]) -> ReferenceDr
         forward.dataset,
         fitted.scene,
         # the terms that a reading of the reference replaces
-        with_effects(fitted.camera, {n: one for n, one in fitted.camera.effects.items() if not one.drifts}),
+        with_effects(
+            fitted.camera, {n: effect for n, effect in fitted.camera.effects.items() if not effect.drifts}
+        ),
         views=forward.views,
     )
     without.amplitude_model, without.masks = forward.amplitude_model, forward.masks
     without.shifts, without.light_curves = forward.shifts, forward.light_curves
     rows = []
     pairs = zip(forward.predictions(), without.predictions(), readings, strict=True)
-    for one, bare, reading in pairs:
-        used = one.used & bare.used
+    for predicted, bare, reading in pairs:
+        used = predicted.used & bare.used
         if reading is None or not used.any():
             continue
-        rest, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
-        weight = 1.0 / one.sigma[used] ** 2
-        drift = np.average((rest + bare.residual - one.residual)[used], weights=weight)
+        rest, _ = after_nuisances(predicted, fitted.pattern, fitted.nuisances)
+        weight = 1.0 / predicted.sigma[used] ** 2
+        drift = np.average((rest + bare.residual - predicted.residual)[used], weights=weight)
         sigma = max(float(weight.sum()) ** -0.5, _LEAST_SIGMA)
-        station = one.station
+        station = predicted.station
         fold = solution.folds.get((station.recording, station.pose), 0)
         rows.append((float(drift), reading, sigma, fold, station.recording))
     table: Array = np.array(rows, float).reshape(-1, 5)

@@ -216,7 +216,9 @@ def _finished(
     if asked or request.effects is None:
         watch.say("internal reference")
         path = fit_reference(solution, asked=asked)
-        statuses = [path.status if path is not None and one.effect == REFERENCE else one for one in statuses]
+        statuses = [
+            path.status if path is not None and status.effect == REFERENCE else status for status in statuses
+        ]
     forward = fitted.forward
     watch.say("held-out poses")
     masks = [used for used, _ in forward.pixels_used()]
@@ -247,8 +249,8 @@ def _finished(
         paths, covariance = [*paths, *PATHS], block_diag(covariance, path.covariance)
     if only_integral:
         statuses = [
-            replace(one, status="left out", text=_REPLACED) if one.status == "kept" else one
-            for one in statuses
+            replace(status, status="left out", text=_REPLACED) if status.status == "kept" else status
+            for status in statuses
         ]
         assert table is not None
         camera = table.cameras([None])[None]
@@ -265,7 +267,7 @@ def _finished(
             camera=request.camera_name,
             scene=request.scene_name,
             fitted=[_INTEGRAL] if only_integral else sorted({_owner(path) for path in paths}),
-            left_out={one.effect: one.text for one in statuses if one.status != "fitted"},
+            left_out={status.effect: status.text for status in statuses if status.status != "fitted"},
             accuracy=_stated_accuracy(by_table, None)
             if only_integral and by_table
             else _stated_accuracy(accuracy, solution),
@@ -325,7 +327,7 @@ def _of_fit(solution: Solution) -> Mapping[str, Any]:
 def _sources(paths: Sequence[Path], dataset: Dataset, tick: Callable[[], None]) -> list[Source]:
     result = []
     for number, path in enumerate(paths):
-        own = [one for one in dataset.stations if one.recording == number]
+        own = [station for station in dataset.stations if station.recording == number]
         frames, poses = sum(one.frames for one in own), len({one.pose for one in own})
         result.append(Source(os.fspath(path), checksum(path, tick=tick), frames, poses))
     return result

@@ -40,18 +40,18 @@ def widening(fitted: Fit, scores: Scores, blocks: Sequence[Block]) -> dict[str, 
     columns of regressors of the base; those without stay as they are. Empty for too few poses.
     """
     labels = [scores.regressors[int(i)].label for i in scores.base]
-    own = [(k, one) for block in blocks for k, one in enumerate(block.regressors)]
-    place = [labels.index(one.label) for _, one in own if one.label in labels]
+    own = [(k, regressor) for block in blocks for k, regressor in enumerate(block.regressors)]
+    place = [labels.index(regressor.label) for _, regressor in own if regressor.label in labels]
     if not place:
         return {}
     mean = _pixel_means(fitted, scores, place)
     gradients: dict[Key, Array] = {}
     grams: dict[Key, Array] = {}
-    for one in fitted.forward.predictions():
-        if not one.used.any():
+    for prediction in fitted.forward.predictions():
+        if not prediction.used.any():
             continue
-        key = (one.station.recording, one.station.placed)
-        gradient, gram = _scores_of(one, fitted, blocks, labels, mean)
+        key = (prediction.station.recording, prediction.station.placed)
+        gradient, gram = _scores_of(prediction, fitted, blocks, labels, mean)
         gradients[key] = gradients.get(key, 0.0) + gradient
         grams[key] = grams.get(key, 0.0) + gram
     if len(gradients) < LEAST_POSES:
@@ -92,44 +92,44 @@ def _pixel_means(fitted: Fit, scores: Scores, place: Sequence[int]) -> Array | N
     if not fitted.equations.pixels.size or fitted.equations.pixels.seen is None:
         return None
     columns = [int(scores.base[i]) for i in place]
-    total = np.sum([one.pixel[:, columns] for one in folds], axis=0)
-    weight = np.sum([one.weight for one in folds], axis=0) + fitted.equations.pattern_prior**-2
+    total = np.sum([fold.pixel[:, columns] for fold in folds], axis=0)
+    weight = np.sum([fold.weight for fold in folds], axis=0) + fitted.equations.pattern_prior**-2
     return fitted.equations.pixels.everywhere(total / weight[:, None])
 
 
 def _scores_of(
-    one: Prediction, fitted: Fit, blocks: Sequence[Block], labels: Sequence[str], mean: Array | None
+    predicted: Prediction, fitted: Fit, blocks: Sequence[Block], labels: Sequence[str], mean: Array | None
 ) -> tuple[Array, Array]:
     """Return gradient (K,) and information (K, K) of a station beyond its pose's errors and the pattern."""
     pairs = [
         pair
         for block in blocks
-        for regressor, pair in zip(block.regressors, block.columns(one), strict=True)
+        for regressor, pair in zip(block.regressors, block.columns(predicted), strict=True)
         if regressor.label in labels
     ]
-    used, lit = one.used, one.amplitude_used
-    rest, light = after_nuisances(one, fitted.pattern, fitted.nuisances)
+    used, lit = predicted.used, predicted.amplitude_used
+    rest, light = after_nuisances(predicted, fitted.pattern, fitted.nuisances)
     design = [np.stack([np.asarray(d)[used] for d, _ in pairs], axis=1)]
     if mean is not None:
         design[0] = design[0] - mean[np.flatnonzero(used.ravel())]
     zero = np.zeros(used.shape)
     design.append(np.stack([(zero if a is None else np.asarray(a))[lit] for _, a in pairs], axis=1))
-    key = f"{one.station.recording}.{one.station.pose}"
+    key = f"{predicted.station.recording}.{predicted.station.pose}"
     priors = {name: prior for fold in fitted.equations.folds for name, prior, _ in fold.nuisances}
-    placed = f"{one.station.recording}.{one.station.placed}"
-    errors = [(c, priors.get(f"{placed}.{c.path}")) for c in one.pose_columns]
-    changes = [(one.pose_change(c), prior) for c, prior in errors if prior is not None]
+    placed = f"{predicted.station.recording}.{predicted.station.placed}"
+    errors = [(c, priors.get(f"{placed}.{c.path}")) for c in predicted.pose_columns]
+    changes = [(predicted.pose_change(c), prior) for c, prior in errors if prior is not None]
     if f"{key}.gain" in priors:
-        changes.append((one.gain_column(), priors[f"{key}.gain"]))
-    if f"{key}.light.real.{one.station.stamp}" in priors:
-        for part, column in one.light_columns().items():
-            changes.append((column, priors[f"{key}.light.{part}.{one.station.stamp}"]))
-    limit_d = ROBUST_LIMIT * one.sigma[used]
-    limit_a = ROBUST_LIMIT * one.amplitude_sigma[lit]
+        changes.append((predicted.gain_column(), priors[f"{key}.gain"]))
+    if f"{key}.light.real.{predicted.station.stamp}" in priors:
+        for part, column in predicted.light_columns().items():
+            changes.append((column, priors[f"{key}.light.{part}.{predicted.station.stamp}"]))
+    limit_d = ROBUST_LIMIT * predicted.sigma[used]
+    limit_a = ROBUST_LIMIT * predicted.amplitude_sigma[lit]
     residual = np.concatenate(
         [np.clip(rest[used], -limit_d, limit_d), np.clip(light[lit], -limit_a, limit_a)]
     )
-    weight = np.concatenate([one.sigma[used] ** -2, one.amplitude_sigma[lit] ** -2])
+    weight = np.concatenate([predicted.sigma[used] ** -2, predicted.amplitude_sigma[lit] ** -2])
     x = np.nan_to_num(np.concatenate(design))
     if changes:
         nuisance = np.nan_to_num(

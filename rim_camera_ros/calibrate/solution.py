@@ -99,8 +99,8 @@ class Solution:
 
     def pattern_variance(self, leave_out: int | None = None) -> Array:
         """Return the variance of the pattern's estimate (H, W) in m^2 by the noise; infinite where unseen."""
-        kept = [one for i, one in enumerate(self.fit.equations.folds) if i != leave_out]
-        weight = self.fit.equations.pixels.everywhere(np.sum([one.weight for one in kept], axis=0))
+        kept = [fold for i, fold in enumerate(self.fit.equations.folds) if i != leave_out]
+        weight = self.fit.equations.pixels.everywhere(np.sum([fold.weight for fold in kept], axis=0))
         shape = self.fit.camera.shape
         if weight.size != shape[0] * shape[1]:
             return np.full(shape, np.inf)
@@ -117,13 +117,15 @@ class Solution:
         )
         matrix = matrix * wider[:, None] * wider[None, :]
         # how surfaces reflect is no number of the camera file
-        keep = np.flatnonzero(narrowed & [not of_light(one) and not is_linear(one) for one in self.labels])
+        keep = np.flatnonzero(
+            narrowed & [not of_light(label) and not is_linear(label) for label in self.labels]
+        )
         return [self.labels[i] for i in keep], np.asarray(matrix[np.ix_(keep, keep)])
 
     def undetermined(self) -> list[str]:
         """Return the paths of fitted parameters of which the data say nothing: they stay as in the file."""
         determined, _ = self.covariance()
-        own = [one for one in self.labels if not of_light(one) and not is_linear(one)]
+        own = [label for label in self.labels if not of_light(label) and not is_linear(label)]
         return [label for label in own if label not in set(determined)]
 
     def _unit(self, label: str) -> float:
@@ -267,9 +269,9 @@ def high_correlations(paths: list[str], matrix: Array) -> list[tuple[str, str, f
 def count_outliers(fitted: Fit, *, limit: float) -> tuple[int, int]:
     """Return how many distances lie beyond ``limit`` sigma after the fit, and how many were used."""
     beyond = total = 0
-    for one in fitted.forward.predictions():
-        rest, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
-        z = np.abs(rest[one.used]) / one.sigma[one.used]
+    for prediction in fitted.forward.predictions():
+        rest, _ = after_nuisances(prediction, fitted.pattern, fitted.nuisances)
+        z = np.abs(rest[prediction.used]) / prediction.sigma[prediction.used]
         beyond += int((z > limit).sum())
         total += int(z.size)
     return beyond, total

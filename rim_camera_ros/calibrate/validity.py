@@ -36,15 +36,15 @@ def supported(forward: Forward) -> Validity:
     poses: dict[tuple[int, int], Array] = {}
     times: list[float] = []
     temperatures: list[float] = []
-    for one in forward.predictions(slopes=False):
-        if not one.used.any():
+    for prediction in forward.predictions(slopes=False):
+        if not prediction.used.any():
             continue
-        distances += _counted(one.delivered.distance[one.used], _DISTANCES)
-        amplitudes += _counted(np.log(one.amplitude[one.used]), _LOG_AMPLITUDES)
-        key = (one.station.recording, one.station.pose)
-        poses[key] = one.used | poses.get(key, np.zeros_like(one.used))
-        times.append(forward.camera.integration_time(one.station.settings))
-        ambient = one.station.settings.ambient_temperature
+        distances += _counted(prediction.delivered.distance[prediction.used], _DISTANCES)
+        amplitudes += _counted(np.log(prediction.amplitude[prediction.used]), _LOG_AMPLITUDES)
+        key = (prediction.station.recording, prediction.station.pose)
+        poses[key] = prediction.used | poses.get(key, np.zeros_like(prediction.used))
+        times.append(forward.camera.integration_time(prediction.station.settings))
+        ambient = prediction.station.settings.ambient_temperature
         if ambient is not None:
             temperatures.append(ambient)
     if not times:

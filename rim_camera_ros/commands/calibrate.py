@@ -223,7 +223,7 @@ def _checked(given: argparse.Namespace) -> tuple[Request, Path | None]:
         raise InputError(f"--seed {given.seed} is not a number from 0 to 2^64 - 1")
     effects = None
     if given.effects is not None:
-        effects = tuple(one.strip() for one in given.effects.split(",") if one.strip())
+        effects = tuple(word.strip() for word in given.effects.split(",") if word.strip())
         if not effects and not given.geometry:
             raise InputError("--effects names none", remedy="leave it out, or name effects: rim info CAMERA")
     request = Request(

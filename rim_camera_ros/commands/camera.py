@@ -125,7 +125,7 @@ def run(given: argparse.Namespace) -> int:
     write_whole(given.out, lambda stream: stream.write(text.encode()))
     load_camera(given.out)
     # what the reader says of absent settings is said here with its remedy
-    say(given, [*found.notes, *(one for one in reading_notes(bag) if "camera file" not in one)])
+    say(given, [*found.notes, *(note for note in reading_notes(bag) if "camera file" not in note)])
     if not given.quiet:
         print(_summary(found, given.out))
     return 0

@@ -127,7 +127,7 @@ def check_outputs(outputs: Mapping[str, Path | None], inputs: Iterable[str | Pat
     Outputs that pass are claimed: another run that would write them is refused until this one ends. Raises
     `InputError` before any work is done. ``outputs`` by the name of their option.
     """
-    sources = [Path(one).resolve() for one in inputs if one is not None and Path(one).exists()]
+    sources = [Path(given).resolve() for given in inputs if given is not None and Path(given).exists()]
     seen: dict[Path, str] = {}
     for option, path in outputs.items():
         if path is None:

@@ -83,7 +83,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(given: argparse.Namespace) -> int:
     """Correct, and write what was asked for."""
     camera = _checked(given)
-    without = [one.strip() for one in given.without.split(",") if one.strip()]
+    without = [word.strip() for word in given.without.split(",") if word.strip()]
     correction = measurement_of(camera).correction(
         camera, without=without, minimum_amplitude=given.minimum_amplitude
     )

@@ -184,7 +184,7 @@ def _frames(path: Path, topics: Topics) -> Iterator[RawFrame]:
 
 def _numbers(text: str) -> tuple[int, ...]:
     try:
-        numbers = tuple(int(one) for one in text.split(","))
+        numbers = tuple(int(word) for word in text.split(","))
     except ValueError:
         numbers = (-1,)
     if min(numbers) < 0:
@@ -202,7 +202,7 @@ def _stations(given: argparse.Namespace, path: Path, part: Part, scene: Scene, t
         (dataset,) = reduce_on_cluster([path], camera, [scene], topics=names, scheduler=given.scheduler)
     dataset.with_poses(scene, path)
     require_fixed_poses(dataset, scene, path)
-    poses = {one.pose for one in dataset.stations}
+    poses = {station.pose for station in dataset.stations}
     unknown = sorted(set(given.without_poses) - poses)
     if unknown:
         raise InputError(
@@ -216,7 +216,7 @@ def _stations(given: argparse.Namespace, path: Path, part: Part, scene: Scene, t
             "all poses are left out", file=path, place="--without-poses", remedy="name fewer of them"
         )
     if given.without_poses:
-        keys = {(one.recording, one.pose) for one in dataset.stations}
+        keys = {(station.recording, station.pose) for station in dataset.stations}
         dataset = dataset.without({key for key in keys if key[1] in given.without_poses})
         left_out = ", ".join(map(str, sorted(set(given.without_poses))))
         dataset.notes.append(f"poses left out as asked for: {left_out}")

@@ -80,7 +80,7 @@ def estimated(given: argparse.Namespace) -> tuple[str, ...]:
     """Return the parameters that are to be estimated. Raises `InputError` for unknown ones."""
     if given.estimate is None:
         return ()
-    names = [one.strip() for one in given.estimate.split(",") if one.strip()]
+    names = [word.strip() for word in given.estimate.split(",") if word.strip()]
     if names == ["all"]:
         return OPTICS_PARAMETERS
     for name in names:

@@ -79,7 +79,9 @@ def run(given: argparse.Namespace) -> int:
         stop.append(number)
 
     before = {number: signal.getsignal(number) for number in _ENDING}
-    for number in (one for one in _ENDING if one != signal.SIGHUP or before[one] != signal.SIG_IGN):
+    for number in (
+        signals for signals in _ENDING if signals != signal.SIGHUP or before[signals] != signal.SIG_IGN
+    ):
         signal.signal(number, ask_to_stop)
     try:
         with (

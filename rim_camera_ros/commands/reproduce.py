@@ -93,8 +93,8 @@ def _write_folder(done: Sequence[Done], folder: Path) -> None:
     from rim_camera_ros.reproduce.report import file_name, html_page, json_report
 
     with _folder(folder).written() as temporary:
-        for one in done:
-            for picture in one.outcome.pictures:
+        for figure in done:
+            for picture in figure.outcome.pictures:
                 (temporary / file_name(picture)).write_bytes(png(picture))
         (temporary / _INDEX).write_text(html_page(done), encoding="utf-8")
         report = json.dumps(json_report(done), indent=1, allow_nan=False) + "\n"

@@ -128,7 +128,7 @@ def _chosen(frame: RawFrame, *, samples: bool) -> RawFrame:
     """Return the frame with its samples only where they are asked for: they are a hundred times its size."""
     if samples:
         return frame
-    return replace(frame, images={role: one for role, one in frame.images.items() if role not in SAMPLES})
+    return replace(frame, images={role: image for role, image in frame.images.items() if role not in SAMPLES})
 
 
 def _waveform(text: str | None) -> Waveform | None:

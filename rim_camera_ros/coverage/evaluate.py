@@ -69,12 +69,12 @@ class Coverage:
     @property
     def determined(self) -> dict[str, float]:
         """The effects that are determined, with their factors."""
-        return {name: one for name, one in self.factors.items() if one >= NARROWED}
+        return {name: factor for name, factor in self.factors.items() if factor >= NARROWED}
 
     @property
     def open(self) -> dict[str, float]:
         """The others."""
-        return {name: one for name, one in self.factors.items() if one < NARROWED}
+        return {name: factor for name, factor in self.factors.items() if factor < NARROWED}
 
     def lines(self) -> list[str]:
         """Return the state in words, a line each."""
@@ -143,30 +143,30 @@ class Evaluator:
         now = factors()
         self._draw(stations)
         return Coverage(
-            stations=len({one.pose for one in stations}),
-            frames=sum(one.frames for one in stations),
+            stations=len({station.pose for station in stations}),
+            frames=sum(station.frames for station in stations),
             factors=now,
             seen=np.sum(list(self._seen.values()), axis=0),
             readings=self._readings.copy(),
             last=self._words(last),
             moved=moved,
-            next=_best(now, offered, [factors(self._fold(one, last)) for one in offered]),
+            next=_best(now, offered, [factors(self._fold(proposal, last)) for proposal in offered]),
         )
 
     def _choose_blocks(self, stations: Sequence[Station], offered: Sequence[Proposal]) -> None:
         """Choose the regressors anew where there is another setting or another temperature than before."""
-        settings = [one.settings for one in stations] + [one.settings for one in offered]
+        settings = [station.settings for station in stations] + [proposal.settings for proposal in offered]
         kinds = {
-            (self.camera.integration_time(one), one.uptime is None, one.ambient_temperature)
-            for one in settings
+            (self.camera.integration_time(setting), setting.uptime is None, setting.ambient_temperature)
+            for setting in settings
         }
         if kinds == self._kinds:
             return
         last = stations[-1]
         planned = [
             # settings alone: how bright it is, the recorded stations say
-            replace(self._planned(one, last, number), count=np.zeros_like(last.count))
-            for number, one in enumerate(offered)
+            replace(self._planned(proposal, last, number), count=np.zeros_like(last.count))
+            for number, proposal in enumerate(offered)
         ]
         self._blocks = blocks_of(self.camera, Dataset([*stations, *planned], decimation=self.step))
         self._kinds, self._offered = kinds, {}
@@ -190,27 +190,29 @@ class Evaluator:
         every = np.ones(camera.shape, bool).ravel()
         return accumulate(Forward(dataset, scene, camera), self._blocks, seen=every)
 
-    def _planned(self, one: Proposal, last: Station, number: int) -> Station:
+    def _planned(self, proposal: Proposal, last: Station, number: int) -> Station:
         return planned_station(
             self.camera,
             recording=_PROPOSED,
             pose=number,
             frames=last.frames,
-            stamp=last.stamp + round((one.wait + 10.0) * NANOSECONDS),
-            time=last.time + one.wait + 10.0,
-            settings=one.settings,
-            truth=one.truth,
+            stamp=last.stamp + round((proposal.wait + 10.0) * NANOSECONDS),
+            time=last.time + proposal.wait + 10.0,
+            settings=proposal.settings,
+            truth=proposal.truth,
         )
 
     def _draw(self, stations: Sequence[Station]) -> None:
         """Count which pixels the new stations used, and how many of them had which distance and amplitude."""
         new = Dataset(list(stations[self._drawn :]), decimation=self.step)
         self._drawn = len(stations)
-        for one in Forward(new, self.scene, self.camera).predictions(slopes=False):
-            used = one.used
-            self._seen[one.station.pose] = used | self._seen.get(one.station.pose, np.zeros_like(used))
-            distance = one.station.distance[used] / self.camera.sensor.ambiguity * DISTANCE_CLASSES
-            amplitude = np.log2(np.maximum(one.station.amplitude[used], 1.0))
+        for prediction in Forward(new, self.scene, self.camera).predictions(slopes=False):
+            used = prediction.used
+            self._seen[prediction.station.pose] = used | self._seen.get(
+                prediction.station.pose, np.zeros_like(used)
+            )
+            distance = prediction.station.distance[used] / self.camera.sensor.ambiguity * DISTANCE_CLASSES
+            amplitude = np.log2(np.maximum(prediction.station.amplitude[used], 1.0))
             at = [
                 np.clip(values.astype(int), 0, number - 1)
                 for values, number in ((distance, DISTANCE_CLASSES), (amplitude, AMPLITUDE_CLASSES))
@@ -235,7 +237,7 @@ def _best(
     """Return the proposal after which the most is determined: logarithms of factors up to `NARROWED`."""
 
     def worth(factors: Mapping[str, float]) -> float:
-        return sum(float(np.log(min(one, NARROWED))) for one in factors.values())
+        return sum(float(np.log(min(factor, NARROWED))) for factor in factors.values())
 
     if not offered:
         return None

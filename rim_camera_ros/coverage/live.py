@@ -47,8 +47,8 @@ class LiveCoverage:
             raise RimError(problem, remedy="check the limits of memory and processes") from None
         self._threads = [threading.Thread(target=self._write, args=(str(scene), str(camera)), daemon=True)]
         self._threads.append(threading.Thread(target=self._read, daemon=True))
-        for one in self._threads:
-            one.start()
+        for thread in self._threads:
+            thread.start()
 
     def take(self, message: Message) -> None:
         """Take a message; images are passed over where the evaluation is behind."""
@@ -66,8 +66,8 @@ class LiveCoverage:
             self._killed = True
             self._process.kill()
             self._process.wait()
-        for one in self._threads:
-            one.join(patience)
+        for thread in self._threads:
+            thread.join(patience)
 
     def _write(self, scene: str, camera: str) -> None:
         assert self._process.stdin is not None

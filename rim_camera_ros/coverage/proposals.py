@@ -170,5 +170,5 @@ def _turned(about_x: float, about_y: float) -> tuple[float, float, float, float]
 
 def _settings(camera: Camera) -> set[float]:
     """Return the integration times for which effects of the camera file have rows."""
-    tables = (getattr(one, part.name) for one in camera.effects.values() for part in fields(one))
+    tables = (getattr(effect, part.name) for effect in camera.effects.values() for part in fields(effect))
     return {key for table in tables if isinstance(table, Mapping) for key in table if isinstance(key, float)}

@@ -131,14 +131,14 @@ def _record(out: Path, camera: Path, *, frames: int, seed: int) -> tuple[Path, d
         for name in ("recorder", "listener"):
             _wait(processes, name, out, deadline=time.monotonic() + 45 + frames / RATE)
     finally:
-        for one in processes.values():
-            if one.poll() is None:
-                one.send_signal(signal.SIGINT)
-        for one in processes.values():
+        for process in processes.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+        for process in processes.values():
             try:
-                one.wait(10)
+                process.wait(10)
             except subprocess.TimeoutExpired:
-                one.kill()
+                process.kill()
     return recording, json.loads(summary.read_text())
 
 
@@ -158,7 +158,7 @@ def _wait(processes: dict[str, subprocess.Popen[bytes]], name: str, out: Path, *
 def _pairs(recording: Path) -> Iterator[tuple[RawFrame, CorrectedFrame]]:
     """Yield the recorded raw frames with what the correction node published for them."""
     with Recording(recording) as raw_bag, Recording(recording) as corrected_bag:
-        corrected = {one.stamp: one for one in corrected_bag.corrected_frames()}
+        corrected = {frame.stamp: frame for frame in corrected_bag.corrected_frames()}
         for raw in raw_bag.frames():
             if raw.stamp in corrected:
                 yield raw, corrected[raw.stamp]

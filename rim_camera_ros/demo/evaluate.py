@@ -87,7 +87,7 @@ def compare(pairs: Iterable[tuple[RawFrame, CorrectedFrame]], camera: Camera, sc
         maps = (truth, raw_error, np.where(usable, error, np.nan), corrected.distance)
     if maps is None:
         raise ValueError("no frames to compare")
-    systematic = np.concatenate([one.means() for one in means.values()], axis=1)
+    systematic = np.concatenate([mean.means() for mean in means.values()], axis=1)
     noise = float(np.sqrt(np.mean(np.square(np.concatenate(sigmas)))))
     return Comparison(
         len(before),

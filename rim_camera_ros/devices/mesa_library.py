@@ -86,7 +86,7 @@ class MesaLibrary:
         self.version = ".".join(map(str, parts))
         frequencies = _FREQUENCIES.get((parts[0], parts[1], parts[2]))
         if frequencies is None:
-            known = ", ".join(".".join(map(str, one)) for one in _FREQUENCIES)
+            known = ", ".join(".".join(map(str, frequency)) for frequency in _FREQUENCIES)
             raise InputError(
                 f"version {self.version} numbers its modulation frequencies in an unknown way",
                 file=self.file,

@@ -371,7 +371,9 @@ def _stream(process: AcquisitionProcess, ready: Mapping[str, Any]) -> _Stream:
         supported = [model]
     fitting = [model for model in supported if (model.columns, model.rows) == (columns, rows)]
     if not fitting:
-        names = " or ".join(f"{one.name} has {one.columns} x {one.rows}" for one in dict.fromkeys(supported))
+        names = " or ".join(
+            f"{fromkey.name} has {fromkey.columns} x {fromkey.rows}" for fromkey in dict.fromkeys(supported)
+        )
         problem = f"libmesasr delivers {columns} x {rows} pixels, an {names}"
         raise DeviceError(problem, remedy="check which camera is connected")
     constant = {"library": f"libmesasr {ready['version']}", "serial_number": f"0x{ready['serial']:08x}"}

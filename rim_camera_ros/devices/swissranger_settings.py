@@ -83,7 +83,7 @@ class CameraSettings:
             raise InputError(
                 f"the camera has no modulation frequency {self.modulation_frequency / 1e6:g} MHz",
                 place="modulation_frequency",
-                remedy=f"known: {', '.join(f'{one / 1e6:g}' for one in MODULATION_FREQUENCIES)} MHz",
+                remedy=f"known: {', '.join(f'{hertz / 1e6:g}' for hertz in MODULATION_FREQUENCIES)} MHz",
             )
         _whole(self.amplitude_threshold, *AMPLITUDE_LIMITS, "amplitude_threshold")
         if self.frame_rate is not None and not (math.isfinite(self.frame_rate) and self.frame_rate > 0):

@@ -64,7 +64,7 @@ class Timeline:
         self._stamp = start
         self._first = True
         self._entered = start
-        scene.poses_for({name: one.pose for name, one in self._stations[0].poses.items()})
+        scene.poses_for({name: pose.pose for name, pose in self._stations[0].poses.items()})
         self._given_rate = rate
         self._given_integration_time = integration_time
         self._restart()
@@ -96,7 +96,7 @@ class Timeline:
     @property
     def length(self) -> int:
         """Number of frames of the schedule (100 without one)."""
-        return sum(one.frames for one in self._stations)
+        return sum(station.frames for station in self._stations)
 
     @property
     def stamp(self) -> int:
@@ -188,7 +188,7 @@ def exposures_like(frames: Iterable[RawFrame], scene: Scene, camera: Camera) -> 
     messages form one station; poses of surfaces that the scene lacks are passed over. Raises `InputError`
     where a truth pose is missing.
     """
-    surfaces = {one.name for one in scene.surfaces}
+    surfaces = {surface.name for surface in scene.surfaces}
     first: int | None = None
     station, key = -1, None
     motion = scene.camera_motion

@@ -131,7 +131,10 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Fit | None 
     rms_after, chi_after = rms_before, chi_before
     if compared.after is not compared.before:
         rms_after, chi_after = _held_out(compared.after, compared.own, result.folds)
-    floors = [one.sigma[one.used] ** 2 for one in compared.before.forward.predictions(slopes=False)]
+    floors = [
+        prediction.sigma[prediction.used] ** 2
+        for prediction in compared.before.forward.predictions(slopes=False)
+    ]
     floor = float(np.sqrt(np.mean(np.concatenate(floors)))) if floors else 0.0
     return Accuracy(
         rms_before,
@@ -227,7 +230,7 @@ class _Compared:
 
 def _scores(fitted: Fit, forms: Sequence[Block] = ()) -> Scores:
     """Return the scores of a fit's parameters, and of changes of forms that follow them."""
-    count = len(fitted.parameters) + sum(len(one.regressors) for one in forms)
+    count = len(fitted.parameters) + sum(len(form.regressors) for form in forms)
     return Scores(fitted.equations, range(count), held=fitted.at_bounds)
 
 
@@ -253,22 +256,22 @@ def _held_out(fitted: Fit, problem: Problem, folds: Mapping[tuple[int, int], int
         _, flat, gains = trained.recover(values)
         gains = None if gains is None else pixels.where_seen(gains)
         own_errors = parts[k].errors_given(values, pixels.where_seen(flat), gains)
-        weight = np.sum([one.weight for i, one in enumerate(parts) if i != k], axis=0)
+        weight = np.sum([part.weight for i, part in enumerate(parts) if i != k], axis=0)
         known = pixels.everywhere(weight) > 0
         others.append((own, own_errors, np.where(known, flat, np.nan).reshape(shape)))
     blocks = blocks_of(problem, fitted.camera, fitted.scene) if others else []
     all_poses: _Parameters = ({}, fitted.nuisances, fitted.pattern)
     total, number = 0.0, 0
-    for one in fitted.forward.predictions():
-        key = (one.station.recording, one.station.pose)
+    for prediction in fitted.forward.predictions():
+        key = (prediction.station.recording, prediction.station.pose)
         changes, errors, pattern = others[folds[key]] if others else all_poses
-        rest, _ = after_nuisances(one, pattern, errors)
+        rest, _ = after_nuisances(prediction, pattern, errors)
         for block in blocks:
-            for regressor, (column, _) in zip(block.regressors, block.columns(one), strict=True):
+            for regressor, (column, _) in zip(block.regressors, block.columns(prediction), strict=True):
                 change = changes.get(regressor.label, 0.0)
                 if change:
                     rest = rest - change * np.nan_to_num(column)
-        used = one.used & np.isfinite(rest)
+        used = prediction.used & np.isfinite(rest)
         total += float(np.sum(rest[used] ** 2))
         number += int(used.sum())
     rms = float(np.sqrt(total / number)) if number else 0.0

@@ -111,8 +111,10 @@ def file_covariance(camera: Camera, fitted: Fit, own: Sequence[int]) -> Array:
     """
     equations, count = fitted.equations, len(fitted.equations.regressors)
     gram, nuisances = stacked(equations.folds, count)
-    labels = [one.label for one in equations.regressors]
-    others = [i for i, one in enumerate(labels[: len(fitted.parameters)]) if one.startswith(IMPERFECTIONS)]
+    labels = [regressor.label for regressor in equations.regressors]
+    others = [
+        i for i, label in enumerate(labels[: len(fitted.parameters)]) if label.startswith(IMPERFECTIONS)
+    ]
     sizes = [*priors_of([equations.regressors[i] for i in others]), *(size for _, size, _ in nuisances)]
     errors = gram[np.ix_([*others, *range(count, count + len(nuisances))], own)] * np.array(sizes)[:, None]
     offsets = fitted.pattern.ravel()
@@ -181,15 +183,15 @@ def parameters_matter(camera: Camera, result: Result, adjusted: Sequence[Adjuste
     A wrong radiometric gain matters by itself: fits of poses take up a power that is wrong in all of them, so
     that no likelihood tells it.
     """
-    if any(one.effect == Radiometry.section for one in adjusted):
+    if any(term.effect == Radiometry.section for term in adjusted):
         return True
     final = result.explorations[-1].fit
     if not adjusted or not beyond_file(camera, final):
         return False
-    moved = {one.effect: camera.effects[one.effect] for one in adjusted}
+    moved = {term.effect: camera.effects[term.effect] for term in adjusted}
     stated = replace(final.camera, effects={**final.camera.effects, **moved})
     others = tuple(
-        name for name, one in stated.effects.items() if one.estimated == "joint" and name not in moved
+        name for name, effect in stated.effects.items() if effect.estimated == "joint" and name not in moved
     )
     frozen = replace(result.problem, effects=others, amplitude_error=final.forward.amplitude_model.tau)
     folds = folds_of(result.problem.dataset)

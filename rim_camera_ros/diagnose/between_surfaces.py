@@ -43,7 +43,7 @@ def measured_between(
     """
     geometry = prediction.view.geometry
     own = np.where(geometry.hit, geometry.distance, np.nan)
-    name = next(name for name, one in prediction.context.camera.effects.items() if one.at_edges)
+    name = next(name for name, effect in prediction.context.camera.effects.items() if effect.at_edges)
     light = np.where(geometry.hit, prediction.before[name].amplitude, 0.0)
     near, light_of_near = _neighbours(own, light, nearest=True)
     far, light_of_far = _neighbours(own, light, nearest=False)

@@ -47,7 +47,11 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
     found = [Hypothesis(AS_GIVEN, "", 0.0, 0.0, value=given.offset)]
     found += _compared(trials_of(*files), files, given, poses, views)
     # a surface of which neither size nor pattern is right fits with neither of them alone
-    patterned = {one.surface for one in found if one.is_better and one.hypothesis in _OF_PATTERN}
+    patterned = {
+        hypothesis.surface
+        for hypothesis in found
+        if hypothesis.is_better and hypothesis.hypothesis in _OF_PATTERN
+    }
     for name in sorted(patterned):
         found += _compared(other_boards(*files, name), files, given, poses, views)
     best = _best_of_each(found)
@@ -82,16 +86,16 @@ def against_physics(
         found = camera
         given = predicted(_coarse(dataset, scene, found))
     again = []
-    for one in setups:
-        trial = one.trial
-        if not one.is_better or one.fitted or trial is None:
-            again.append(one)
+    for setup in setups:
+        trial = setup.trial
+        if not setup.is_better or setup.fitted or trial is None:
+            again.append(setup)
             continue
         for own in (camera, found):
             files = _coarse(dataset, scene, own)
             views = Views(files[2], files[1], decimation=files[0].decimation)
             compared = _compared([trial], files, given, dataset.poses, views)
-            again += [replace(each, share=one.share, against_physics=True) for each in compared]
+            again += [replace(each, share=setup.share, against_physics=True) for each in compared]
     return _best_of_each(again)
 
 
@@ -103,10 +107,10 @@ def _decided(
         yield from found
         return
     files: Files | None = None
-    for one in found:
-        trial = one.trial
-        if trial is None or one.is_better or one.gain <= LEAST_GAIN:
-            yield one
+    for hypothesis in found:
+        trial = hypothesis.trial
+        if trial is None or hypothesis.is_better or hypothesis.gain <= LEAST_GAIN:
+            yield hypothesis
             continue
         if files is None:
             files = _coarse(dataset, scene, camera, most=dataset.poses)
@@ -126,10 +130,10 @@ def _coarse(dataset: Dataset, scene: Scene, camera: Camera, *, most: int | None 
 
 def _best_of_each(found: Iterable[Hypothesis]) -> list[Hypothesis]:
     best: dict[tuple[str, str], Hypothesis] = {}
-    for one in found:
-        key = (one.hypothesis, one.surface)
-        if key not in best or one.gain > best[key].gain:
-            best[key] = one
+    for hypothesis in found:
+        key = (hypothesis.hypothesis, hypothesis.surface)
+        if key not in best or hypothesis.gain > best[key].gain:
+            best[key] = hypothesis
     return by_gain(best.values())
 
 
@@ -185,7 +189,10 @@ def _split(files: Files) -> tuple[Files, Files | None]:
     dataset, scene, camera = files
     count = len(dataset.stations)
     few = {0, count // 2, count - 1}
-    parts = [[one for k, one in enumerate(dataset.stations) if (k in few) is kept] for kept in (True, False)]
+    parts = [
+        [station for k, station in enumerate(dataset.stations) if (k in few) is kept]
+        for kept in (True, False)
+    ]
     first, rest = (replace(dataset, stations=part) for part in parts)
     return (first, scene, camera), (rest, scene, camera) if rest.stations else None
 
@@ -193,8 +200,8 @@ def _split(files: Files) -> tuple[Files, Files | None]:
 def _some_poses(dataset: Dataset, most: int) -> Dataset:
     """Return the dataset with one station of each of so many poses at ``most``, spread over the recording."""
     first: dict[tuple[int, int], Station] = {}
-    for one in dataset.stations:
-        first.setdefault((one.recording, one.pose), one)
+    for station in dataset.stations:
+        first.setdefault((station.recording, station.pose), station)
     stations = list(first.values())
     step = max(1, -(-len(stations) // most))
     return replace(dataset, stations=stations[::step])

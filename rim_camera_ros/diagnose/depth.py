@@ -81,33 +81,33 @@ def depths(baseline: Exploration, problem: Problem, folds: Mapping[tuple[int, in
         return []
     blocks = [
         Block(
-            (Regressor(one.label, "pose", _SIGMA),),
-            lambda prediction, number=number, one=one: [one.column(number, prediction)],  # type: ignore[misc]
+            (Regressor(direction.label, "pose", _SIGMA),),
+            lambda prediction, number=number, one=direction: [one.column(number, prediction)],  # type: ignore[misc]
         )
-        for number, one in choices
+        for number, direction in choices
     ]
     fitted = further_equations(baseline.fit, blocks, folds, problem)
     count = len(fitted.parameters)
     scores = Scores(fitted.equations, range(count), held=fitted.at_bounds)
     without = scores.log_likelihoods() if scores.trained else []
     best: dict[str, Hypothesis] = {}
-    for k, (_, one) in enumerate(choices):
+    for k, (_, direction) in enumerate(choices):
         own = [count + k]
         gain = float(scores.gain(own))
         error = paired_error(scores.log_likelihoods(own), without) if scores.trained else np.inf
-        metres = scores.values(own)[one.label]
+        metres = scores.values(own)[direction.label]
         found = Hypothesis(
             DEPTH,
-            one.surface,
+            direction.surface,
             gain,
             error,
             1e3 * metres,
             share_explained(gain, baseline.unexplained),
-            to_poses(one.surface, partial(_shifted, one, metres)),
+            to_poses(direction.surface, partial(_shifted, direction, metres)),
             against_physics=True,
         )
-        if one.surface not in best or gain > best[one.surface].gain:
-            best[one.surface] = found
+        if direction.surface not in best or gain > best[direction.surface].gain:
+            best[direction.surface] = found
     return by_gain(best.values())
 
 
@@ -125,14 +125,14 @@ def standing_elsewhere(
     baseline = result.explorations[0]
     masks = baseline.fit.forward.pixels_used()
     alone = replace(problem, masks=masks, patches=baseline.fit.forward.patches_seen())
-    leading = [one for one in depths(baseline, alone, result.folds) if one.is_better]
+    leading = [depth for depth in depths(baseline, alone, result.folds) if depth.is_better]
     if not leading:
         return []
     say("surfaces that stand elsewhere")
     moved: list[Dataset] = []
-    for one in leading:
-        assert one.change is not None
-        moved.append(one.change(problem.dataset, problem.scene, camera)[0])
+    for hypothesis in leading:
+        assert hypothesis.change is not None
+        moved.append(hypothesis.change(problem.dataset, problem.scene, camera)[0])
         seen = Forward(moved[-1], problem.scene, camera).pixels_used()
         masks = [(a & c, b & d) for (a, b), (c, d) in zip(masks, seen, strict=True)]
     given = explore(
@@ -147,7 +147,7 @@ def standing_elsewhere(
     )
     before, unexplained = given.scores.log_likelihoods(), given.unexplained
     found = []
-    for one, dataset in zip(leading, moved, strict=True):
+    for hypothesis, dataset in zip(leading, moved, strict=True):
         there = replace(alone, dataset=dataset, masks=masks)
         fitted = explore(there, camera, [], result.folds, replicates=0, iterations=_ITERATIONS)
         after = fitted.scores.log_likelihoods()
@@ -156,7 +156,7 @@ def standing_elsewhere(
         gain = sum(after) - sum(before)
         found.append(
             replace(
-                one,
+                hypothesis,
                 gain=gain,
                 standard_error=paired_error(after, before),
                 share=share_explained(gain, unexplained),

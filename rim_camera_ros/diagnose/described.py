@@ -93,12 +93,12 @@ def best_rest(result: Result, samples: Mapping[str, Array], seed: int) -> Rest |
         table = fine_table(fine)
         camera = final.fit.camera if table is None else with_table(final.fit.camera, table)
         options.append(Rest(fine.gain, fine.covariates, camera, fine.gain, least, fine))
-    return max(options, key=lambda one: one.on_top, default=None)
+    return max(options, key=lambda rest: rest.on_top, default=None)
 
 
 def explained_share(result: Result, unknown: Rest | None) -> float:
     """Return the share of the excess chi-square that the final fit explains, each step at its pixels."""
-    chi_squares = [one.scores.chi_square() for one in result.explorations]
+    chi_squares = [exploration.scores.chi_square() for exploration in result.explorations]
     after, rows = chi_squares[-1]
     at = result.beside_edges
     explained = chi_squares[0][0] - after
@@ -147,7 +147,7 @@ def describe(unknown: Rest, baseline: Exploration, result: Result, seed: int) ->
     elif unknown.fine is not None:
         # slopes that differ from pixel to pixel are no table of two covariates, but have a place and a size
         fine = unknown.fine
-        where = of_values(fitted, lambda one: fine_image(fine, one))
+        where = of_values(fitted, lambda predicted: fine_image(fine, predicted))
     curve = next(iter(where.curves.items()), None)
     formula, missed = None, 0.0
     magnitude = 0.0
@@ -201,14 +201,16 @@ def unexplained(fitted: Fit, chi_square: float) -> tuple[Missing, Where]:
 
 def of_correlated_errors(fitted: Fit) -> tuple[Missing, Where]:
     """Return what is said of errors that neighbours share in a fit, in each pose anew, and where they are."""
-    where = of_values(fitted, lambda one: correlated_error_of(one, fitted.nuisances))
+    where = of_values(fitted, lambda predicted: correlated_error_of(predicted, fitted.nuisances))
     sentence = f"unknown physics: {correlated_error_note(fitted)}"
     return Missing(UNKNOWN, 1.0, {}, {}, sentence, magnitude=correlated_error_rms(fitted)), where
 
 
 def _variances(fitted: Fit) -> Array:
     """Return the variances [m^2] of the distances that were fitted."""
-    return np.concatenate([one.sigma[one.used] ** 2 for one in fitted.forward.predictions(slopes=False)])
+    return np.concatenate(
+        [prediction.sigma[prediction.used] ** 2 for prediction in fitted.forward.predictions(slopes=False)]
+    )
 
 
 def _refit_table(unknown: Rest, baseline: Exploration, result: Result, seed: int) -> tuple[Camera, Fit]:

@@ -26,54 +26,60 @@ def on_full_grid(result: Diagnosis, camera: Camera, step: int) -> Diagnosis:
     """
     before = _ONE_OF.format(result.step)
     small, full = result.camera, full_camera(result.camera, camera, step)
-    result.missing = [restated(one, small, full, step) for one in result.missing]
-    result.adjusted = [_adjusted(one, step) for one in result.adjusted]
+    result.missing = [restated(effect, small, full, step) for effect in result.missing]
+    result.adjusted = [_adjusted(term, step) for term in result.adjusted]
     result.looked_at, result.camera = result.model, full
     result.where = replace(result.where, pixels=full_image(result.where.pixels, camera.shape, step))
-    result.notes = [*(one for one in result.notes if one != before), _ONE_OF.format(result.step)]
+    result.notes = [*(note for note in result.notes if note != before), _ONE_OF.format(result.step)]
     return result
 
 
-def restated(one: Missing, small: Camera, full: Camera, step: int) -> Missing:
+def restated(effect: Missing, small: Camera, full: Camera, step: int) -> Missing:
     """Return what the ``small`` camera of every ``step``-th pixel found in pixels of the ``full`` one."""
-    prefix = _prefix(one.effect, small)
+    prefix = _prefix(effect.effect, small)
     low_and_high = {
         path: (full_number(prefix + path, low, step), full_number(prefix + path, high, step))
-        for path, (low, high) in one.interval.items()
+        for path, (low, high) in effect.interval.items()
     }
-    values = {path: full_number(prefix + path, value, step) for path, value in one.parameters.items()}
-    sentence, formula = one.sentence, _formula(one, small, full)
-    if one.effect in small.effects:
-        sentence = sentence.replace(small.effects[one.effect].sentence(), full.effects[one.effect].sentence())
-    if one.formula is not None and formula is not None:
-        sentence = sentence.replace(one.formula, formula)
-    return replace(one, parameters=values, interval=low_and_high, sentence=sentence, formula=formula)
+    values = {path: full_number(prefix + path, value, step) for path, value in effect.parameters.items()}
+    sentence, formula = effect.sentence, _formula(effect, small, full)
+    if effect.effect in small.effects:
+        sentence = sentence.replace(
+            small.effects[effect.effect].sentence(), full.effects[effect.effect].sentence()
+        )
+    if effect.formula is not None and formula is not None:
+        sentence = sentence.replace(effect.formula, formula)
+    return replace(effect, parameters=values, interval=low_and_high, sentence=sentence, formula=formula)
 
 
-def _formula(one: Missing, small: Camera, full: Camera) -> str | None:
+def _formula(effect: Missing, small: Camera, full: Camera) -> str | None:
     """Return a closed form restated for a covariate in pixels of the whole sensor, over its table's knots."""
     table, finer = (effect_of(camera, CovariateTable) for camera in (small, full))
-    if one.formula is None or not isinstance(table, CovariateTable) or not isinstance(finer, CovariateTable):
-        return one.formula
-    name = one.formula.rpartition("x = ")[2]
+    if (
+        effect.formula is None
+        or not isinstance(table, CovariateTable)
+        or not isinstance(finer, CovariateTable)
+    ):
+        return effect.formula
+    name = effect.formula.rpartition("x = ")[2]
     if name not in table.covariates:
-        return one.formula
+        return effect.formula
     k = table.covariates.index(name)
     x, scaled = np.asarray(table.knots[k], float), np.asarray(finer.knots[k], float)
     if np.array_equal(x, scaled):
-        return one.formula
+        return effect.formula
     fine = np.linspace(x[0], x[-1], _POINTS)
-    curve = formula_curve(one.formula, fine)
+    curve = formula_curve(effect.formula, fine)
     if curve is None or not np.all(np.isfinite(curve)):
-        return one.formula
+        return effect.formula
     return closed_form(name, np.interp(fine, x, scaled), curve, np.zeros(_POINTS))[0]
 
 
-def _adjusted(one: Adjusted, step: int) -> Adjusted:
+def _adjusted(term: Adjusted, step: int) -> Adjusted:
     def told(values: dict[str, float]) -> dict[str, float]:
-        return {path: full_number(f"effects.{one.effect}.{path}", v, step) for path, v in values.items()}
+        return {path: full_number(f"effects.{term.effect}.{path}", v, step) for path, v in values.items()}
 
-    return Adjusted(one.effect, told(dict(one.before)), told(dict(one.after)))
+    return Adjusted(term.effect, told(dict(term.before)), told(dict(term.after)))
 
 
 def _prefix(name: str, camera: Camera) -> str:

@@ -144,7 +144,7 @@ def share_explained(gain: float, short: float) -> float:
 
 def by_gain(found: Iterable[Hypothesis]) -> list[Hypothesis]:
     """Return hypotheses by what they gain, the best first."""
-    return sorted(found, key=lambda one: -one.gain)
+    return sorted(found, key=lambda hypothesis: -hypothesis.gain)
 
 
 def moved_poses(errors: Mapping[tuple[int, int], float]) -> Hypothesis:
@@ -166,7 +166,7 @@ def leaving_nothing(
     that explains all but what chance leaves is not held against it, as no effect imitates so much of
     another set-up. The search for physics would take minutes there, where every fit is far from its end.
     """
-    leader = next((one for one in found if one.is_better), None)
+    leader = next((hypothesis for hypothesis in found if hypothesis.is_better), None)
     if leader is None or leader.wins or leader.fitted or leader.change is None:
         return list(found)
     try:
@@ -176,7 +176,7 @@ def leaving_nothing(
     if left is None:
         return list(found)
     share = max(leader.share, share_explained(leader.gain, leader.gain + left))
-    return [replace(one, share=share) if one is leader else one for one in found]
+    return [replace(hypothesis, share=share) if hypothesis is leader else hypothesis for hypothesis in found]
 
 
 def best_setup(found: Sequence[Hypothesis]) -> Hypothesis | None:
@@ -184,5 +184,12 @@ def best_setup(found: Sequence[Hypothesis]) -> Hypothesis | None:
 
     None too where the best is a parameter of the fit, which decides.
     """
-    leader = next((one for one in found if (one.fitted and one.is_better) or one.wins), None)
+    leader = next(
+        (
+            hypothesis
+            for hypothesis in found
+            if (hypothesis.fitted and hypothesis.is_better) or hypothesis.wins
+        ),
+        None,
+    )
     return leader if leader is not None and leader.wins else None

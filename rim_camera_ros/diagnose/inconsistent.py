@@ -27,7 +27,7 @@ def with_setups(diagnosis: Diagnosis, setups: list[Hypothesis]) -> Diagnosis:
     """
     reason = diagnosis.reason
     if reason is None:
-        setups = sorted(setups, key=lambda one: one.hypothesis != AS_GIVEN)
+        setups = sorted(setups, key=lambda hypothesis: hypothesis.hypothesis != AS_GIVEN)
     if diagnosis.verdict == "consistent" and setups:
         # offsets of the pixels took it up
         said = offset_beyond(setups[0].value, diagnosis.nuisances)

@@ -68,14 +68,15 @@ def _jackknife(scores: Scores, count: int) -> Array:
 def _by_time(problem: Problem, fitted: Fit) -> Scores | None:
     """Return scores of blocks of placements in order of time: they part where a form is not quite true."""
     times: dict[tuple[int, int], float] = {}
-    for one in problem.dataset.stations:
-        times.setdefault((one.recording, one.placed), one.time)
+    for station in problem.dataset.stations:
+        times.setdefault((station.recording, station.placed), station.time)
     if len(times) < 2 * _BLOCKS:
         return None
     ordered = sorted(times, key=lambda key: (key[0], times[key]))
     number = {key: i * _BLOCKS // len(ordered) for i, key in enumerate(ordered)}
     blocks = {
-        (one.recording, one.pose): number[one.recording, one.placed] for one in problem.dataset.stations
+        (station.recording, station.pose): number[station.recording, station.placed]
+        for station in problem.dataset.stations
     }
     again = fit(problem, fitted.camera, fold_of=blocks, views=fitted.forward.views, warm=fitted, iterations=0)
     return Scores(again.equations, range(len(again.parameters)), held=again.at_bounds)
@@ -135,19 +136,21 @@ def distances_known_to(
     own = {
         int(start): block
         for start, block in zip(starts, blocks, strict=False)
-        if any(one.owner in names for one in block.regressors)
+        if any(regressor.owner in names for regressor in block.regressors)
     }
     if not own:
         return {}
     numbers = [start + k for start, block in own.items() for k in range(len(block.regressors))]
-    owners = [one.owner for block in own.values() for one in block.regressors]
+    owners = [regressor.owner for block in own.values() for regressor in block.regressors]
     size = fitted.camera.shape[0] * fitted.camera.shape[1]
     sums, seen = np.zeros((len(numbers), size)), np.zeros(size)
     products = np.zeros((len(numbers), len(numbers)))
-    for one in fitted.forward.predictions():
-        used = np.flatnonzero(one.used)
-        columns = [column for block in own.values() for column, _ in block.columns(one)]
-        x = np.array([np.nan_to_num(np.broadcast_to(each, one.used.shape)).ravel()[used] for each in columns])
+    for prediction in fitted.forward.predictions():
+        used = np.flatnonzero(prediction.used)
+        columns = [column for block in own.values() for column, _ in block.columns(prediction)]
+        x = np.array(
+            [np.nan_to_num(np.broadcast_to(each, prediction.used.shape)).ravel()[used] for each in columns]
+        )
         products += x @ x.T
         sums[:, used] += x
         seen[used] += 1

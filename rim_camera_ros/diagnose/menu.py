@@ -59,9 +59,9 @@ def told_apart(
     pairs = list(permutations(range(len(chosen)), 2))
     fitted = step.fit.camera
     camera = with_effects(
-        fitted, {name: one for name, one in fitted.effects.items() if not one.stated_by_pixels}
+        fitted, {name: effect for name, effect in fitted.effects.items() if not effect.stated_by_pixels}
     )
-    blocks = [*present_blocks(camera), gain_block(), *(one.block for one in chosen)]
+    blocks = [*present_blocks(camera), gain_block(), *(candidate.block for candidate in chosen)]
     proposals = []
     for name, scene in scenes.items():
         if progress is not None:
@@ -74,11 +74,11 @@ def told_apart(
             continue
         prior = priors_of(equations.regressors)
         matrix = gram * prior[:, None] * prior[None, :] + np.eye(len(prior))
-        start = len(prior) - sum(len(one.block.regressors) for one in chosen)
+        start = len(prior) - sum(len(candidate.block.regressors) for candidate in chosen)
         spans, at = [], start
-        for one in chosen:
-            spans.append(list(range(at, at + len(one.block.regressors))))
-            at += len(one.block.regressors)
+        for candidate in chosen:
+            spans.append(list(range(at, at + len(candidate.block.regressors))))
+            at += len(candidate.block.regressors)
         base = list(range(start))
         own = [i for span in spans for i in span]
         cross = matrix[np.ix_(base, own)]
@@ -86,9 +86,9 @@ def told_apart(
         left = left - cross.T @ np.linalg.solve(matrix[np.ix_(base, base)], cross)
         scale = prior[own]
         left = left / scale[:, None] / scale[None, :]
-        gains = [_gain(left, [[i - start for i in one] for one in spans], known, *pair) for pair in pairs]
+        gains = [_gain(left, [[i - start for i in span] for span in spans], known, *pair) for pair in pairs]
         proposals.append(Proposal(name, minutes, max(min(gains), 0.0)))
-    return sorted(proposals, key=lambda one: -one.gain)
+    return sorted(proposals, key=lambda proposal: -proposal.gain)
 
 
 def _known(step: Exploration, number: int) -> tuple[Array, Array]:
@@ -116,7 +116,7 @@ def _gain(
 
 def recommended(proposals: Sequence[Proposal], *, threshold: float) -> Proposal | None:
     """Return the shortest experiment that settles it, else the one that tells most; None: none tells more."""
-    settling = [one for one in proposals if one.gain >= _ENOUGH * threshold]
+    settling = [proposal for proposal in proposals if proposal.gain >= _ENOUGH * threshold]
     if settling:
-        return min(settling, key=lambda one: (one.minutes, -one.gain))
+        return min(settling, key=lambda proposal: (proposal.minutes, -proposal.gain))
     return proposals[0] if proposals and proposals[0].gain >= 1.0 else None

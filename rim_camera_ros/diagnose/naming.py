@@ -100,7 +100,7 @@ def _response_sentence(effect: Effect, fitted: Fit) -> str | None:
     curves = fitted.forward.light_curves
     if not isinstance(effect, ResponseEffect) or curves is None or not curves.responds:
         return None
-    values = [one.amplitude[one.count > 0] for one in fitted.forward.dataset.stations]
+    values = [station.amplitude[station.count > 0] for station in fitted.forward.dataset.stations]
     published = np.quantile(np.concatenate(values), _DARK_TO_BRIGHT)
     light = curves.light_of(published, effect.compressed)
     said = [" / ".join(f"{value:,.1f}" for value in one) for one in (light, published)]
@@ -111,9 +111,9 @@ def _size(fitted: Fit, name: str, origin: Camera) -> float | None:
     from rim_camera_ros.select.effect_sizes import contribution
 
     values = []
-    for one in fitted.forward.predictions():
-        image = contribution(one, name, origin)
-        values.append(np.abs(np.broadcast_to(image, one.used.shape)[one.used]))
+    for prediction in fitted.forward.predictions():
+        image = contribution(prediction, name, origin)
+        values.append(np.abs(np.broadcast_to(image, prediction.used.shape)[prediction.used]))
     everything = np.concatenate(values) if values else np.zeros(0)
     return float(np.quantile(everything, 0.99)) if everything.size else None
 
@@ -174,22 +174,22 @@ def ranking_of(baseline: Exploration, result: Result) -> list[Ranked]:
     if result.found:
         first = result.found[0]
         gains[first.effect] = max(first.gain, gains.get(first.effect, first.gain))
-        for one in result.found[1:]:
-            gains.setdefault(one.effect, one.gain)
+        for finding in result.found[1:]:
+            gains.setdefault(finding.effect, finding.gain)
     told = {effect: baseline.scores.identifiability(baseline.spans[k]) for effect, k in best.items()}
     ranking = [
         Ranked(name, float(weight), gain, *told.get(name, (None, None)))
         for (name, gain), weight in zip(gains.items(), _probabilities(gains.values()), strict=True)
     ]
-    return sorted(ranking, key=lambda one: -one.gain)
+    return sorted(ranking, key=lambda rival: -rival.gain)
 
 
 def with_unknown(ranking: Sequence[Ranked], gain: float) -> list[Ranked]:
     """Return the ranking with physics that is unknown among the effects, which gains so many nats."""
     ranked = [*ranking, Ranked(UNKNOWN, 0.0, gain)]
-    weights = _probabilities([one.gain for one in ranked])
-    found = [replace(one, probability=float(p)) for one, p in zip(ranked, weights, strict=True)]
-    return sorted(found, key=lambda one: -one.gain)
+    weights = _probabilities([rival.gain for rival in ranked])
+    found = [replace(rival, probability=float(p)) for rival, p in zip(ranked, weights, strict=True)]
+    return sorted(found, key=lambda rival: -rival.gain)
 
 
 def _probabilities(gains: Collection[float]) -> Array:
@@ -207,7 +207,9 @@ def unseen_effects(step: Exploration) -> list[str]:
         seen[name] = max(seen.get(name, 0.0), step.scores.information(step.spans[k]))
     absent = set(registry()) - set(step.fit.camera.effects) - set(seen)
     hidden = {name for name, info in seen.items() if info < 1.0}
-    silent = {name for name, one in registry().items() if one.stated_by_pixels or one.estimated == "pixels"}
+    silent = {
+        name for name, effect in registry().items() if effect.stated_by_pixels or effect.estimated == "pixels"
+    }
     return sorted((absent | hidden) - silent)
 
 
@@ -223,7 +225,7 @@ def next_recording(
     for names in ties:
         if tuple(names) in advice:
             proposal = advice[tuple(names)]
-            rivals = " and ".join(one.replace("_", " ") for one in names)
+            rivals = " and ".join(name.replace("_", " ") for name in names)
             parts.append(
                 f"none of the shipped experiments would tell {rivals} apart at their present strength"
                 if proposal is None
@@ -237,9 +239,9 @@ def next_recording(
 def notes_of_refused(result: Result) -> list[str]:
     """Return what is said of effects that would gain and are not named: one sentence for each reason."""
     by_reason: dict[str, list[str]] = {}
-    for one in result.refused:
-        told = f"{one.effect} ({one.gain:,.0f} nats, its threshold {one.threshold:,.0f})"
-        by_reason.setdefault(one.why, []).append(told)
+    for refused in result.refused:
+        told = f"{refused.effect} ({refused.gain:,.0f} nats, its threshold {refused.threshold:,.0f})"
+        by_reason.setdefault(refused.why, []).append(told)
     return [f"not added, {why}: {', '.join(told)}" for why, told in by_reason.items()]
 
 

@@ -20,7 +20,7 @@ from rim_camera_ros.select.exploration import Exploration
 
 _NOISE = NoiseSection.name
 #: What may be named by repeated frames alone, though no distance moves.
-OF_NOISE = frozenset(name for name, one in vocabulary().items() if one.shows_in == "noise")
+OF_NOISE = frozenset(name for name, effect in vocabulary().items() if effect.shows_in == "noise")
 #: Relative deviation of the variance below which it may be due to light that no named physics predicts.
 _OF_UNKNOWN_LIGHT = 0.2
 #: Covariates that the light of a surface goes with.
@@ -51,8 +51,8 @@ def with_variance(
         return verdict, missing, model
     possible = variance.background > 0 and effect_of(model, UnmodulatedLight) is None
     # what it adds to the distance goes with the light that a surface reflects of it
-    of_light = {one.effect for one in missing} <= {UNKNOWN} and all(
-        set(one.covariates) <= _OF_LIGHT for one in missing
+    of_light = {effect.effect for effect in missing} <= {UNKNOWN} and all(
+        set(effect.covariates) <= _OF_LIGHT for effect in missing
     )
     unknown_light = verdict == "unknown_physics" and abs(variance.ratio - 1) < _OF_UNKNOWN_LIGHT
     if variance.noise_is_wrong and not (unknown_light and not (possible and of_light)):
@@ -97,10 +97,10 @@ def beside_unknown(
     """
     noise = camera.noise
     before = {"floor": noise.floor, "shot": noise.shot, "amplitude": noise.amplitude}
-    others = [one for one in missing if one.effect != UNKNOWN]
-    adjusted = [Adjusted(_NOISE, before, one.parameters) for one in others if one.effect == _NOISE]
-    notes = [f"beside it, and in camera.yaml: {one.sentence}" for one in others]
-    return [one for one in missing if one.effect == UNKNOWN], adjusted, notes
+    others = [effect for effect in missing if effect.effect != UNKNOWN]
+    adjusted = [Adjusted(_NOISE, before, other.parameters) for other in others if other.effect == _NOISE]
+    notes = [f"beside it, and in camera.yaml: {other.sentence}" for other in others]
+    return [effect for effect in missing if effect.effect == UNKNOWN], adjusted, notes
 
 
 def only_background(result: Result, rest: Rest | None, variance: Variance, camera: Camera) -> bool:
@@ -124,7 +124,7 @@ def only_rectified_noise(result: Result, variance: Variance) -> bool:
 
     The mean length of a noisy phasor is above the phasor's (Rice 1944), most where it is dark.
     """
-    alone = bool(result.found) and all(vocabulary()[one.effect].is_response for one in result.found)
+    alone = bool(result.found) and all(vocabulary()[finding.effect].is_response for finding in result.found)
     too_noisy = variance.noise_is_wrong and variance.ratio > 1
     return alone and too_noisy and result.gained < _SHIFT_OF_BACKGROUND * _cost(result, variance)
 

@@ -51,10 +51,14 @@ _KINDS = (
 
 def nuisances_of(fitted: Fit, camera: Camera, gains: GainSpread | None = None) -> list[Nuisance]:
     """Return what was found of reflectivities, powers and poses [m, rad], optics, and ``gains`` of pixels."""
-    priors = {one.label: one.prior for one in fitted.equations.regressors}
+    priors = {regressor.label: regressor.prior for regressor in fitted.equations.regressors}
     result = []
     for name, beginning, unit in _KINDS:
-        labels = [one for one in fitted.parameters if one.startswith(beginning) and one in priors]
+        labels = [
+            parameter
+            for parameter in fitted.parameters
+            if parameter.startswith(beginning) and parameter in priors
+        ]
         if beginning == COMMON_POSE:
             labels = [one for one in labels if one.endswith("offset") == (unit == "m")]
         if labels:
@@ -88,8 +92,10 @@ def optics_beyond(fitted: Fit) -> str | None:
     the file knows with the variance P and the fit with S moves by a variance of P - S where the file is right
     (Demortier & Lyons, CDF note 5776, 2002).
     """
-    priors = {one.label: one.prior for one in fitted.equations.regressors}
-    own = [one for one in fitted.parameters if one.startswith(OPTICS) and one in priors]
+    priors = {regressor.label: regressor.prior for regressor in fitted.equations.regressors}
+    own = [
+        parameter for parameter in fitted.parameters if parameter.startswith(OPTICS) and parameter in priors
+    ]
     if not own:
         return None
     moved = np.array([fitted.parameters[one] for one in own])
@@ -113,7 +119,7 @@ def conditional_on_physics(result: Result) -> Fit:
     pose, or in all; poses that were moved err by as much beside it.
     """
     step = result.explorations[-1]
-    disputed = next((one.effect for one in result.refused if one.why == NOT_IN_ALL_POSES), None)
+    disputed = next((refused.effect for refused in result.refused if refused.why == NOT_IN_ALL_POSES), None)
     number = None if disputed is None else step.best().get(disputed)
     if number is None and not step.forms:
         return step.fit
@@ -125,13 +131,13 @@ def poses_beyond(fitted: Fit, camera: Camera, errors: Mapping[tuple[int, int], f
 
     ``errors`` of those that do, in stated 1-sigma.
     """
-    for one in nuisances_of(fitted, camera):
-        if one.name in ("pose_offset", "pose_tilt") and one.found > BEYOND * one.stated:
-            size = f"{one.found * 1e3:.2g} {'mm' if one.unit == 'm' else 'mrad'}"
+    for nuisance in nuisances_of(fitted, camera):
+        if nuisance.name in ("pose_offset", "pose_tilt") and nuisance.found > BEYOND * nuisance.stated:
+            size = f"{nuisance.found * 1e3:.2g} {'mm' if nuisance.unit == 'm' else 'mrad'}"
             worst = sorted(errors, key=lambda key: -errors[key])[:_MOST_NAMED]
             which = f", most of all {', '.join(str(pose) for _, pose in worst)}" if worst else ""
             return (
-                f"pose: poses err by {size} (RMS), {one.found / one.stated:.1f} times what is "
+                f"pose: poses err by {size} (RMS), {nuisance.found / nuisance.stated:.1f} times what is "
                 f"stated{which}: these stand elsewhere, or the instrument is not as good as its pose_sigma "
                 "says; correct the poses or state a larger pose_sigma"
             )
@@ -155,10 +161,10 @@ def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
 
     Where surfaces that stand elsewhere gain what another set-up must.
     """
-    for one in nuisances_of(fitted, camera):
-        if one.name in _COMMON and one.gain > LEAST_GAIN:
-            size = f"{one.found * 1e3:.2g} {'mm' if one.unit == 'm' else 'mrad'}"
-            offset = one.unit == "m"
+    for nuisance in nuisances_of(fitted, camera):
+        if nuisance.name in _COMMON and nuisance.gain > LEAST_GAIN:
+            size = f"{nuisance.found * 1e3:.2g} {'mm' if nuisance.unit == 'm' else 'mrad'}"
+            offset = nuisance.unit == "m"
             own = {
                 label: abs(value)
                 for label, value in fitted.parameters.items()
@@ -166,9 +172,9 @@ def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
             }
             surface = max(own, key=lambda label: own[label]).removeprefix(COMMON_POSE).rpartition(".")[0]
             return (
-                f"{_COMMON[one.name]}: poses of a surface err alike, by {size} (RMS over surfaces), "
-                f"{one.found / one.stated:.1f} times what is stated, most of all those of {surface}: it "
-                "stands elsewhere than its poses say; measure it anew, or state a larger pose_sigma"
+                f"{_COMMON[nuisance.name]}: poses of a surface err alike, by {size} (RMS over surfaces), "
+                f"{nuisance.found / nuisance.stated:.1f} times what is stated, most of all those of {surface}"
+                ": it stands elsewhere than its poses say; measure it anew, or state a larger pose_sigma"
                 + (_OR_THE_CAMERA if len(own) == 1 else "")
             )
     return None
@@ -176,7 +182,7 @@ def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
 
 def offset_beyond(metres: float, nuisances: Sequence[Nuisance]) -> str | None:
     """Return in words that all distances differ from the files by so much; None: within what poses err."""
-    stated = [one.stated for one in nuisances if one.name == "common_pose_offset"]
+    stated = [nuisance.stated for nuisance in nuisances if nuisance.name == "common_pose_offset"]
     if not stated or abs(metres) <= BEYOND * max(stated):
         return None
     return (
@@ -188,10 +194,14 @@ def offset_beyond(metres: float, nuisances: Sequence[Nuisance]) -> str | None:
 
 def reflectivities_beyond(fitted: Fit, scene: Scene) -> str | None:
     """Return which surface reflects otherwise than stated, by far more than is stated; None: none does."""
-    priors = {one.label: one.prior for one in fitted.equations.regressors}
+    priors = {regressor.label: regressor.prior for regressor in fitted.equations.regressors}
     for surface in scene.surfaces:
         beginning = f"{TILES}{surface.name}."
-        own = [one for one in fitted.parameters if one.startswith(beginning) and one in priors]
+        own = [
+            parameter
+            for parameter in fitted.parameters
+            if parameter.startswith(beginning) and parameter in priors
+        ]
         if not own:
             continue
         # by the median: a tile that few pixels see says little

@@ -67,16 +67,16 @@ def spread_of_gains(fitted: Fit) -> GainSpread | None:
     forward = fitted.forward
     shape = forward.camera.shape
     placed: dict[tuple[int, int], tuple[Array, Array]] = {}
-    for one in forward.predictions(slopes=False):
-        lit = one.amplitude_used & (one.station.amplitude > 0)
+    for prediction in forward.predictions(slopes=False):
+        lit = prediction.amplitude_used & (prediction.station.amplitude > 0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            light = np.where(lit, np.log(one.station.amplitude / one.model_reading), np.nan)
+            light = np.where(lit, np.log(prediction.station.amplitude / prediction.model_reading), np.nan)
         if forward.amplitude_model.pixels is not None:
             light = light + forward.amplitude_model.pixels
         apart, count = placed.setdefault(
-            (one.station.recording, one.station.placed), (np.zeros(shape), np.zeros(shape))
+            (prediction.station.recording, prediction.station.placed), (np.zeros(shape), np.zeros(shape))
         )
-        own = _beside_neighbours(light, one.view.geometry.tile)
+        own = _beside_neighbours(light, prediction.view.geometry.tile)
         seen = np.isfinite(own)
         apart[seen] += own[seen]
         count += seen
@@ -84,7 +84,7 @@ def spread_of_gains(fitted: Fit) -> GainSpread | None:
     of_pixels = _variance(images)
     if of_pixels is None:
         return None
-    found, least = (float(np.sqrt(max(one, 0.0) / _OF_DIFFERENCE)) for one in of_pixels)
+    found, least = (float(np.sqrt(max(pixel, 0.0) / _OF_DIFFERENCE)) for pixel in of_pixels)
     brighter, poses = _totals(images)
     brighter = np.where(poses > 1, brighter / np.maximum(poses, 1), np.nan)
     stated = forward.camera.radiometry.pattern_sigma
@@ -94,9 +94,9 @@ def spread_of_gains(fitted: Fit) -> GainSpread | None:
 def _totals(images: Sequence[Array], *, square: bool = False) -> tuple[Array, Array]:
     """Return the sum over images (H, W; NaN: not seen), or of their squares, and how many show each pixel."""
     total, count = np.zeros(images[0].shape), np.zeros(images[0].shape)
-    for one in images:
-        seen = np.isfinite(one)
-        total[seen] += one[seen] ** 2 if square else one[seen]
+    for image in images:
+        seen = np.isfinite(image)
+        total[seen] += image[seen] ** 2 if square else image[seen]
         count += seen
     return total, count
 
@@ -123,10 +123,10 @@ def _of_lines(images: Sequence[Array], axis: int) -> float:
     if not poses.any():
         return 0.0
     common = total.sum() / poses.sum()
-    squares, _ = _totals([one - common for one in images], square=True)
+    squares, _ = _totals([image - common for image in images], square=True)
     total = total - common * poses
-    sums = np.array([np.nansum(one - common, axis=axis) for one in images])
-    counts = np.array([np.isfinite(one).sum(axis=axis) for one in images])
+    sums = np.array([np.nansum(image - common, axis=axis) for image in images])
+    counts = np.array([np.isfinite(image).sum(axis=axis) for image in images])
     products = sums.sum(axis=0) ** 2 - (sums**2).sum(axis=0) - (total**2 - squares).sum(axis=axis)
     pairs = counts.sum(axis=0) ** 2 - (counts**2).sum(axis=0) - (poses**2 - poses).sum(axis=axis)
     several = pairs > 0

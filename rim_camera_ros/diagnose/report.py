@@ -27,25 +27,26 @@ def as_json(result: Diagnosis) -> dict[str, Any]:
     report: dict[str, Any] = {
         "format": FORMAT,
         "verdict": result.verdict,
-        "missing": [_missing(one, result) for one in result.missing],
+        "missing": [_missing(effect, result) for effect in result.missing],
         "adjusted": [
-            {"effect": one.effect, "from": dict(one.before), "to": dict(one.after)} for one in result.adjusted
+            {"effect": term.effect, "from": dict(term.before), "to": dict(term.after)}
+            for term in result.adjusted
         ],
         "ranking": [
             {
-                "effect": one.effect,
-                "probability": one.probability,
-                "held_out_gain": one.gain,
-                "identifiability": one.identifiability,
-                "expected_gain": one.expected_gain,
+                "effect": rival.effect,
+                "probability": rival.probability,
+                "held_out_gain": rival.gain,
+                "identifiability": rival.identifiability,
+                "expected_gain": rival.expected_gain,
             }
-            for one in result.ranking
+            for rival in result.ranking
         ],
         "indistinguishable": result.indistinguishable,
         "where": {
             "covariates": [{"name": name, "share": share} for name, share in result.where.covariates],
             "pixels": WHERE,
-            "times": [list(one) for one in result.where.times],
+            "times": [list(time) for time in result.where.times],
         },
         "fit": {
             "rms_before": measure.rms_before,
@@ -63,11 +64,12 @@ def as_json(result: Diagnosis) -> dict[str, Any]:
         "variance_ratio": result.variance.ratio if result.variance.repeated else None,
         "not_visible_here": result.unseen,
         "nuisances": [
-            {"name": one.name, "found": one.found, "stated": one.stated, "unit": one.unit}
-            for one in result.nuisances
+            {"name": nuisance.name, "found": nuisance.found, "stated": nuisance.stated, "unit": nuisance.unit}
+            for nuisance in result.nuisances
         ],
         "setup": [
-            {"hypothesis": one.hypothesis, "surface": one.surface, "gain": one.gain} for one in result.setups
+            {"hypothesis": setup.hypothesis, "surface": setup.surface, "gain": setup.gain}
+            for setup in result.setups
         ],
         "notes": result.notes,
     }
@@ -77,30 +79,30 @@ def as_json(result: Diagnosis) -> dict[str, Any]:
     return plain
 
 
-def _missing(one: Missing, result: Diagnosis) -> dict[str, Any]:
+def _missing(effect: Missing, result: Diagnosis) -> dict[str, Any]:
     entry: dict[str, Any] = {
-        "effect": one.effect,
-        "probability": one.probability,
-        "parameters": _parameters(one, result),
-        "interval": {path: [low, high] for path, (low, high) in one.interval.items()},
-        "sentence": one.sentence,
+        "effect": effect.effect,
+        "probability": effect.probability,
+        "parameters": _parameters(effect, result),
+        "interval": {path: [low, high] for path, (low, high) in effect.interval.items()},
+        "sentence": effect.sentence,
     }
-    if one.magnitude is not None or one.effect == UNKNOWN:
-        entry["magnitude"] = one.magnitude
-    if one.distance_sigma is not None:
-        entry["distance_sigma"] = one.distance_sigma
-    if one.covariates or one.effect == UNKNOWN:
-        entry["covariates"] = list(one.covariates)
-        entry["closed_form"] = one.formula
+    if effect.magnitude is not None or effect.effect == UNKNOWN:
+        entry["magnitude"] = effect.magnitude
+    if effect.distance_sigma is not None:
+        entry["distance_sigma"] = effect.distance_sigma
+    if effect.covariates or effect.effect == UNKNOWN:
+        entry["covariates"] = list(effect.covariates)
+        entry["closed_form"] = effect.formula
     return entry
 
 
-def _parameters(one: Missing, result: Diagnosis) -> Any:
+def _parameters(named: Missing, result: Diagnosis) -> Any:
     """Return the parameters as in the camera file."""
-    if one.effect == UNKNOWN and not one.modelled:
+    if named.effect == UNKNOWN and not named.modelled:
         return {}
-    effect = result.camera.effects.get(CovariateTable.name if one.effect == UNKNOWN else one.effect)
-    return encode(effect) if effect is not None else _nested(one.parameters)
+    effect = result.camera.effects.get(CovariateTable.name if named.effect == UNKNOWN else named.effect)
+    return encode(effect) if effect is not None else _nested(named.parameters)
 
 
 def _nested(values: Mapping[str, float]) -> dict[str, Any]:

@@ -119,7 +119,7 @@ def diagnose(
         workers,
         say,
     )
-    if any(one.saturated.any() for one in dataset.stations):
+    if any(station.saturated.any() for station in dataset.stations):
         result.notes.append(_SATURATED_ELSEWHERE)
     return on_full_grid(result, camera, step)
 
@@ -224,7 +224,7 @@ def _diagnose(
     explained = explained_share(result, unknown)
     described = None
     # a curve of the light that is not refitted leaves a smooth rest by itself, smaller than what it explains
-    linear = any(one.effect in OF_SURFACES for one in result.found)
+    linear = any(finding.effect in OF_SURFACES for finding in result.found)
     by_itself = linear and unknown is not None and unknown.on_top < named
     if unknown is not None and not by_itself and not only_noise(result, unknown, variance):
         beyond = not result.found or unknown.gain > _BEYOND_NAMED * result.found[0].gain
@@ -238,11 +238,11 @@ def _diagnose(
     setup = check_setup(
         conditional,
         explained=explained,
-        physics=[one.effect for one in result.found] if described is None else [CovariateTable.name],
+        physics=[finding.effect for finding in result.found] if described is None else [CovariateTable.name],
         before=baseline.fit,
     )
     reason, winner = setup.reason, None
-    if any(one.is_better for one in setups):
+    if any(hypothesis.is_better for hypothesis in setups):
         setups = against_physics(setups, problem.dataset, scene, camera, found=best_fit.camera)
         winner = best_setup(setups)
         reason = reason if winner is None else winner.reason
@@ -253,8 +253,12 @@ def _diagnose(
             elsewhere = []  # nothing can be fitted to what the poses that are compared see alike
         if elsewhere:
             reason = elsewhere[0].reason
-            depths = {one.surface for one in elsewhere}
-            rest = [one for one in setups if one.hypothesis != DEPTH or one.surface not in depths]
+            depths = {hypothesis.surface for hypothesis in elsewhere}
+            rest = [
+                hypothesis
+                for hypothesis in setups
+                if hypothesis.hypothesis != DEPTH or hypothesis.surface not in depths
+            ]
             setups = [*elsewhere, *rest]
     if reason is None and described is None:
         # what was so before any physics was fitted, and stays
@@ -266,7 +270,7 @@ def _diagnose(
             setups = by_gain([*setups, moved_poses(astray)])
     elif setup.bad:
         setups = by_gain(
-            [*setups, moved_poses({one.key: one.error for one in setup.poses if one.key in setup.bad})]
+            [*setups, moved_poses({pose.key: pose.error for pose in setup.poses if pose.key in setup.bad})]
         )
     reason = None if variance.pixels_vary_together or codes is not None else reason
     spare = max(1, int(VERY_FEW * dataset.poses)) if spare is None else spare

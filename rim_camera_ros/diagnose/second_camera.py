@@ -61,7 +61,7 @@ def second_camera(fitted: Fit, camera: Camera, variance: Variance) -> SecondCame
     for all that are farther away, with their greater amplitudes. A frequency in the camera file is kept.
     """
     known = camera.effects.get(NAME)
-    stations = [one for one in fitted.forward.dataset.stations if one.common_light is not None]
+    stations = [station for station in fitted.forward.dataset.stations if station.common_light is not None]
     if not stations or (known is None and not variance.pixels_vary_together):
         return None
     light = Light.of(stations, camera)
@@ -128,11 +128,11 @@ class Light:
     @classmethod
     def of(cls, stations: Sequence[Station], camera: Camera) -> Light:
         """Return what the frames of stations have in common; each must have two frames or more."""
-        power = np.array([one.common_light for one in stations], float)
-        beyond = np.array([one.common for one in stations], float) - 1
+        power = np.array([station.common_light for station in stations], float)
+        beyond = np.array([station.common for station in stations], float) - 1
         noise = np.divide(power, beyond, out=np.zeros_like(power), where=beyond != 0)
-        frames = np.array([min(one.frames, KEPT_FRAMES) for one in stations])
-        return cls(np.array([_window(one, camera) for one in stations]), power, noise, frames - 1.0)
+        frames = np.array([min(station.frames, KEPT_FRAMES) for station in stations])
+        return cls(np.array([_window(station, camera) for station in stations]), power, noise, frames - 1.0)
 
     def picked(self, index: Array) -> Light:
         """Return the light of some stations, by their numbers."""
@@ -180,15 +180,15 @@ class Light:
         return float(found.x), float(found.fun)
 
 
-def _window(one: Station, camera: Camera) -> float:
-    own = one.settings.integration_time or camera.sensor.integration_time
+def _window(station: Station, camera: Camera) -> float:
+    own = station.settings.integration_time or camera.sensor.integration_time
     return 0.0 if own is None else camera.sensor.exposure_seconds(own)
 
 
 def _scatter(effect: ForeignLight, fitted: Fit) -> float:
     """Return the standard deviation of single distances [m] that 99 % of the values stay below."""
     spread = [
-        effect.scatter(one.amplitude[one.used], one.context)
-        for one in fitted.forward.predictions(slopes=False)
+        effect.scatter(prediction.amplitude[prediction.used], prediction.context)
+        for prediction in fitted.forward.predictions(slopes=False)
     ]
     return float(np.quantile(np.concatenate(spread), 0.99))

@@ -101,7 +101,7 @@ class Setup:
     @property
     def chi_square(self) -> float:
         """Mean chi-square per distance over the poses, after the fit."""
-        return float(np.mean([one.chi_square for one in self.poses])) if self.poses else 1.0
+        return float(np.mean([pose.chi_square for pose in self.poses])) if self.poses else 1.0
 
 
 def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:
@@ -111,14 +111,14 @@ def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:
     """
     worst = errors_of_placements(standard_errors(fitted))
     found: dict[tuple[int, int], _Sums] = {}
-    for one in fitted.forward.predictions():
-        station = one.station
-        if not one.used.any():
+    for prediction in fitted.forward.predictions():
+        station = prediction.station
+        if not prediction.used.any():
             continue
-        rest_image, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
+        rest_image, _ = after_nuisances(prediction, fitted.pattern, fitted.nuisances)
         # a handful of pixels, as those that some frames see beyond the ambiguity range, is no other pose
-        z = np.clip(rest_image[one.used] / one.sigma[one.used], -WILD, WILD)
-        moved = _moved(one, physics)[one.used]
+        z = np.clip(rest_image[prediction.used] / prediction.sigma[prediction.used], -WILD, WILD)
+        moved = _moved(prediction, physics)[prediction.used]
         acting = np.abs(moved) > _ACTS
         # a few saturated pixels may act on every row, though not in other poses
         bleeding = any(registry()[name].from_saturated for name in physics if name in registry()) and bool(
@@ -133,7 +133,7 @@ def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:
         sums.square += float(np.sum(z**2))
         sums.moved += float(np.sum(moved**2))
         sums.acting += float(np.sum(z[acting] ** 2)) if few else 0.0
-        sums.medians.append(float(np.median(one.residual[one.used])))
+        sums.medians.append(float(np.median(prediction.residual[prediction.used])))
     return [
         PoseCheck(
             key,
@@ -167,8 +167,8 @@ def errors_of_poses(fitted: Fit) -> dict[tuple[int, int], float]:
     """Return the greatest error of each pose in sigmas of its instrument, by recording and pose."""
     worst = errors_of_placements(standard_errors(fitted))
     return {
-        (one.recording, one.pose): worst.get((one.recording, one.placed), (0.0, ""))[0]
-        for one in fitted.forward.dataset.stations
+        (station.recording, station.pose): worst.get((station.recording, station.placed), (0.0, ""))[0]
+        for station in fitted.forward.dataset.stations
     }
 
 
@@ -184,10 +184,10 @@ def _moved(prediction: Prediction, physics: Sequence[str]) -> Array:
 def overlap(fitted: Fit) -> float:
     """Return the share of the pixels with a measurement at which the scene has a surface."""
     both = measured = 0
-    for one in fitted.forward.predictions(slopes=False):
-        valid = one.station.count > 0
+    for prediction in fitted.forward.predictions(slopes=False):
+        valid = prediction.station.count > 0
         measured += int(valid.sum())
-        both += int((valid & one.view.geometry.hit).sum())
+        both += int((valid & prediction.view.geometry.hit).sum())
     return both / measured if measured else 0.0
 
 
@@ -213,23 +213,31 @@ def check_setup(
     strained = _STRAINED if physics else 1.0
     bad = _few(poses, strained)
     if physics and before is not None:
-        first = {one.key: one for one in check_poses(before)}
-        already = {one.key: one.error for one in _few([*first.values()], 1.0)}
+        first = {pose.key: pose for pose in check_poses(before)}
+        already = {pose_check.key: pose_check.error for pose_check in _few([*first.values()], 1.0)}
         # what was found may strain the others, so that these do not stand out any more
         least = {key: max(_STRAINED * FAR, _HALF * error) for key, error in already.items()}
-        left = [one for one in poses if one not in bad and one.error > least.get(one.key, np.inf)]
+        left = [pose for pose in poses if pose not in bad and pose.error > least.get(pose.key, np.inf)]
         # what many poses show is physics
         bad += left if len(bad) + len(left) <= _most_few(poses) else []
-        before_of = {key: one.chi_square for key, one in first.items()}
-        bad = [one for one in bad if one.chi_square > _HALF * before_of.get(one.key, 0.0)]
-        bad = [one for one in bad if one.error > _STRAINED * FAR or not _by_form(one)]
+        before_of = {key: pose_check.chi_square for key, pose_check in first.items()}
+        bad = [
+            pose_check
+            for pose_check in bad
+            if pose_check.chi_square > _HALF * before_of.get(pose_check.key, 0.0)
+        ]
+        bad = [
+            pose_check for pose_check in bad if pose_check.error > _STRAINED * FAR or not _by_form(pose_check)
+        ]
     if not bad:
         return Setup(tuple(poses), None)
-    numbers = ",".join(str(one.key[1]) for one in sorted(bad, key=lambda one: one.key))
+    numbers = ",".join(
+        str(pose_check.key[1]) for pose_check in sorted(bad, key=lambda pose_check: pose_check.key)
+    )
     return Setup(
         tuple(poses),
         _of_few(bad, len(poses), strained),
-        tuple(one.key for one in bad),
+        tuple(pose_check.key for pose_check in bad),
         f"--without-poses {numbers} leaves them out",
     )
 
@@ -247,9 +255,9 @@ class _Gross(NamedTuple):
 
 
 def _gross(fitted: Fit, poses: list[PoseCheck]) -> _Gross | None:
-    median = float(np.median([abs(one.median) for one in poses]))
-    spread = float(np.std([one.median for one in poses]))
-    chi_square = float(np.median([one.chi_square for one in poses]))
+    median = float(np.median([abs(pose.median) for pose in poses]))
+    spread = float(np.std([pose.median for pose in poses]))
+    chi_square = float(np.median([pose.chi_square for pose in poses]))
     share = overlap(fitted)
     if share < LEAST_OVERLAP and chi_square > LARGE:
         return _Gross(
@@ -278,14 +286,14 @@ def _few(poses: list[PoseCheck], factor: float) -> list[PoseCheck]:
     if len(poses) < _LEAST_POSES:
         return []
     bad = []
-    for i, one in enumerate(poses):
+    for i, pose in enumerate(poses):
         others = [*poses[:i], *poses[i + 1 :]]
         error = float(np.quantile([other.error for other in others], 0.8))
         typical = float(np.quantile([other.chi_square for other in others], 0.8))
-        if (one.error > factor * FAR and one.error > factor * AGAINST_OTHERS * error) or (
-            one.chi_square > factor * LARGE and one.chi_square > factor * AGAINST_OTHERS * typical
+        if (pose.error > factor * FAR and pose.error > factor * AGAINST_OTHERS * error) or (
+            pose.chi_square > factor * LARGE and pose.chi_square > factor * AGAINST_OTHERS * typical
         ):
-            bad.append(one)
+            bad.append(pose)
     return bad if len(bad) <= _most_few(poses) else []
 
 
@@ -294,8 +302,8 @@ def _most_few(poses: Sequence[PoseCheck]) -> float:
 
 
 def _of_few(bad: list[PoseCheck], count: int, factor: float) -> str:
-    worst = sorted(bad, key=lambda one: -max(one.error, one.chi_square))[:5]
-    names = ", ".join(str(one.key[1]) for one in worst)
+    worst = sorted(bad, key=lambda pose_check: -max(pose_check.error, pose_check.chi_square))[:5]
+    names = ", ".join(str(pose_check.key[1]) for pose_check in worst)
     first = worst[0]
     detail = (
         f"pose {first.key[1]} at {first.time:.1f} s: {first.error_of.removeprefix('pose.')} is off by "

@@ -96,50 +96,56 @@ def predicted(
     offset = _common_offset(predictions) if before is None else before.offset
     looks = {} if before is None else dict(before.looks)
     looks |= {
-        (one.station.recording, one.station.pose): _look(forward, one, offset)
-        for one in predictions
-        if (one.station.count > 0).any()
+        (prediction.station.recording, prediction.station.pose): _look(forward, prediction, offset)
+        for prediction in predictions
+        if (prediction.station.count > 0).any()
     }
-    sigma = [np.full(one.tiles, max(one.reflectivity_sigma, _EXACT)) for one in scene.surfaces]
+    sigma = [np.full(surface.tiles, max(surface.reflectivity_sigma, _EXACT)) for surface in scene.surfaces]
     return SetupPrediction(looks, np.concatenate(sigma), offset)
 
 
 def _common_offset(predictions: Sequence[Prediction]) -> float:
     """Return the median [m] of what distances differ by, over all pixels of a set-up; 0 without any."""
     apart = np.concatenate(
-        [np.zeros(0), *(one.residual[one.view.clean & (one.station.count > 0)] for one in predictions)]
+        [
+            np.zeros(0),
+            *(
+                prediction.residual[prediction.view.clean & (prediction.station.count > 0)]
+                for prediction in predictions
+            ),
+        ]
     )
     apart = apart[np.isfinite(apart)]
     return float(np.median(apart)) if apart.size else 0.0
 
 
-def _look(forward: Forward, one: Prediction, offset: float) -> Look:
-    measured, view = one.station.count > 0, one.view
+def _look(forward: Forward, seen: Prediction, offset: float) -> Look:
+    measured, view = seen.station.count > 0, seen.view
     hit, clean = view.geometry.hit, view.clean
     described = np.array([each.is_described for each in forward.scene.surfaces])[view.geometry.surface]
-    scatter = one.sigma**2 + _CAMERA_DISTANCE**2
-    wraps, period = forward.camera.sensor.wraps, one.context.ambiguity
+    scatter = seen.sigma**2 + _CAMERA_DISTANCE**2
+    wraps, period = forward.camera.sensor.wraps, seen.context.ambiguity
 
     def loss_of(light: Array, away: Array, tells: Array) -> tuple[Array, Array, Array]:
         """Distance loss, log ratio and its variance by predictions ``away`` [m] from the own ones."""
-        rest = one.residual - offset + away
+        rest = seen.residual - offset + away
         rest = wrap_residual(rest, period) if wraps else rest
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.log(one.station.amplitude / light)
-            variance = (one.amplitude_noise / light) ** 2 + CAMERA_AMPLITUDE**2
+            ratio = np.log(seen.station.amplitude / light)
+            variance = (seen.amplitude_noise / light) ** 2 + CAMERA_AMPLITUDE**2
             distance = np.minimum(np.nan_to_num(rest**2 / scatter, nan=_MOST), _MOST)
         # no amplitude is as wrong as can be; that of a surface which nobody described says nothing
         ratio = np.where(tells, np.where(np.isfinite(ratio), ratio, np.inf), 0.0)
         return distance, ratio, variance
 
-    images = [*loss_of(one.model_amplitude, np.zeros(hit.shape), described), view.geometry.tile.copy()]
+    images = [*loss_of(seen.model_amplitude, np.zeros(hit.shape), described), view.geometry.tile.copy()]
     least = _total(*images[:3])
-    expected = one.sigma**2 / scatter + (images[2] - CAMERA_AMPLITUDE**2) / images[2]
+    expected = seen.sigma**2 / scatter + (images[2] - CAMERA_AMPLITUDE**2) / images[2]
     for by in _NEIGHBOURS:
         light, there, tells, tile = (
-            _shifted(x, by) for x in (one.model_amplitude, one.distance, described, view.geometry.tile)
+            _shifted(x, by) for x in (seen.model_amplitude, seen.distance, described, view.geometry.tile)
         )
-        other = [*loss_of(light, one.distance - there, tells), tile]
+        other = [*loss_of(light, seen.distance - there, tells), tile]
         total = _total(*other[:3])
         better = ~clean & _shifted(hit, by) & (total < least)
         for image, value in zip([*images, least], [*other, total], strict=True):

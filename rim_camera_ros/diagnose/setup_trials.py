@@ -73,11 +73,11 @@ def _as_measured(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[Tri
     forward = coarse_forward(dataset, scene, camera)
     ratios = _ratios(forward)
     depths: dict[int, list[float]] = {}
-    for one in forward.predictions(slopes=False):
-        geometry = one.view.geometry
-        for number in np.unique(geometry.surface[one.used]):
-            mine = one.used & (geometry.surface == number)
-            along = one.residual * geometry.cos_incidence
+    for prediction in forward.predictions(slopes=False):
+        geometry = prediction.view.geometry
+        for number in np.unique(geometry.surface[prediction.used]):
+            mine = prediction.used & (geometry.surface == number)
+            along = prediction.residual * geometry.cos_incidence
             depths.setdefault(int(number), []).append(float(np.median(along[mine])))
     for number, surface in enumerate(scene.surfaces):
         others = [value for i, values in depths.items() if i != number for value in values]
@@ -94,11 +94,11 @@ def _as_measured(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[Tri
 def _ratios(forward: Forward) -> dict[int, list[float]]:
     """Return log ratios of measured and predicted amplitudes by tile, a median for each station."""
     ratios: dict[int, list[float]] = {}
-    for one in forward.predictions(slopes=False):
-        tiles = one.view.geometry.tile
+    for prediction in forward.predictions(slopes=False):
+        tiles = prediction.view.geometry.tile
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.log(one.station.amplitude / one.model_amplitude)
-        lit = one.amplitude_used & np.isfinite(ratio)
+            ratio = np.log(prediction.station.amplitude / prediction.model_amplitude)
+        lit = prediction.amplitude_used & np.isfinite(ratio)
         for tile in np.unique(tiles[lit]):
             ratios.setdefault(int(tile), []).append(float(np.median(ratio[lit & (tiles == tile)])))
     return ratios
@@ -109,7 +109,7 @@ def _repainted(scene: Scene, number: int, ratios: Mapping[int, Sequence[float]])
     surface = scene.surfaces[number]
     if surface.texture is None or not surface.is_described:
         return None
-    start = sum(one.tiles for one in scene.surfaces[:number])
+    start = sum(plane.tiles for plane in scene.surfaces[:number])
     values = surface.texture.values.values.copy()
     limit = 3.0 * max(surface.reflectivity_sigma, CAMERA_AMPLITUDE)
     for k, value in enumerate(values.ravel()):
@@ -125,7 +125,7 @@ def _repainted(scene: Scene, number: int, ratios: Mapping[int, Sequence[float]])
 
 def other_boards(dataset: Dataset, scene: Scene, camera: Camera, name: str) -> Iterator[Trial]:
     """Yield boards of other sizes whose tiles reflect as the recording shows, in the place of a surface."""
-    number = next(i for i, one in enumerate(scene.surfaces) if one.name == name)
+    number = next(i for i, surface in enumerate(scene.surfaces) if surface.name == name)
     for factor in _BOARD_FACTORS:
         surfaces = list(scene.surfaces)
         surfaces[number] = _scaled(surfaces[number], factor)
@@ -214,7 +214,9 @@ def _to_distances(change: Callable[[Array, Array], Array]) -> Change:
     """Return what changes the distances (H, W) [m], given the rays (H, W, 3) of the pixels."""
 
     def changed(dataset: Dataset, scene: Scene, camera: Camera) -> Files:
-        stations = [replace(one, distance=change(one.distance, camera.rays)) for one in dataset.stations]
+        stations = [
+            replace(station, distance=change(station.distance, camera.rays)) for station in dataset.stations
+        ]
         return replace(dataset, stations=stations), scene, camera
 
     return changed
@@ -226,10 +228,12 @@ def to_poses(name: str | None, change: Callable[[Pose], Pose]) -> Change:
     def changed(dataset: Dataset, scene: Scene, camera: Camera) -> Files:
         stations = [
             replace(
-                one,
-                truth={key: change(pose) if name in (None, key) else pose for key, pose in one.truth.items()},
+                station,
+                truth={
+                    key: change(pose) if name in (None, key) else pose for key, pose in station.truth.items()
+                },
             )
-            for one in dataset.stations
+            for station in dataset.stations
         ]
         return replace(dataset, stations=stations), scene, camera
 

@@ -21,7 +21,7 @@ _ORDER = ("consistent", "wrong_parameters", "missing_physics", "unknown_physics"
 
 def gravest(results: Sequence[tuple[Part, Diagnosis]], changes: Sequence[Change]) -> str:
     """Return the verdict on all parts; ``changes``: what was wrong before any part was looked at."""
-    verdicts = [one.verdict for _, one in results] + ["wrong_parameters"] * bool(changes)
+    verdicts = [diagnosis.verdict for _, diagnosis in results] + ["wrong_parameters"] * bool(changes)
     return max(verdicts, key=_ORDER.index)
 
 
@@ -39,8 +39,8 @@ def as_one(results: Sequence[tuple[Part, Diagnosis]], changes: Sequence[Change])
     for key in ("missing", "adjusted"):
         whole[key] = [{**one, "part": name} for name, its in reports.items() for one in its[key]]
     whole["adjusted"] += [
-        {"effect": one.effect, "from": dict(one.before), "to": dict(one.after), "part": one.part}
-        for one in changes
+        {"effect": change.effect, "from": dict(change.before), "to": dict(change.after), "part": change.part}
+        for change in changes
     ]
     whole["parts"] = {
         name: {"verdict": its["verdict"], "report": f"{name}/{REPORT}", "page": f"{name}/{PAGE}"}
@@ -69,10 +69,10 @@ def text_of(
 ) -> str:
     """Return the texts of the parts under their names, after the verdict on all."""
     lines = [f"{gravest(results, changes)}, of all frequencies"]
-    for one in changes:
-        for key, before in one.before.items():
-            whose = f"{one.effect} of {one.part}" if one.part else "measurement"
-            moved = f"{key} {_shown(before)}, now {_shown(one.after[key])}"
+    for change in changes:
+        for key, before in change.before.items():
+            whose = f"{change.effect} of {change.part}" if change.part else "measurement"
+            moved = f"{key} {_shown(before)}, now {_shown(change.after[key])}"
             lines.append(f"  {whose} is not what was measured: {moved}")
     for (part, _), text in zip(results, texts, strict=True):
         lines += [part.name, text]

@@ -68,13 +68,13 @@ def axes_of(forward: Forward, names: Sequence[str] = SMOOTH, *, seed: int = 0) -
     rng = np.random.default_rng([seed, 5])
     samples: dict[str, list[Array]] = {name: [] for name in names}
     missing: set[str] = set()
-    for one in forward.predictions(slopes=False):
-        pixels = np.flatnonzero(one.used.ravel())
+    for prediction in forward.predictions(slopes=False):
+        pixels = np.flatnonzero(prediction.used.ravel())
         if not pixels.size:
             continue
         chosen = rng.choice(pixels, min(300, pixels.size), replace=False)
         for name in names:
-            value = values_of(name, one)
+            value = values_of(name, prediction)
             if value is None:
                 missing.add(name)
             elif np.ndim(value) == 0:
@@ -109,9 +109,9 @@ def knots_at(values: Array, count: int) -> tuple[float, ...]:
 
 def smooth_candidate(axes: Sequence[Axis]) -> Candidate:
     """Return a smooth term of one or two covariates; its regressors are the values at the knots."""
-    names = tuple(one.name for one in axes)
+    names = tuple(axis.name for axis in axes)
     label = ",".join(names)
-    shape = tuple(len(one.knots) for one in axes)
+    shape = tuple(len(axis.knots) for axis in axes)
     regressors = tuple(
         Regressor(f"smooth.{label}.{'.'.join(map(str, index))}", UNKNOWN, 0.5 * TERM_SIZE)
         for index in np.ndindex(*shape)
@@ -120,11 +120,11 @@ def smooth_candidate(axes: Sequence[Axis]) -> Candidate:
     def columns(prediction: Prediction) -> list[tuple[Array, Array | None]]:
         image = prediction.distance.shape
         weights: list[Array] = []
-        for one in axes:
-            value = values_of(one.name, prediction)
+        for axis in axes:
+            value = values_of(axis.name, prediction)
             if value is None:
                 return [(np.zeros(image), None)] * len(regressors)
-            weights.append(hats(np.asarray(value, float), np.array(one.knots)))
+            weights.append(hats(np.asarray(value, float), np.array(axis.knots)))
         if len(weights) == 1:
             return [(np.broadcast_to(w, image), None) for w in weights[0]]
         return [
@@ -134,13 +134,13 @@ def smooth_candidate(axes: Sequence[Axis]) -> Candidate:
         ]
 
     def build(camera: Camera, values: Coefficients) -> Camera:
-        table = np.array([values[one.label] for one in regressors]).reshape(shape)
+        table = np.array([values[regressor.label] for regressor in regressors]).reshape(shape)
         # a constant belongs to the fixed pattern
         table = table - table.mean()
         return added(
             camera,
             CovariateTable(
-                covariates=names, knots=tuple(one.knots for one in axes), values=NestedList(table)
+                covariates=names, knots=tuple(axis.knots for axis in axes), values=NestedList(table)
             ),
         )
 

@@ -20,14 +20,14 @@ def summary(result: Diagnosis, folder: Path) -> str:
     lines = [f"{result.verdict}: {WORDS[result.verdict]}"]
     if result.reason is not None:
         lines.append(f"  {result.reason}")
-    for one in result.missing:
-        lines.append(f"  {one.sentence} (probability {one.probability:.2g})")
+    for effect in result.missing:
+        lines.append(f"  {effect.sentence} (probability {effect.probability:.2g})")
     for names in result.indistinguishable:
         lines.append(f"  cannot be told apart by this recording: {', '.join(names)}")
     if result.next_recording:
         lines.append(f"  record next: {result.next_recording}")
     if result.adjusted:
-        moved = ", ".join(one.effect for one in result.adjusted)
+        moved = ", ".join(term.effect for term in result.adjusted)
         lines.append(f"  known terms that moved: {moved}")
     fit = result.accuracy
     poses = "held-out poses" if fit.held_out else "the poses fitted, as nothing could be held out"

@@ -65,25 +65,25 @@ def fine_structures(fitted: Fit, folds: Mapping[tuple[int, int], int]) -> list[F
     count = max(folds.values()) + 1
     scale = _scales(fitted)
     means = {name: np.zeros((2, height * width)) for name in scale}
-    for one in fitted.forward.predictions(slopes=False):
-        pixels = np.flatnonzero(one.used.ravel())
-        weight = 1.0 / one.sigma.ravel()[pixels] ** 2
+    for prediction in fitted.forward.predictions(slopes=False):
+        pixels = np.flatnonzero(prediction.used.ravel())
+        weight = 1.0 / prediction.sigma.ravel()[pixels] ** 2
         for name, (centre, spread) in scale.items():
-            x = _feature(name, one, pixels, centre, spread)
+            x = _feature(name, prediction, pixels, centre, spread)
             means[name][0, pixels] += weight * x
             means[name][1, pixels] += weight
     sums = {(g, name): np.zeros((count, 2, sizes[g])) for g in _GROUPS for name in scale}
-    for one in fitted.forward.predictions():
-        rest, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
-        pixels = np.flatnonzero(one.used.ravel())
+    for prediction in fitted.forward.predictions():
+        rest, _ = after_nuisances(prediction, fitted.pattern, fitted.nuisances)
+        pixels = np.flatnonzero(prediction.used.ravel())
         if not pixels.size:
             continue
-        weight = 1.0 / one.sigma.ravel()[pixels] ** 2
+        weight = 1.0 / prediction.sigma.ravel()[pixels] ** 2
         residual = rest.ravel()[pixels]
-        fold = folds[(one.station.recording, one.station.pose)]
+        fold = folds[(prediction.station.recording, prediction.station.pose)]
         for name, (centre, spread) in scale.items():
             total, norm = means[name][:, pixels]
-            x = _feature(name, one, pixels, centre, spread) - total / np.maximum(norm, 1e-300)
+            x = _feature(name, prediction, pixels, centre, spread) - total / np.maximum(norm, 1e-300)
             for g in _GROUPS:
                 own = groups[g][pixels]
                 target = sums[(g, name)][fold]
@@ -93,16 +93,16 @@ def fine_structures(fitted: Fit, folds: Mapping[tuple[int, int], int]) -> list[F
     for (g, name), parts in sums.items():
         gain, slopes = _held_out(parts)
         result.append(FineStructure(g, name, gain, slopes, *scale[name]))
-    return sorted(result, key=lambda one: -one.gain)
+    return sorted(result, key=lambda fine_structure: -fine_structure.gain)
 
 
 def _scales(fitted: Fit) -> dict[str, tuple[float, float]]:
     samples: dict[str, list[Array]] = {name: [] for name in _FEATURES}
     missing = set()
-    for one in fitted.forward.predictions(slopes=False):
-        pixels = np.flatnonzero(one.used.ravel())[::37]
+    for prediction in fitted.forward.predictions(slopes=False):
+        pixels = np.flatnonzero(prediction.used.ravel())[::37]
         for name in _FEATURES:
-            value = values_of(name, one)
+            value = values_of(name, prediction)
             if value is None:
                 missing.add(name)
             elif name in SCALAR:

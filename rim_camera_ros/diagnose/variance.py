@@ -80,7 +80,10 @@ class Variance:
         """Whether the noise section is contradicted; a second camera's light hides whether it is."""
         if not self.repeated or self.pixels_vary_together:
             return False
-        ratios = [(self.ratio, self.sigma), *((one.ratio, one.sigma) for one in self.bins)]
+        ratios = [
+            (self.ratio, self.sigma),
+            *((variance_bin.ratio, variance_bin.sigma) for variance_bin in self.bins),
+        ]
         return any(abs(ratio - 1) > max(BEYOND * NOISE_SIGMA, LEAST_SIGMA * sigma) for ratio, sigma in ratios)
 
     @property
@@ -113,19 +116,21 @@ class Variance:
         return self.common is not None and is_common(self.common, self.common_share, self.common_sigma)
 
 
-def drifts_or_tilts(one: Movement) -> bool:
+def drifts_or_tilts(movement: Movement) -> bool:
     """Return whether what pixels have in common is a movement rather than the light of a second camera."""
-    tilts = one.by_tilt > one.by_light and one.tilts > _DRIFTS
-    return tilts or one.persistence > _DRIFTS * one.persistence_sigma
+    tilts = movement.by_tilt > movement.by_light and movement.tilts > _DRIFTS
+    return tilts or movement.persistence > _DRIFTS * movement.persistence_sigma
 
 
-def _begins(one: Movement) -> bool:
-    later = one.freedom - one.number
+def _begins(movement: Movement) -> bool:
+    later = movement.freedom - movement.number
     # two numbers a frame
-    if later <= 0 or one.begins <= float(fdtri(2 * one.number, 2 * later, 1 - _BEGINS_BY_CHANCE)):
+    if later <= 0 or movement.begins <= float(fdtri(2 * movement.number, 2 * later, 1 - _BEGINS_BY_CHANCE)):
         return False
     # a drift lets the first frame stand out too, by what its persistence tells
-    return abs(one.first - one.first_where_it_begins) < abs(one.first - one.first_in_drift)
+    return abs(movement.first - movement.first_where_it_begins) < abs(
+        movement.first - movement.first_in_drift
+    )
 
 
 def is_common(common: float, share: float, sigma: float) -> bool:
@@ -154,31 +159,36 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
     common, shares, floors = [], [], []
     moves: list[Movement] = []
     second = effect_of(camera, ForeignLight)
-    for one in forward.predictions(slopes=False):
-        station = one.station
-        pixels = one.amplitude_used & (station.count == station.frames)
-        floors.append(one.sigma[one.used] ** 2)
+    for prediction in forward.predictions(slopes=False):
+        station = prediction.station
+        pixels = prediction.amplitude_used & (station.count == station.frames)
+        floors.append(prediction.sigma[prediction.used] ** 2)
         if station.common is not None and pixels.any():
             common.append(station.common)
             shares.append((station.common - 1) / pixels.sum())
             moves += [] if station.movement is None else [station.movement]
         if station.frames < 2 or not pixels.any():
             continue
-        amplitude.append(one.amplitude[pixels])
+        amplitude.append(prediction.amplitude[pixels])
         measured.append(station.distance_variance[pixels])
         beyond.append(
-            relative_variance(camera, amplitude[-1], one.delivered.distance[pixels], station.settings)
+            relative_variance(camera, amplitude[-1], prediction.delivered.distance[pixels], station.settings)
         )
-        own = (one.sigma**2 - one.variance_of_other)[pixels] * station.frames
+        own = (prediction.sigma**2 - prediction.variance_of_other)[pixels] * station.frames
         model.append(
-            own + (0.0 if second is None else second.scatter(one.amplitude[pixels], one.context) ** 2)
+            own
+            + (
+                0.0
+                if second is None
+                else second.scatter(prediction.amplitude[pixels], prediction.context) ** 2
+            )
         )
         freedom.append(np.full(int(pixels.sum()), station.frames - 1.0))
     floor = float(np.sqrt(np.mean(np.concatenate(floors)))) if sum(map(len, floors)) else 0.0
     if not amplitude:
         return Variance(1.0, np.inf, (), camera.noise, None, np.inf, floor, False)
     parts = (amplitude, measured, model, freedom, beyond)
-    a, s, m, f, d = (np.concatenate(one).astype(float) for one in parts)
+    a, s, m, f, d = (np.concatenate(part).astype(float) for part in parts)
     s, m = s / d, m / d
     if free_scale:
         factor = _scale_of_light(a, s, m, f, camera.noise)
@@ -219,11 +229,11 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
 def moving(variance: Variance) -> str:
     """Return in words how surfaces move within poses."""
     assert variance.movement is not None
-    one = variance.movement
-    slowly = one.persistence > _DRIFTS * one.persistence_sigma
+    movement = variance.movement
+    slowly = movement.persistence > _DRIFTS * movement.persistence_sigma
     return (
         "surfaces move, or the camera does, within poses that are told as one: from frame to frame distances "
-        f"tilt by up to {one.rim * 1e3:.2g} mm at the rim of the array"
+        f"tilt by up to {movement.rim * 1e3:.2g} mm at the rim of the array"
         f"{', slowly,' if slowly else ''} where the light of a second camera would change amplitudes "
         "as much, with another phase in every frame; record each pose at rest, or the pose of every frame"
     )

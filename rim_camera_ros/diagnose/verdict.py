@@ -131,10 +131,10 @@ def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
     for step in (_wrong_parameters, _of_variance, _first_frames, _large_gains, _unknown_alone, _codes_first):
         step(draft, found)
     advice = {}
-    for one in found.result.found:
-        names = sorted({one.effect, *one.ties})
-        if one.ties and names in draft.ties:
-            at = found.result.explorations[one.step]
+    for finding in found.result.found:
+        names = sorted({finding.effect, *finding.ties})
+        if finding.ties and names in draft.ties:
+            at = found.result.explorations[finding.step]
             proposals = told_apart(at, names, shipped_experiments(), progress=say)
             advice[tuple(names)] = recommended(proposals, threshold=at.threshold)
     unknown = found.unknown if draft.verdict == "unknown_physics" else None
@@ -156,7 +156,7 @@ def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
         draft.missing = [missing]
     if draft.verdict in ("missing_physics", "wrong_parameters"):
         measure = _made_sure(draft, found, measure)
-    named = {one.effect for one in draft.missing}
+    named = {effect.effect for effect in draft.missing}
     return Diagnosis(
         verdict=draft.verdict,
         missing=draft.missing,
@@ -186,11 +186,13 @@ def _made_sure(draft: _Draft, found: Findings, measure: Accuracy) -> Accuracy:
     not fit. What held-out poses speak against is something else.
     """
     sure = [
-        one if one.effect in OF_NOISE else replace(one, probability=measure.explained * one.probability)
-        for one in draft.missing
+        effect
+        if effect.effect in OF_NOISE
+        else replace(effect, probability=measure.explained * effect.probability)
+        for effect in draft.missing
     ]
-    names = ", ".join(one.effect for one in (sure or draft.adjusted))
-    draft.missing = [one for one in sure if one.probability >= LEAST_PROBABILITY]
+    names = ", ".join(effect.effect for effect in (sure or draft.adjusted))
+    draft.missing = [effect for effect in sure if effect.probability >= LEAST_PROBABILITY]
     certain = bool(draft.missing) if sure else measure.explained >= LEAST_EXPLAINED
     if certain and not measure.got_worse:
         return measure
@@ -216,7 +218,7 @@ def _begun(found: Findings) -> _Draft:
         model=fitted.camera,
         where=nowhere(fitted),
         ranking=ranking,
-        ties=[sorted({one.effect, *one.ties}) for one in result.found if one.ties],
+        ties=[sorted({finding.effect, *finding.ties}) for finding in result.found if finding.ties],
         notes=sorted({*fitted.notes, *fitted.forward.notes, *found.dataset.notes, *notes_of_light(fitted)}),
     )
     if found.reason is not None:
@@ -238,35 +240,35 @@ def _tie_with_better(result: Result, ranking: Sequence[Ranked]) -> None:
     if not result.found:
         return
     first = result.found[0]
-    own = max((one.gain for one in ranking if one.effect == first.effect), default=0.0)
-    named = {one.effect for one in result.found}
-    for one in ranking:
-        if one.gain > own and one.effect not in named and one.effect not in first.ties:
-            first.ties.append(one.effect)
+    own = max((rival.gain for rival in ranking if rival.effect == first.effect), default=0.0)
+    named = {finding.effect for finding in result.found}
+    for rival in ranking:
+        if rival.gain > own and rival.effect not in named and rival.effect not in first.ties:
+            first.ties.append(rival.effect)
 
 
 def _name(draft: _Draft, found: Findings) -> None:
     """The effects that were found, with their parameters and where they act."""
     result, fitted, final = found.result, found.fitted, found.final
     draft.verdict = "missing_physics"
-    probabilities = {one.effect: one.probability for one in draft.ranking}
+    probabilities = {rival.effect: rival.probability for rival in draft.ranking}
     uncertainty = uncertainty_of(final, result.problem, seed=found.seed)
     intervals = intervals_of(fitted, uncertainty)
-    names = [one.effect for one in result.found]
+    names = [finding.effect for finding in result.found]
     known = distances_known_to(fitted, result.problem, uncertainty, names)
-    for one in result.found:
-        share = sum(probabilities.get(name, 0.0) for name in sorted({one.effect, *one.ties}))
-        if one is not result.found[0]:
+    for finding in result.found:
+        share = sum(probabilities.get(name, 0.0) for name in sorted({finding.effect, *finding.ties}))
+        if finding is not result.found[0]:
             # given those before it, against nothing more being missing
-            share = float(1 / (1 + np.exp(-min(one.gain, 500.0))))
+            share = float(1 / (1 + np.exp(-min(finding.gain, 500.0))))
         draft.missing.append(
             missing_effect(
-                one.effect,
+                finding.effect,
                 fitted,
                 intervals,
                 share,
                 origin=found.camera,
-                distance_sigma=known.get(one.effect),
+                distance_sigma=known.get(finding.effect),
             )
         )
     beyond = change_of_forms(draft.model, names, final.forms, final.conditional.values())
@@ -289,7 +291,7 @@ def _wrong_parameters(draft: _Draft, found: Findings) -> None:
         draft.where = of_change(found.fitted, found.camera)
         return
     if draft.adjusted and not alone and not beyond_file(found.camera, found.result.explorations[-1].fit):
-        moved = ", ".join(one.effect for one in draft.adjusted)
+        moved = ", ".join(term.effect for term in draft.adjusted)
         draft.notes.append(f"{_AS_KNOWN}: {moved}")
     draft.adjusted, draft.model = [], found.camera
 
@@ -310,7 +312,7 @@ def _of_variance(draft: _Draft, found: Findings) -> None:
         draft.notes += second.notes
         if not draft.where.pixels.any():
             draft.where = of_scatter(fitted, second.effect)
-    if not draft.where.pixels.any() and any(one.effect in OF_NOISE for one in draft.missing):
+    if not draft.where.pixels.any() and any(effect.effect in OF_NOISE for effect in draft.missing):
         draft.where = of_noise(fitted, camera, draft.model)
 
 
@@ -325,7 +327,7 @@ def _first_frames(draft: _Draft, found: Findings) -> None:
     """What only the first frames of poses show is in their means, and looks like other physics there."""
     if not found.variance.begins or draft.verdict == "inconsistent_setup":
         return
-    names = [one.effect for one in draft.missing if one.effect != UNKNOWN]
+    names = [effect.effect for effect in draft.missing if effect.effect != UNKNOWN]
     draft.verdict, draft.adjusted, draft.ties = "unknown_physics", [], []
     draft.missing, draft.model = [first_frames()], found.camera
     draft.where = of_residuals(found.baseline.fit)
@@ -341,9 +343,9 @@ def _large_gains(draft: _Draft, found: Findings) -> None:
     if found.gains is None or not found.gains.is_beyond or draft.verdict == "inconsistent_setup":
         return
     said = large_gains(found.gains)
-    names = [one.effect for one in draft.missing if one.effect != UNKNOWN]
+    names = [effect.effect for effect in draft.missing if effect.effect != UNKNOWN]
     if draft.verdict == "wrong_parameters":
-        names += [one.effect for one in draft.adjusted]
+        names += [term.effect for term in draft.adjusted]
     if draft.verdict == "unknown_physics" or not all(vocabulary()[name].is_of_neighbours() for name in names):
         draft.notes.append(said.sentence)
         return
@@ -351,7 +353,9 @@ def _large_gains(draft: _Draft, found: Findings) -> None:
     draft.adjusted, draft.ties = [], []
     brighter = found.gains.beside_neighbours
     # noise is circular in the complex plane: so much of the amplitude is worth that many metres
-    draft.where = of_values(found.baseline.fit, lambda one: brighter * (one.context.ambiguity / (2 * np.pi)))
+    draft.where = of_values(
+        found.baseline.fit, lambda predicted: brighter * (predicted.context.ambiguity / (2 * np.pi))
+    )
     if names:
         draft.notes.append(f"{_BESIDE_LARGE_GAINS}: {', '.join(names)}")
 
@@ -360,7 +364,7 @@ def _codes_first(draft: _Draft, found: Findings) -> None:
     """Counts that never occur look like other physics: they are told alone."""
     if found.codes is None or draft.verdict == "inconsistent_setup":
         return
-    names = [one.effect for one in draft.missing]
+    names = [effect.effect for effect in draft.missing]
     draft.verdict, draft.adjusted = "unknown_physics", []
     draft.missing = [missing_codes_of(found.codes, found.camera)]
     draft.model, draft.where = found.camera, of_residuals(found.fitted)

@@ -63,30 +63,30 @@ def of_terms(
     beyond their forms: changes (H, W) of the distance in m.
     """
     moves = any(
-        "amplitude" in one.depends_on()
-        for one in fitted.camera.effects.values()
-        if isinstance(one, DistanceTerm)
+        "amplitude" in effect.depends_on()
+        for effect in fitted.camera.effects.values()
+        if isinstance(effect, DistanceTerm)
     )
 
-    def value(one: Prediction) -> Array:
-        shape = one.used.shape
+    def value(predicted: Prediction) -> Array:
+        shape = predicted.used.shape
         distance, light = np.zeros(shape), np.zeros(shape)
         for name in names:
             physics = vocabulary()[name]
             of_amplitude = physics.shows_in == "amplitude"
             if moves and of_amplitude and not physics.is_response:
-                distance = distance + moved_by_light(one, name)
+                distance = distance + moved_by_light(predicted, name)
                 continue
-            moved = contribution(one, name, origin)
+            moved = contribution(predicted, name, origin)
             if physics.at_edges:
-                moved = measured_between(one, moved, fitted.pattern, fitted.nuisances)
+                moved = measured_between(predicted, moved, fitted.pattern, fitted.nuisances)
             if of_amplitude:
                 # noise is circular in the complex plane: so much of the amplitude is worth that many metres
-                light = light + moved / SAME_SIZE * one.context.ambiguity / (2 * np.pi)
+                light = light + moved / SAME_SIZE * predicted.context.ambiguity / (2 * np.pi)
             else:
                 distance = distance + moved
         if rest is not None:
-            distance = distance + rest(one)
+            distance = distance + rest(predicted)
         if not light.any():
             return np.asarray(distance)
         return np.copysign(np.hypot(distance, light), distance if distance.any() else light)
@@ -102,9 +102,11 @@ def of_values(fitted: Fit, value: Callable[[Prediction], Array]) -> Where:
 def of_noise(fitted: Fit, before: Camera, after: Camera) -> Where:
     """Locate another noise: the root of the change of one frame's variance between two cameras."""
 
-    def value(one: Prediction) -> Array:
+    def value(predicted: Prediction) -> Array:
         sigmas = [
-            c.sigma_distance(one.amplitude, distance=one.distance, settings=one.station.settings)
+            c.sigma_distance(
+                predicted.amplitude, distance=predicted.distance, settings=predicted.station.settings
+            )
             for c in (before, after)
         ]
         return np.asarray(np.sqrt(np.abs(sigmas[1] ** 2 - sigmas[0] ** 2)))
@@ -120,10 +122,10 @@ def of_scatter(fitted: Fit, effect: ForeignLight) -> Where:
     """
     found = _locate(fitted, lambda one: effect.scatter(one.amplitude, one.context))
     excess, model, freedom = (np.zeros(fitted.camera.shape) for _ in range(3))
-    for one in fitted.forward.predictions(slopes=False):
-        relative = one.station.distance_variance / _sigma(one) ** 2 - 1
-        frames = one.station.count - 1.0
-        valid = one.view.geometry.hit & (frames > 0) & np.isfinite(relative)
+    for prediction in fitted.forward.predictions(slopes=False):
+        relative = prediction.station.distance_variance / _sigma(prediction) ** 2 - 1
+        frames = prediction.station.count - 1.0
+        valid = prediction.view.geometry.hit & (frames > 0) & np.isfinite(relative)
         excess[valid] += (frames * relative)[valid]
         model[valid] += (frames * found.pixels)[valid]
         freedom[valid] += frames[valid]
@@ -143,8 +145,8 @@ def of_change(fitted: Fit, camera: Camera) -> Where:
     """Locate how a fit changes the distances that a camera file predicts."""
     stations = fitted.by_another(camera).predictions(slopes=False)
 
-    def value(one: Prediction) -> Array:
-        return np.asarray(one.distance - next(stations).distance)
+    def value(predicted: Prediction) -> Array:
+        return np.asarray(predicted.distance - next(stations).distance)
 
     return _locate(fitted, value)
 
@@ -156,9 +158,9 @@ def of_residuals(fitted: Fit) -> Where:
     averaged with as many neighbours as poses agree about.
     """
 
-    def value(one: Prediction) -> Array:
-        rest, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
-        return np.where(one.used, rest, np.nan)
+    def value(predicted: Prediction) -> Array:
+        rest, _ = after_nuisances(predicted, fitted.pattern, fitted.nuisances)
+        return np.where(predicted.used, rest, np.nan)
 
     return _locate(fitted, value, noisy=True)
 
@@ -168,9 +170,11 @@ def nowhere(fitted: Fit) -> Where:
     return Where(np.zeros(fitted.camera.shape, np.float32), (), (), {})
 
 
-def _sigma(one: Prediction) -> Array:
-    camera = one.context.camera
-    noise = camera.sigma_distance(one.amplitude, distance=one.distance, settings=one.station.settings)
+def _sigma(predicted: Prediction) -> Array:
+    camera = predicted.context.camera
+    noise = camera.sigma_distance(
+        predicted.amplitude, distance=predicted.distance, settings=predicted.station.settings
+    )
     return np.asarray(np.hypot(noise, camera.sensor.lsb / np.sqrt(12)))
 
 
@@ -187,36 +191,41 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
     middle = 0.0
     if centred:
         # the constant of a table belongs to the fixed pattern: its middle is the least that could be
-        parts = [np.broadcast_to(value(one), shape)[one.used] for one in fitted.forward.predictions()]
+        parts = [
+            np.broadcast_to(value(prediction), shape)[prediction.used]
+            for prediction in fitted.forward.predictions()
+        ]
         middle = float(np.median(np.concatenate(parts)))
     # a pose that lasts, or is taken at several settings, is several stations: it counts once
-    stations = Counter((one.recording, one.placed) for one in fitted.forward.dataset.stations)
+    stations = Counter((station.recording, station.placed) for station in fitted.forward.dataset.stations)
     number = {placed: k for k, placed in enumerate(stations)}
-    for one in fitted.forward.predictions():
-        image = np.broadcast_to(value(one), shape) - middle
-        if not one.used.any():
+    for prediction in fitted.forward.predictions():
+        image = np.broadcast_to(value(prediction), shape) - middle
+        if not prediction.used.any():
             continue
-        sigma = _sigma(one)
+        sigma = _sigma(prediction)
         # what effects do also beside edges, which the fit leaves out
-        valid = one.view.geometry.hit & (one.station.count > 0) & np.isfinite(image) & (sigma > 0)
+        valid = (
+            prediction.view.geometry.hit & (prediction.station.count > 0) & np.isfinite(image) & (sigma > 0)
+        )
         # a pixel that saturates in some frames only is neither beside the light nor in it
-        valid &= np.isfinite(sigma) & (one.station.saturated == 0)
+        valid &= np.isfinite(sigma) & (prediction.station.saturated == 0)
         if not valid.any():
             continue
-        noise = (one.sigma[valid] / sigma[valid]) ** 2 if noisy else np.zeros(1)
-        placed = (one.station.recording, one.station.placed)
+        noise = (prediction.sigma[valid] / sigma[valid]) ** 2 if noisy else np.zeros(1)
+        placed = (prediction.station.recording, prediction.station.placed)
         part, half_of = 1.0 / stations[placed], number[placed] % 2
         total[half_of][valid] += part * ((image[valid] / sigma[valid]) ** 2 - noise)
         count[half_of][valid] += part
-        half = one.station.duration / 2
+        half = prediction.station.duration / 2
         mean_square = float(np.mean((image[valid] / sigma[valid]) ** 2) - noise.mean())
-        energy.append((one.station.time - half, one.station.time + half, mean_square))
+        energy.append((prediction.station.time - half, prediction.station.time + half, mean_square))
         pixels = np.flatnonzero(valid.ravel())
         chosen = rng.choice(pixels, min(500, pixels.size), replace=False)
         samples.append(image.ravel()[chosen])
         weights.append(1.0 / sigma.ravel()[chosen] ** 2)
         for name in COVARIATES:
-            found = values_of(name, one)
+            found = values_of(name, prediction)
             if found is None:
                 missing.add(name)
                 continue

@@ -97,7 +97,7 @@ def known_effects() -> dict[str, type[Effect]]:
 def effects_of(camera: Camera) -> dict[str, type[Effect]]:
     """Return the effects that can be of a camera: `registry`, and what else its file holds."""
     known = registry()
-    return {**known, **{name: type(one) for name, one in camera.effects.items() if name not in known}}
+    return {**known, **{name: type(effect) for name, effect in camera.effects.items() if name not in known}}
 
 
 def vocabulary() -> dict[str, type[Physics]]:
@@ -107,7 +107,7 @@ def vocabulary() -> dict[str, type[Physics]]:
 
 def without_poses() -> list[str]:
     """Return the effects that change with time or setting, and so can be told from one pose, by name."""
-    return sorted(name for name, one in registry().items() if one.from_one_pose)
+    return sorted(name for name, effect in registry().items() if effect.from_one_pose)
 
 
 #: Roles that a fit, a correction or a report needs an effect for, whatever it is called: an offset per pixel,

@@ -160,10 +160,12 @@ class AmbientTemperature(DistanceTerm):
     def graph(self, camera: Camera) -> Graph:
         x = np.linspace(0.0, max(5 * self.time_constant, 60.0), POINTS)
 
-        def value(one: AmbientTemperature) -> Image:
-            if one.time_constant <= 0:
-                return np.full_like(x, 1e3 * one.coefficient)
-            return np.asarray(1e3 * one.coefficient * (1 - np.exp(-x / one.time_constant)))
+        def value(ambient_temperature: AmbientTemperature) -> Image:
+            if ambient_temperature.time_constant <= 0:
+                return np.full_like(x, 1e3 * ambient_temperature.coefficient)
+            return np.asarray(
+                1e3 * ambient_temperature.coefficient * (1 - np.exp(-x / ambient_temperature.time_constant))
+            )
 
         line = Line(x / 60, value)
         return Graph("ambient temperature, after a step of 1 °C", "time [min]", "error [mm]", (line,))

@@ -54,40 +54,42 @@ class AmplitudeOffset(DistanceTerm):
         return frozenset({"amplitude", "settings"})
 
     def term(self, distance: Image, amplitude: Image, context: Context) -> Image | float:
-        def row(one: Hyperbola) -> Image:
-            usable = amplitude > one.b + 1.0
-            return np.where(usable, one.a / np.where(usable, amplitude - one.b, 1.0), np.nan)
+        def row(hyperbola: Hyperbola) -> Image:
+            usable = amplitude > hyperbola.b + 1.0
+            return np.where(usable, hyperbola.a / np.where(usable, amplitude - hyperbola.b, 1.0), np.nan)
 
         return combine_rows(self.hyperbola, context, row)
 
     def slope(self, amplitude: Image, context: Context) -> Image | float:
         """Return d term / d A in m/count (NaN where there is no measurement)."""
 
-        def row(one: Hyperbola) -> Image:
-            usable = amplitude > one.b + 1.0
-            return np.where(usable, -one.a / np.where(usable, amplitude - one.b, 1.0) ** 2, np.nan)
+        def row(hyperbola: Hyperbola) -> Image:
+            usable = amplitude > hyperbola.b + 1.0
+            return np.where(
+                usable, -hyperbola.a / np.where(usable, amplitude - hyperbola.b, 1.0) ** 2, np.nan
+            )
 
         return combine_rows(self.hyperbola, context, row)
 
     def columns(self, signal: Signal, context: Context) -> dict[str, Column]:
         result: dict[str, Column] = {}
         weights = dict(row_weights(self.hyperbola, lambda: context.integration_time))
-        for key, one in self.hyperbola.items():
+        for key, hyperbola in self.hyperbola.items():
             weight = weights.get(key, 0.0)
-            usable = signal.amplitude > one.b + 1.0
-            safe = np.where(usable, signal.amplitude - one.b, 1.0)
+            usable = signal.amplitude > hyperbola.b + 1.0
+            safe = np.where(usable, signal.amplitude - hyperbola.b, 1.0)
             prefix = f"hyperbola.{row_name(key)}"
             result[f"{prefix}.a"] = (np.where(usable, weight / safe, np.nan), 0.0)
-            result[f"{prefix}.b"] = (np.where(usable, weight * one.a / safe**2, np.nan), 0.0)
+            result[f"{prefix}.b"] = (np.where(usable, weight * hyperbola.a / safe**2, np.nan), 0.0)
         return result
 
     def sentence(self) -> str:
         parts = []
         rows = sorted(self.hyperbola.items())
-        near = all(one.a < 0 for _, one in rows)
-        for key, one in rows:
-            at = one.b + max(2.0, abs(one.a) / 0.05)
-            size = one.a / (at - one.b) * (-1e3 if near else 1e3)
+        near = all(hyperbola.a < 0 for _, hyperbola in rows)
+        for key, hyperbola in rows:
+            at = hyperbola.b + max(2.0, abs(hyperbola.a) / 0.05)
+            size = hyperbola.a / (at - hyperbola.b) * (-1e3 if near else 1e3)
             parts.append(f"{size:.0f} mm at {at:.0f} counts (setting {row_name(key)})")
         where = "near" if near else "far"
         return f"amplitude-dependent distance: dark surfaces are measured too {where}, by " + ", ".join(parts)
@@ -97,9 +99,9 @@ class AmplitudeOffset(DistanceTerm):
 
     def priors(self) -> dict[str, float]:
         result = {}
-        for key, one in self.hyperbola.items():
-            result[f"hyperbola.{row_name(key)}.a"] = max(abs(one.a), 1e-3)
-            result[f"hyperbola.{row_name(key)}.b"] = max(abs(one.b), 0.02 * abs(one.a))
+        for key, hyperbola in self.hyperbola.items():
+            result[f"hyperbola.{row_name(key)}.a"] = max(abs(hyperbola.a), 1e-3)
+            result[f"hyperbola.{row_name(key)}.b"] = max(abs(hyperbola.b), 0.02 * abs(hyperbola.a))
         return result
 
     @classmethod
@@ -126,8 +128,8 @@ class AmplitudeOffset(DistanceTerm):
     def graph(self, camera: Camera) -> Graph:
         x = amplitudes_of(camera)
         lines = []
-        for key, one in self.hyperbola.items():
-            lit = x[x > one.b + 1]
+        for key, hyperbola in self.hyperbola.items():
+            lit = x[x > hyperbola.b + 1]
             value = millimetres(camera, np.ones_like(lit), lit, integration_time=key)
             lines.append(Line(lit, value, f"setting {row_name(key)}"))
         return Graph("amplitude", "amplitude [counts]", "error [mm]", tuple(lines), log=True)
@@ -150,7 +152,7 @@ def _variant(facts: Facts, *, curved: bool) -> Candidate:
             priors[f"hyperbola.{row_name(t)}.b"] = size * 0.2 * facts.amplitude
     variant = "a,b" if curved else "a"
     block = effect_block(base, priors, label=f"@{variant}")
-    labels = dict(zip(priors, (one.label for one in block.regressors), strict=True))
+    labels = dict(zip(priors, (regressor.label for regressor in block.regressors), strict=True))
 
     def build(camera: Camera, values: Coefficients) -> Camera:
         rows = {}

@@ -228,14 +228,14 @@ def _metadata_of(
         return {prefix[:-1]: inherited}
     result: dict[str, tuple[float, float, float | None]] = {}
     if hasattr(value, "__dataclass_fields__"):
-        for one in fields(value):
-            m = one.metadata
+        for field in fields(value):
+            m = field.metadata
             own = (
                 max(m.get("minimum", -np.inf), m.get("above", -np.inf)),
                 min(m.get("maximum", np.inf), m.get("below", np.inf)),
                 m.get("typical"),
             )
-            result.update(_metadata_of(getattr(value, one.name), f"{prefix}{one.name}.", own))
+            result.update(_metadata_of(getattr(value, field.name), f"{prefix}{field.name}.", own))
     elif isinstance(value, tuple):
         for i, inner in enumerate(value):
             result.update(_metadata_of(inner, f"{prefix}{i}.", inherited))
@@ -385,9 +385,9 @@ class ResponseEffect(Effect):
 
 def effect_of[E: Effect](camera: Camera, kind: type[E]) -> E | None:
     """Return the camera's effect of a kind, None where it has none."""
-    return next((one for one in camera.effects.values() if isinstance(one, kind)), None)
+    return next((effect for effect in camera.effects.values() if isinstance(effect, kind)), None)
 
 
 def response_of(camera: Camera) -> ResponseEffect | None:
     """Return the camera's effect that is its amplitude response, None where it publishes light as it is."""
-    return next((one for one in camera.effects.values() if isinstance(one, ResponseEffect)), None)
+    return next((effect for effect in camera.effects.values() if isinstance(effect, ResponseEffect)), None)

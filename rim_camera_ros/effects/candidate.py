@@ -64,7 +64,7 @@ class Regressor:
 
 def priors_of(regressors: Sequence[Regressor]) -> Array:
     """Return the 1-sigma of the prior of each regressor (K,)."""
-    return np.array([one.prior for one in regressors], float)
+    return np.array([regressor.prior for regressor in regressors], float)
 
 
 @dataclass(frozen=True)
@@ -131,18 +131,22 @@ class Facts:
     def of(cls, dataset: _Dataset, *, moves: bool, surfaces: int, camera: Camera) -> Facts:
         """Collect them from the stations."""
         stations: Sequence[_Station] = dataset.stations
-        times = {camera.integration_time(one.settings) for one in stations}
-        uptimes = [one.settings.uptime for one in stations]
-        ambients = [one.settings.ambient_temperature for one in stations]
+        times = {camera.integration_time(station.settings) for station in stations}
+        uptimes = [station.settings.uptime for station in stations]
+        ambients = [station.settings.ambient_temperature for station in stations]
         known_up = [u for u in uptimes if u is not None]
         known_ambient = [a for a in ambients if a is not None]
-        bright = [float(np.median(one.amplitude[one.count > 0])) for one in stations if one.count.any()]
+        bright = [
+            float(np.median(station.amplitude[station.count > 0]))
+            for station in stations
+            if station.count.any()
+        ]
         return cls(
             integration_times=tuple(sorted(times)),
             amplitude=float(np.median(bright)) if bright else 1.0,
             uptime=(min(known_up), max(known_up)) if len(known_up) == len(uptimes) and known_up else None,
             ambient=(min(known_ambient), max(known_ambient)) if known_ambient else None,
-            saturated=any(bool(one.saturated.any()) for one in stations),
+            saturated=any(bool(station.saturated.any()) for station in stations),
             moves=moves,
             surfaces=surfaces,
         )
@@ -179,11 +183,11 @@ def effect_block(
 
 def together(*blocks: Block) -> Block:
     """Return one block of the regressors of several, in their order."""
-    regressors = tuple(regressor for one in blocks for regressor in one.regressors)
+    regressors = tuple(regressor for block in blocks for regressor in block.regressors)
     return Block(
         regressors,
-        lambda reading: [c for one in blocks for c in one.columns(reading)],
-        in_order=any(one.in_order for one in blocks),
+        lambda reading: [c for block in blocks for c in block.columns(reading)],
+        in_order=any(block.in_order for block in blocks),
     )
 
 
@@ -196,7 +200,7 @@ def linear(effect: Effect, priors: Mapping[str, float], variant: str = "") -> Ca
     from rim_camera_ros.parameters import flatten, with_values
 
     block = effect_block(effect, priors, label=f"@{variant}" if variant else "")
-    labels = dict(zip(priors, (one.label for one in block.regressors), strict=True))
+    labels = dict(zip(priors, (regressor.label for regressor in block.regressors), strict=True))
     start, bounds = flatten(effect), effect.bounds()
 
     def build(camera: Camera, values: Coefficients) -> Camera:

@@ -57,9 +57,9 @@ def resampled_knots(factor: float, name: str, knots: tuple[float, ...]) -> tuple
     if name in ("row", "column"):
         # the coarser grid has every step-th pixel, from pixel step // 2 on
         first = round(max(factor, 1 / factor)) // 2
-        return tuple(one * factor + first if factor > 1 else (one - first) * factor for one in knots)
+        return tuple(knot * factor + first if factor > 1 else (knot - first) * factor for knot in knots)
     if name in ("edge", "saturation"):
-        return tuple(one * factor for one in knots)
+        return tuple(knot * factor for knot in knots)
     return knots
 
 

@@ -146,7 +146,7 @@ def _variant(orders: tuple[int, ...]) -> Candidate:
         priors |= {f"harmonics.{i}.amplitude": 0.02, f"harmonics.{i}.phase": 0.02}
     variant = "+".join(str(order) for order in orders)
     block = effect_block(base, priors, label=f"@{variant}")
-    names = [one.label for one in block.regressors]
+    names = [regressor.label for regressor in block.regressors]
 
     def build(camera: Camera, values: Coefficients) -> Camera:
         harmonics = []

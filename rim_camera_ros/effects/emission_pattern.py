@@ -82,8 +82,10 @@ class EmissionPattern(ComplexEffect):
     def graph(self, camera: Camera) -> Graph:
         x = np.linspace(0.0, float(np.arccos(np.nanmin(camera.rays[..., 2]))), POINTS)
 
-        def value(one: EmissionPattern) -> Image:
-            return 100.0 * np.asarray(1 + one.falloff[0] * x**2 + one.falloff[1] * x**4)
+        def value(emission_pattern: EmissionPattern) -> Image:
+            return 100.0 * np.asarray(
+                1 + emission_pattern.falloff[0] * x**2 + emission_pattern.falloff[1] * x**4
+            )
 
         line = Line(np.degrees(x), value)
         return Graph("emission pattern", "angle from the axis [deg]", "power [%]", (line,))

@@ -129,7 +129,8 @@ def _beside(start: EmitterOffset) -> Candidate:
 
     def build(camera: Camera, values: Coefficients) -> Camera:
         x, y, z = (
-            values[share] * e + values[one.label] for e, one in zip(place, moved.regressors, strict=True)
+            values[share] * e + values[regressor.label]
+            for e, regressor in zip(place, moved.regressors, strict=True)
         )
         return with_effect(camera, EmitterOffset(position=(float(x), float(y), float(z))))
 

@@ -97,8 +97,8 @@ class Empirical(DistanceTerm):
             return None
         name = self.covariates[0]
 
-        def value(one: Empirical) -> Image:
-            return np.asarray(one.values.values) * 1e3
+        def value(empirical: Empirical) -> Image:
+            return np.asarray(empirical.values.values) * 1e3
 
         line = Line(np.asarray(self.knots[0]), value)
         title = f"smooth function of {name}"

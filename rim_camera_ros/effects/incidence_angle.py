@@ -105,10 +105,10 @@ class IncidenceAngle(IncidenceTerm):
         """The term over the angle in degrees."""
         degrees = np.linspace(0.0, 72.0, POINTS)
 
-        def value(one: IncidenceAngle, key: float) -> Image:
+        def value(incidence_angle: IncidenceAngle, key: float) -> Image:
             # the polynomial is of gon
             return -1e3 * np.asarray(
-                sum(c * (degrees / 0.9) ** (4 - i) for i, c in enumerate(one.polynomial[key]))
+                sum(c * (degrees / 0.9) ** (4 - i) for i, c in enumerate(incidence_angle.polynomial[key]))
             )
 
         lines = tuple(

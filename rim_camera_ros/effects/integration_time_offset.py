@@ -62,8 +62,8 @@ class IntegrationTimeOffset(DistanceTerm):
     def graph(self, camera: Camera) -> Graph:
         x = np.array(sorted(self.offset))
 
-        def value(one: IntegrationTimeOffset) -> Image:
-            return np.array([one.offset[float(key)] for key in x]) * 1e3
+        def value(integration_time_offset: IntegrationTimeOffset) -> Image:
+            return np.array([integration_time_offset.offset[float(key)] for key in x]) * 1e3
 
         line = Line(x, value, points=True)
         return Graph("integration time", "integration time", "error [mm]", (line,))

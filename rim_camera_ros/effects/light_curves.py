@@ -65,7 +65,7 @@ def of_light(path: str) -> bool:
 
 def tile_labels(scene: Scene) -> tuple[str, ...]:
     """Return the labels of the tiles of all surfaces, by the numbers of `Geometry.tile`."""
-    return tuple(f"{TILES}{one.name}.{k}" for one in scene.surfaces for k in range(one.tiles))
+    return tuple(f"{TILES}{surface.name}.{k}" for surface in scene.surfaces for k in range(surface.tiles))
 
 
 @dataclass(frozen=True)
@@ -134,10 +134,10 @@ class LightCurves:
             rows = list(np.moveaxis(_weights(_LOBE_DEGREES, angle), -1, 0))
             far = _log_distance(geometry)
             falloff = [np.interp(far, _FALLOFF_KNOTS, row) for row in np.eye(len(_FALLOFF_KNOTS))]
-            return [*rows[1:], *(one * ratio for one in rows), *falloff]
+            return [*rows[1:], *(row * ratio for row in rows), *falloff]
         factor = self.surfaces(geometry)
         weights = list(np.moveaxis(_weights(_DEGREES, angle), -1, 0))
-        return [one / factor for one in weights[1:]] + [one * ratio / factor for one in weights]
+        return [weight / factor for weight in weights[1:]] + [weight * ratio / factor for weight in weights]
 
     def response(self, light: Array) -> Array:
         """Return the factor on the published amplitude at light in counts."""

@@ -119,10 +119,10 @@ class Motion(Effect):
         alone = effect_block(cls(sample_interval=0.0), prior, label="@modulated")
         both = effect_block(cls(sample_interval=0.0, unmodulated=1.0), prior, label="@unmodulated")
 
-        def build(one: Camera, values: Coefficients) -> Camera:
+        def build(other: Camera, values: Coefficients) -> Camera:
             product = max(values[both.regressors[0].label], 0.0)
             interval = max(values[alone.regressors[0].label] + product, _SHORTEST)
-            return with_effect(one, Motion(sample_interval=interval, unmodulated=product / interval))
+            return with_effect(other, Motion(sample_interval=interval, unmodulated=product / interval))
 
         positive = (both.regressors[0].label,)
         unmodulated = Candidate(cls.name, "unmodulated", together(alone, both), build, positive)

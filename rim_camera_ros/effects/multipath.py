@@ -215,7 +215,7 @@ class _Senders:
 
     def only(self, chosen: Image) -> _Senders:
         """Return some of the senders."""
-        return _Senders(*(getattr(self, one.name)[chosen] for one in fields(self)))
+        return _Senders(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
 
 def _senders(signal: Signal, geometry: Geometry, camera: Camera) -> _Senders:

@@ -91,7 +91,7 @@ class Scattering(ComplexEffect):
 
     def lean(self) -> Scattering:
         """Return the same without halos that spread no light, but for the last one."""
-        kernels = tuple(one for one in self.kernels if one.weight > 0)
+        kernels = tuple(kernel for kernel in self.kernels if kernel.weight > 0)
         if not kernels and self.ghost is None:
             kernels = self.kernels[:1]
         return self if kernels == self.kernels else replace(self, kernels=kernels)
@@ -211,19 +211,20 @@ class Scattering(ComplexEffect):
     @property
     def limit(self) -> str | None:
         """Light that crosses to the neighbours alone is two surfaces in a pixel."""
-        least = _LEAST_WEIGHT * sum(one.weight for one in self.kernels)
-        sigmas = [max(one.sigma) for one in self.kernels if one.weight >= least]
+        least = _LEAST_WEIGHT * sum(kernel.weight for kernel in self.kernels)
+        sigmas = [max(kernel.sigma) for kernel in self.kernels if kernel.weight >= least]
         narrow = self.ghost is None and max(sigmas, default=np.inf) <= _LEAST_SPREAD
         return MixedPixels.name if narrow else None
 
     def graph(self, camera: Camera) -> Graph:
         """The share of the light that falls within a radius."""
-        reach = 2.5 * max(max(one.sigma) for one in self.kernels)
+        reach = 2.5 * max(max(kernel.sigma) for kernel in self.kernels)
         x = np.geomspace(0.5, max(reach, 2.0), POINTS)
 
-        def value(one: Scattering) -> Image:
+        def value(scattering: Scattering) -> Image:
             parts = [
-                k.weight * (1 - np.exp(-0.5 * x**2 / max(k.sigma[0] * k.sigma[1], 1e-9))) for k in one.kernels
+                k.weight * (1 - np.exp(-0.5 * x**2 / max(k.sigma[0] * k.sigma[1], 1e-9)))
+                for k in scattering.kernels
             ]
             return 100.0 * np.asarray(sum(parts))
 

@@ -61,11 +61,11 @@ class OpticsSection(Section):
     def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
         block = cls.block(camera)
 
-        def build(one: Camera, values: Coefficients) -> Camera:
-            numbers = flatten(one.optics)
+        def build(other: Camera, values: Coefficients) -> Camera:
+            numbers = flatten(other.optics)
             paths = {r.label.removeprefix("optics."): r.label for r in block.regressors}
             moved = {path: numbers[path] + values[label] for path, label in paths.items()}
-            return replace(one, optics=with_values(one.optics, moved))
+            return replace(other, optics=with_values(other.optics, moved))
 
         return [Candidate(cls.name, "", block, build)]
 
@@ -127,7 +127,7 @@ class Radiometry(Section):
 
     @classmethod
     def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
-        return [Candidate(cls.name, "incidence", light_block(SURFACES), lambda one, values: one)]
+        return [Candidate(cls.name, "incidence", light_block(SURFACES), lambda other, values: other)]
 
 
 SECTIONS: dict[str, type[Section]] = {

@@ -18,10 +18,10 @@ def check_knots(knots: Sequence[Sequence[float]], shape: tuple[int, ...], names:
     """Raise ValueError unless there is one increasing list of knots per axis that matches the values."""
     if len(knots) != len(names):
         raise ValueError(f"knots: expected {len(names)} lists ({', '.join(names)}), found {len(knots)}")
-    for name, one in zip(names, knots, strict=True):
-        if not one or any(b <= a for a, b in pairwise(one)):
+    for name, knot in zip(names, knots, strict=True):
+        if not knot or any(b <= a for a, b in pairwise(knot)):
             raise ValueError(f"knots of {name} must be an increasing list")
-    expected = tuple(len(one) for one in knots)
+    expected = tuple(len(knot) for knot in knots)
     if shape != expected:
         raise ValueError(f"values have shape {shape}, expected {expected} by the knots")
 
@@ -32,7 +32,7 @@ def interpolate(
     """Return the multilinear interpolation at coordinates that broadcast together; NaN stays NaN."""
     arrays = [np.asarray(x, float) for x in coordinates]
     shape = np.broadcast_shapes(*(x.shape for x in arrays))
-    table, open_ = _along_single_axes([np.asarray(one, float) for one in knots], values, arrays, shape)
+    table, open_ = _along_single_axes([np.asarray(knot, float) for knot in knots], values, arrays, shape)
     if not open_:
         return np.broadcast_to(table, shape) if shape else float(table)
     # the axes of the open knots stand before those of the image: one flat index for all of them

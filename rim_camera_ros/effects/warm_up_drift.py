@@ -58,13 +58,14 @@ class WarmUpDrift(DistanceTerm):
         if uptime is None:
             context.notes.add("warm_up_drift is off: the recording states no uptime")
             return 0.0
-        return float(sum(one.amplitude * np.exp(-uptime / one.time_constant) for one in self.terms))
+        return float(sum(term.amplitude * np.exp(-uptime / term.time_constant) for term in self.terms))
 
     def rate(self, uptime: float) -> float:
         """Return the drift in metres per second at an uptime in seconds."""
         return float(
             sum(
-                -one.amplitude / one.time_constant * np.exp(-uptime / one.time_constant) for one in self.terms
+                -term.amplitude / term.time_constant * np.exp(-uptime / term.time_constant)
+                for term in self.terms
             )
         )
 
@@ -72,16 +73,16 @@ class WarmUpDrift(DistanceTerm):
         uptime = context.settings.uptime
         ones = np.ones_like(signal.distance)
         result: dict[str, Column] = {}
-        for i, one in enumerate(self.terms):
-            decay = 0.0 if uptime is None else float(np.exp(-uptime / one.time_constant))
-            by_constant = 0.0 if uptime is None else one.amplitude * decay * uptime / one.time_constant**2
+        for i, term in enumerate(self.terms):
+            decay = 0.0 if uptime is None else float(np.exp(-uptime / term.time_constant))
+            by_constant = 0.0 if uptime is None else term.amplitude * decay * uptime / term.time_constant**2
             result[f"terms.{i}.amplitude"] = (ones * decay, 0.0)
             result[f"terms.{i}.time_constant"] = (ones * by_constant, 0.0)
         return result
 
     def sentence(self) -> str:
         parts = [
-            f"{one.amplitude * 1e3:+.0f} mm decaying over {one.time_constant:.0f} s" for one in self.terms
+            f"{term.amplitude * 1e3:+.0f} mm decaying over {term.time_constant:.0f} s" for term in self.terms
         ]
         return "warm-up: after power-on distances drift by " + " and ".join(parts)
 
@@ -90,9 +91,9 @@ class WarmUpDrift(DistanceTerm):
 
     def priors(self) -> dict[str, float]:
         result = {}
-        for i, one in enumerate(self.terms):
-            result[f"terms.{i}.amplitude"] = max(abs(one.amplitude), 0.02)
-            result[f"terms.{i}.time_constant"] = 0.5 * one.time_constant
+        for i, term in enumerate(self.terms):
+            result[f"terms.{i}.amplitude"] = max(abs(term.amplitude), 0.02)
+            result[f"terms.{i}.time_constant"] = 0.5 * term.time_constant
         return result
 
     @classmethod
@@ -110,16 +111,18 @@ class WarmUpDrift(DistanceTerm):
 
     def discrepancy(self, change: Change) -> Iterator[DiscrepancyColumn]:
         uptime = change.reading.context.settings.uptime
-        for one in self.terms:
+        for term in self.terms:
             for rate in _RATES:
-                decay = 0.0 if uptime is None else float(np.exp(-uptime / (rate * one.time_constant)))
+                decay = 0.0 if uptime is None else float(np.exp(-uptime / (rate * term.time_constant)))
                 yield np.full(change.distance.shape, decay), None
 
     def graph(self, camera: Camera) -> Graph:
-        x = np.linspace(0.0, 5 * max(one.time_constant for one in self.terms), POINTS)
+        x = np.linspace(0.0, 5 * max(term.time_constant for term in self.terms), POINTS)
 
-        def value(one: WarmUpDrift) -> Image:
-            return 1e3 * np.asarray(sum(t.amplitude * np.exp(-x / t.time_constant) for t in one.terms))
+        def value(warm_up_drift: WarmUpDrift) -> Image:
+            return 1e3 * np.asarray(
+                sum(t.amplitude * np.exp(-x / t.time_constant) for t in warm_up_drift.terms)
+            )
 
         line = Line(x / 60, value)
         return Graph("warm-up", "time since power-on [min]", "error [mm]", (line,), compared=True)

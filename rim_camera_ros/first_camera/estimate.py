@@ -236,7 +236,7 @@ def _integration_time(
     if stated.integration_time is not None:
         why[key] = "as stated on the command line"
         return stated.integration_time
-    known = sorted(one for one in times if one is not None)
+    known = sorted(time for time in times if time is not None)
     if len(known) == 1:
         why[key] = "that of all frames"
         return known[0]

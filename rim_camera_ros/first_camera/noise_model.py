@@ -43,9 +43,9 @@ def fit_noise_model(classes: tuple[NoiseClass, ...], *, seed: int = 0) -> NoiseE
     """
     if not classes:
         return None
-    a = np.array([one.amplitude for one in classes])
-    level = np.array([one.variance for one in classes])
-    error = np.hypot([one.error for one in classes], _FLOOR * level)
+    a = np.array([group.amplitude for group in classes])
+    level = np.array([group.variance for group in classes])
+    error = np.hypot([group.error for group in classes], _FLOOR * level)
     whole = len(classes) >= _LEAST_CLASSES and a.max() / a.min() >= _LEAST_RANGE
     columns = np.stack([np.ones_like(a), 1 / a, 1 / a**2], axis=1)
     if not whole:

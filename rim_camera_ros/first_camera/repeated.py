@@ -83,15 +83,17 @@ class RepeatedFrames:
         self._close()
         if self._resting:
             rows = self._resting
-            amplitude = np.concatenate([one[0] for one in rows])
-            variance = np.concatenate([one[1] for one in rows])
-            freedom = np.concatenate([np.full(one[0].size, one[2]) for one in rows])
+            amplitude = np.concatenate([row[0] for row in rows])
+            variance = np.concatenate([row[1] for row in rows])
+            freedom = np.concatenate([np.full(row[0].size, row[2]) for row in rows])
             return NoiseData(
                 _classes(amplitude, variance, freedom, self._rounding), self._resting_frames, False
             )
         if not self._neighbours:
             return NoiseData((), 0, False)
-        amplitude, variance = (np.concatenate([one[i] for one in self._neighbours]) for i in range(2))
+        amplitude, variance = (
+            np.concatenate([neighbour[i] for neighbour in self._neighbours]) for i in range(2)
+        )
         found = _classes(amplitude, variance, np.ones(amplitude.size), self._rounding)
         return NoiseData(found, self._frames, True)
 

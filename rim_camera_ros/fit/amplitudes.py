@@ -44,22 +44,24 @@ def gains_and_error(
     """
     ratios: dict[tuple[int, int], list[Array]] = {}
     errors, variances = [], []
-    for one in predictions:
-        pixels = one.amplitude_used & (one.model_amplitude > 0) & (one.station.amplitude > 0)
+    for prediction in predictions:
+        pixels = (
+            prediction.amplitude_used & (prediction.model_amplitude > 0) & (prediction.station.amplitude > 0)
+        )
         if not pixels.any():
             continue
-        gain = np.broadcast_to(one.pixel_gain, pixels.shape)[pixels]
-        measured = expanded(one.station.amplitude[pixels] / gain) * gain
+        gain = np.broadcast_to(prediction.pixel_gain, pixels.shape)[pixels]
+        measured = expanded(prediction.station.amplitude[pixels] / gain) * gain
         with np.errstate(invalid="ignore", divide="ignore"):
-            ratio = np.log(measured / one.model_amplitude[pixels])
-        noise = one.amplitude_sigma[pixels] / one.model_amplitude[pixels]
+            ratio = np.log(measured / prediction.model_amplitude[pixels])
+        noise = prediction.amplitude_sigma[pixels] / prediction.model_amplitude[pixels]
         # a response may not reach as high as what was measured: no light is so strong
         known = np.isfinite(ratio)
         if not known.any():
             continue
         ratio, noise = ratio[known], noise[known]
         sharp = noise <= np.quantile(noise, 0.5)
-        key = (one.station.recording, one.station.pose)
+        key = (prediction.station.recording, prediction.station.pose)
         ratios.setdefault(key, []).append(ratio[sharp])
         errors.append((key, ratio[sharp]))
         variances.append(noise[sharp] ** 2)

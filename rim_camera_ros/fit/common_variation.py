@@ -107,14 +107,14 @@ class Movement:
 def together(movements: Sequence[Movement]) -> Movement:
     """Return the sums of several stations, one at least; ``rim`` is the largest of them."""
     return Movement(
-        by_tilt=sum(one.by_tilt for one in movements),
-        by_light=sum(one.by_light for one in movements),
-        of_phase=sum(one.of_phase for one in movements),
-        rim=max(one.rim for one in movements),
-        steps=sum(one.steps / one.spread for one in movements if one.spread > 0),
-        spread=float(sum(one.spread > 0 for one in movements)),
-        later=sum(one.later / one.spread for one in movements if one.spread > 0),
-        freedom=sum(one.freedom for one in movements),
+        by_tilt=sum(movement.by_tilt for movement in movements),
+        by_light=sum(movement.by_light for movement in movements),
+        of_phase=sum(movement.of_phase for movement in movements),
+        rim=max(movement.rim for movement in movements),
+        steps=sum(movement.steps / movement.spread for movement in movements if movement.spread > 0),
+        spread=float(sum(movement.spread > 0 for movement in movements)),
+        later=sum(movement.later / movement.spread for movement in movements if movement.spread > 0),
+        freedom=sum(movement.freedom for movement in movements),
         number=len(movements),
     )
 
@@ -164,7 +164,9 @@ def _movement(deviation: Array, light: Array, weight: Array, valid: Array, ambig
     root = np.sqrt(2.0 * weight)
 
     def as_columns(*images: Array) -> Array:
-        return np.stack([np.concatenate([(one * root).real, (one * root).imag]) for one in images], axis=1)
+        return np.stack(
+            [np.concatenate([(image * root).real, (image * root).imag]) for image in images], axis=1
+        )
 
     rows, columns = (one / (n / 2) - 1.0 for one, n in zip(np.nonzero(valid), valid.shape, strict=True))
     known, _ = np.linalg.qr(as_columns(light, 1j * light))

@@ -60,7 +60,7 @@ def correlated_error_of(prediction: Prediction, nuisances: Mapping[str, float]) 
     for column in prediction.pose_columns:
         if not column.path.startswith(CORRELATED):
             continue
-        if sum(int(one) for one in column.path.removeprefix(CORRELATED).split(".")) > 1:
+        if sum(int(word) for word in column.path.removeprefix(CORRELATED).split(".")) > 1:
             found = nuisances.get(f"{station.recording}.{station.placed}.{column.path}", 0.0)
             total = total + found * column.distance
     return np.where(prediction.used, total, 0.0)

@@ -64,21 +64,21 @@ def empirical_start(forward: Forward, names: tuple[str, ...]) -> CovariateTable:
     not vary.
     """
     parts: list[list[Array]] = [[] for _ in names]
-    for one in forward.predictions(slopes=False):
-        values = _values(names, one)
+    for prediction in forward.predictions(slopes=False):
+        values = _values(names, prediction)
         if values is None:
             raise InputError(
                 f"the recordings state no {' or '.join(names)}",
                 place="--effects",
                 remedy=f"choose another covariate of {CovariateTable.name}",
             )
-        pixels = np.flatnonzero(one.used.ravel())
+        pixels = np.flatnonzero(prediction.used.ravel())
         pixels = pixels[:: max(1, pixels.size // _SAMPLES)]
         for part, value in zip(parts, values, strict=True):
             part.append(value.ravel()[pixels])
     samples = [np.concatenate(part) for part in parts]
     knots = tuple(_knots(name, x, KNOTS[len(names) - 1]) for name, x in zip(names, samples, strict=True))
-    return CovariateTable(names, knots, NestedList(np.zeros([len(one) for one in knots])))
+    return CovariateTable(names, knots, NestedList(np.zeros([len(knot) for knot in knots])))
 
 
 def _knots(name: str, values: Array, count: int) -> tuple[float, ...]:
@@ -104,7 +104,7 @@ def _knots(name: str, values: Array, count: int) -> tuple[float, ...]:
 
 def empirical_block(effect: CovariateTable) -> Block:
     """Return the regressors of the values at the knots, labelled by `LABEL` and their number in C order."""
-    count = int(np.prod([len(one) for one in effect.knots]))
+    count = int(np.prod([len(knot) for knot in effect.knots]))
     regressors = tuple(Regressor(f"{LABEL}{i}", effect.name, PRIOR) for i in range(count))
 
     def columns(prediction: Prediction) -> list[Column]:
@@ -112,7 +112,7 @@ def empirical_block(effect: CovariateTable) -> Block:
         shape = prediction.distance.shape
         if values is None:
             return [(np.zeros(shape), None)] * count
-        hats = [_hats(np.asarray(one), x) for one, x in zip(effect.knots, values, strict=True)]
+        hats = [_hats(np.asarray(knot), x) for knot, x in zip(effect.knots, values, strict=True)]
         if len(hats) == 1:
             return [(hat, None) for hat in hats[0]]
         return [(a * b, None) for a in hats[0] for b in hats[1]]

@@ -87,7 +87,7 @@ class Dataset:
     @property
     def poses(self) -> int:
         """Number of different poses over all recordings."""
-        return len({(one.recording, one.pose) for one in self.stations})
+        return len({(station.recording, station.pose) for station in self.stations})
 
     def with_poses(self, scene: Scene, path: str | PathLike[str] | None = None) -> None:
         """Leave out stations before the first pose of a surface with ``pose: truth``, which is noted.
@@ -99,10 +99,10 @@ class Dataset:
             raise InputError(
                 "holds no frame with settings", file=path, remedy="record frame_info beside the images"
             )
-        kept = [one for one in self.stations if all(name in one.truth for name in needed)]
-        lost = sum(one.frames for one in self.stations) - sum(one.frames for one in kept)
+        kept = [station for station in self.stations if all(name in station.truth for name in needed)]
+        lost = sum(station.frames for station in self.stations) - sum(one.frames for one in kept)
         if not kept:
-            present = {name for one in self.stations for name in one.truth}
+            present = {name for station in self.stations for name in station.truth}
             absent = [name for name in needed if name not in present]
             raise MissingPoses(
                 f"holds no pose of {', '.join(absent) or 'all surfaces together'}",
@@ -117,8 +117,8 @@ class Dataset:
 
     def without(self, poses: Set[tuple[int, int]]) -> Dataset:
         """Return the dataset without poses, given by the numbers of their recording and their own."""
-        kept = [one for one in self.stations if (one.recording, one.pose) not in poses]
-        lost = sum(one.frames for one in self.stations) - sum(one.frames for one in kept)
+        kept = [station for station in self.stations if (station.recording, station.pose) not in poses]
+        lost = sum(station.frames for station in self.stations) - sum(one.frames for one in kept)
         return replace(self, stations=kept, frames=self.frames - lost)
 
     @property
@@ -126,9 +126,9 @@ class Dataset:
         """The settings that occur, sorted."""
         return sorted(
             {
-                one.settings.integration_time
-                for one in self.stations
-                if one.settings.integration_time is not None
+                station.settings.integration_time
+                for station in self.stations
+                if station.settings.integration_time is not None
             }
         )
 
@@ -137,7 +137,7 @@ def merged(parts: Iterable[Dataset]) -> Dataset:
     """Return the stations of several recordings as one dataset, numbered in their order."""
     result = Dataset([])
     for number, part in enumerate(parts):
-        result.stations += [replace(one, recording=number) for one in part.stations]
+        result.stations += [replace(station, recording=number) for station in part.stations]
         result.files += part.files
         result.notes += part.notes
         result.frames += part.frames
@@ -155,12 +155,12 @@ def with_stated_errors(scene: Scene, dataset: Dataset) -> Scene:
     surfaces = []
     for surface in scene.surfaces:
         poses = {
-            (one.recording, one.placed): one.truth[surface.name]
-            for one in dataset.stations
-            if surface.pose == "truth" and surface.name in one.truth
+            (station.recording, station.placed): station.truth[surface.name]
+            for station in dataset.stations
+            if surface.pose == "truth" and surface.name in station.truth
         }
-        if any(one.covariance is not None for one in poses.values()):
-            stated = [np.diag(surface.pose_covariance(one)) for one in poses.values()]
+        if any(pose.covariance is not None for pose in poses.values()):
+            stated = [np.diag(surface.pose_covariance(pose)) for pose in poses.values()]
             offset, *tilts = np.mean(stated, axis=0)
             sigma = (float(np.sqrt(offset)), float(np.sqrt(np.mean(tilts))))
             surface = replace(surface, pose_sigma=sigma)
@@ -170,7 +170,7 @@ def with_stated_errors(scene: Scene, dataset: Dataset) -> Scene:
 
 def level_of(dataset: Dataset) -> float:
     """Return the amplitude [counts] in the middle of a recording's."""
-    values = np.concatenate([one.amplitude[one.count > 0][::17] for one in dataset.stations])
+    values = np.concatenate([station.amplitude[station.count > 0][::17] for station in dataset.stations])
     return max(float(np.median(values)), 1.0) if values.size else 1000.0
 
 

@@ -31,7 +31,7 @@ _CORRELATED_PIXELS = 5_000
 def decimation_of(camera: Camera) -> int:
     """Return the step of the coarser grid in pixels, 1 where all pixels are looked at."""
     pixels = camera.sensor.width * camera.sensor.height
-    if pixels <= MANY_PIXELS or any(one.stated_by_pixels for one in camera.effects.values()):
+    if pixels <= MANY_PIXELS or any(effect.stated_by_pixels for effect in camera.effects.values()):
         return 1
     return int(np.ceil(np.sqrt(pixels / _COARSE_PIXELS)))
 
@@ -42,7 +42,7 @@ def correlated_decimation(camera: Camera, words: Sequence[str] | None = None) ->
     1 for small sensors, and where all pixels are needed: by effects that are stated by pixels, or by those
     that --effects names (``words``).
     """
-    if any(one.stated_by_pixels for one in camera.effects.values()):
+    if any(effect.stated_by_pixels for effect in camera.effects.values()):
         return 1
     if words is not None and _needs_all_pixels(camera, words):
         return 1
@@ -68,7 +68,7 @@ def _needs_all_pixels(camera: Camera, words: Sequence[str]) -> bool:
     if kept is not None:
         covariates |= set(kept.covariates)
     known = vocabulary()
-    present = [one for one in camera.effects.values() if not isinstance(one, PixelMap)]
+    present = [effect for effect in camera.effects.values() if not isinstance(effect, PixelMap)]
     return (
         any(one.needs_all_pixels for one in present)
         or any(known[name].needs_all_pixels for name in names if name in known)
@@ -100,7 +100,7 @@ def decimated_camera(camera: Camera, step: int) -> Camera:
         covariance=None,
     )
     return with_effects(
-        small, {name: one.resampled(1.0 / step, step) for name, one in camera.effects.items()}
+        small, {name: effect.resampled(1.0 / step, step) for name, effect in camera.effects.items()}
     )
 
 
@@ -109,8 +109,8 @@ def decimated_dataset(dataset: Dataset, step: int) -> Dataset:
     pick = (slice(step // 2, None, step), slice(step // 2, None, step))
     names = ("distance", "amplitude", "distance_variance", "amplitude_variance", "count", "saturated")
     stations = [
-        replace(one, **_picked(one, pick, names), common=_coarser_common(one, step))
-        for one in dataset.stations
+        replace(station, **_picked(station, pick, names), common=_coarser_common(station, step))
+        for station in dataset.stations
     ]
     return replace(dataset, stations=stations, decimation=dataset.decimation * step)
 
@@ -141,9 +141,9 @@ def full_camera(small: Camera, camera: Camera, step: int) -> Camera:
             cy=optics.cy * step + first,
         ),
     )
-    for name, one in small.effects.items():
+    for name, effect in small.effects.items():
         own = camera.effects.get(name)
-        result = added(result, own if isinstance(own, PixelMap) else one.resampled(float(step), None))
+        result = added(result, own if isinstance(own, PixelMap) else effect.resampled(float(step), None))
     return result
 
 

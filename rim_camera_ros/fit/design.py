@@ -31,7 +31,7 @@ def pose_block(paths: Sequence[tuple[str, float]]) -> Block:
     regressors = tuple(Regressor(path, "scene", prior) for path, prior in paths)
 
     def columns(prediction: Prediction) -> list[Column]:
-        found = {one.path: one for one in prediction.pose_columns}
+        found = {column.path: column for column in prediction.pose_columns}
         zero = np.zeros(prediction.distance.shape)
         result: list[Column] = []
         for path, _ in paths:
@@ -107,7 +107,7 @@ def imperfection_blocks(
         light_block(LOBE if lobe else FALLOFF),
         *linear_blocks(camera, scene, pattern_field=pattern_field),
     ]
-    return [one for one in blocks if one.regressors]
+    return [block for block in blocks if block.regressors]
 
 
 def linear_blocks(camera: Camera, scene: Scene, *, pattern_field: bool = False) -> list[Block]:
@@ -115,7 +115,7 @@ def linear_blocks(camera: Camera, scene: Scene, *, pattern_field: bool = False) 
     blocks = [common_pose_block(scene), known_optics(camera), sensor_block(camera)]
     if pattern_field:
         blocks.append(pattern_field_block(camera.shape))
-    return [one for one in blocks if one.regressors]
+    return [block for block in blocks if block.regressors]
 
 
 def pattern_field_block(shape: tuple[int, int]) -> Block:
@@ -192,11 +192,11 @@ def common_pose_block(scene: Scene) -> Block:
                 regressors.append(Regressor(label, "pose", share * sigma))
 
     def columns(prediction: Prediction) -> list[Column]:
-        found = {one.path: one for one in prediction.pose_columns}
+        found = {pose_column.path: pose_column for pose_column in prediction.pose_columns}
         nothing = np.zeros(prediction.distance.shape)
         result: list[Column] = []
-        for one in regressors:
-            column = found.get("pose." + one.label.removeprefix(COMMON_POSE))
+        for regressor in regressors:
+            column = found.get("pose." + regressor.label.removeprefix(COMMON_POSE))
             result.append((nothing, nothing) if column is None else prediction.pose_change(column))
         return result
 

@@ -193,8 +193,8 @@ def share_of(
         robust = beyond_limit(factor) + beyond_limit(factor_a)
         robust += float(np.log(factor).sum() + (share * np.log(factor_a)).sum())
     size = len(columns) + len(nuisances) + 1
-    own = [(i, *one) for i, one in enumerate(columns) if one is not None]
-    own += [(len(columns) + i, one[3], one[4]) for i, one in enumerate(nuisances)]
+    own = [(i, *column) for i, column in enumerate(columns) if column is not None]
+    own += [(len(columns) + i, nuisance[3], nuisance[4]) for i, nuisance in enumerate(nuisances)]
     of_distance = [(i, distance) for i, distance, _ in own]
     of_light = [(i, amplitude) for i, _, amplitude in own if amplitude is not None]
     of_distance.append((size - 1, prediction.residual))

@@ -76,10 +76,10 @@ class Forward:
         self.tick: Callable[[], None] | None = None
         self.threads = 1
         # the last is that of a ray that meets nothing, which has the number -1
-        self._undescribed = np.array([*(not one.is_described for one in scene.surfaces), False])
+        self._undescribed = np.array([*(not surface.is_described for surface in scene.surfaces), False])
         self._chain = Chain.of(camera.effects.values(), of_means=True)
         self._order = {name: i for i, name in enumerate(effects_of(camera))}
-        self._of_geometry = [name for name, one in registry().items() if one.remembers_geometry]
+        self._of_geometry = [name for name, effect in registry().items() if effect.remembers_geometry]
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"views": None, "tick": None}
@@ -115,20 +115,24 @@ class Forward:
                 memory, recording = {}, station.recording
             if self.tick is not None:
                 self.tick()
-            one = self._predict(station, memory, model, slopes)
+            predicted = self._predict(station, memory, model, slopes)
             if self.shifts is not None:
-                self.shifts[number].apply(one)
-                one.used &= np.isfinite(one.residual)
-                one.amplitude_used &= one.used
+                self.shifts[number].apply(predicted)
+                predicted.used &= np.isfinite(predicted.residual)
+                predicted.amplitude_used &= predicted.used
             factor = self.variance_factors.get((station.recording, station.placed), 1.0)
             if factor != 1.0:
-                one.sigma = one.sigma * np.sqrt(factor)
+                predicted.sigma = predicted.sigma * np.sqrt(factor)
             if self.masks is not None:
                 # the same pixels whatever the camera predicts, or likelihoods could not be compared
-                possible = np.isfinite(one.residual) & np.isfinite(one.sigma) & (one.station.count > 0)
-                one.used = self.masks[number][0] & possible
-                one.amplitude_used = self.masks[number][1] & possible
-            yield one
+                possible = (
+                    np.isfinite(predicted.residual)
+                    & np.isfinite(predicted.sigma)
+                    & (predicted.station.count > 0)
+                )
+                predicted.used = self.masks[number][0] & possible
+                predicted.amplitude_used = self.masks[number][1] & possible
+            yield predicted
 
     def shifts_to(self, other: Dataset) -> list[Shift]:
         """Return what another recording of the same stations measures beyond these predictions.
@@ -143,26 +147,33 @@ class Forward:
             )
         own = Forward(other, self.scene, self.camera, views=self.views)
         result = []
-        for one, mine in zip(own.predictions(slopes=False), self.dataset.stations, strict=True):
-            if any(one.station.truth[name] != mine.truth[name] for name in self.scene.needs_truth):
+        for prediction, mine in zip(own.predictions(slopes=False), self.dataset.stations, strict=True):
+            if any(prediction.station.truth[name] != mine.truth[name] for name in self.scene.needs_truth):
                 raise InputError(
-                    f"its station at {one.station.time:.3f} s has other poses than the recording's",
+                    f"its station at {prediction.station.time:.3f} s has other poses than the recording's",
                     file=other.files[0] if other.files else None,
                     remedy="simulate it with --poses BAG of the recording",
                 )
-            distance = np.where(one.station.count > 0, one.residual, np.nan)
-            result.append(Shift(distance, one.amplitude_residual, one.sigma**2, one.amplitude_sigma**2))
+            distance = np.where(prediction.station.count > 0, prediction.residual, np.nan)
+            result.append(
+                Shift(
+                    distance,
+                    prediction.amplitude_residual,
+                    prediction.sigma**2,
+                    prediction.amplitude_sigma**2,
+                )
+            )
         return result
 
     def pixels_used(self) -> list[tuple[Array, Array]]:
         """Return the pixels of each station that are fitted: both channels, (H, W) each."""
-        return [(one.used, one.amplitude_used) for one in self.predictions(slopes=False)]
+        return [(prediction.used, prediction.amplitude_used) for prediction in self.predictions(slopes=False)]
 
     def patches_seen(self) -> dict[tuple[int, int], Array]:
         """Return how many pixels share an error of the predicted amplitude, as ``patches``."""
         return {
-            (one.recording, one.placed): self.views.alike(self.views.view(one)).astype(np.int32)
-            for one in self.dataset.stations
+            (station.recording, station.placed): self.views.alike(self.views.view(station)).astype(np.int32)
+            for station in self.dataset.stations
         }
 
     def pixels_near_edges(self, margins: Margins = NEAR) -> list[tuple[Array, Array]]:
@@ -324,7 +335,7 @@ class Forward:
             gain=gain,
             pixel_gain=pixel_gain,
             amplitude_follows=np.where(nameless, 0.0, follows),
-            spread=[one for one in self._chain.light if one.spreads],
+            spread=[effect for effect in self._chain.light if effect.spreads],
             light_curves=self.light_curves,
             linear=self.linear,
         )

@@ -199,12 +199,9 @@ class GaussNewton:
                 remedy="check that the scene file describes the recording (rim info BAG lists its poses)",
             )
         regressors = equations.regressors[:owned]
-        offsets = [self._offsets.get(one.label, 0.0) for one in regressors]
-        away = np.array([self._away.get(one.label, 0.0) for one in regressors]) + offsets
-        at = {
-            one.label: self._numbers.get(one.label, 0.0) + offset
-            for one, offset in zip(regressors, offsets, strict=True)
-        }
+        labels = [regressor.label for regressor in regressors]
+        away = np.array([self._away.get(label, 0.0) + self._offsets.get(label, 0.0) for label in labels])
+        at = {label: self._numbers.get(label, 0.0) + self._offsets.get(label, 0.0) for label in labels}
         regressors, away = of_phasors(regressors, away, at)
         equations.regressors[:owned], equations.away = regressors, away
         reduced = equations.reduced()
@@ -221,11 +218,11 @@ class GaussNewton:
             try:
                 factor = linalg.cho_factor(matrix)
                 covariance = linalg.cho_solve(factor, np.eye(owned))
-                sides = self._bounds.open_sides([one.label for one in regressors], self._camera)
+                sides = self._bounds.open_sides(labels, self._camera)
                 step, stay = least_within(matrix, right, *sides)
             except (linalg.LinAlgError, ValueError):
                 raise RimError(_NO_SOLUTION, remedy="check scene and camera file") from None
-        by_nuisances = by_linear(matrix, right, [one.label for one in regressors])
+        by_nuisances = by_linear(matrix, right, labels)
         square = float(reduced.square) + float(np.sum((away / prior) ** 2)) - by_nuisances
         return Linearised(
             forward=forward,
@@ -244,7 +241,8 @@ class GaussNewton:
         )
 
     def _held(self, regressors: Sequence[Regressor]) -> list[int]:
-        return [i for i, one in enumerate(regressors) if of_shape(one.label) and one.owner in self._new]
+        new = [regressor.owner in self._new and of_shape(regressor.label) for regressor in regressors]
+        return np.flatnonzero(new).tolist()
 
     def went_too_far(self, here: Linearised, count: int) -> bool:
         """Return whether the last step made things worse, and a shorter one may be tried."""
@@ -362,8 +360,10 @@ class GaussNewton:
             camera=self._camera,
             scene=self._scene,
             parameters={
-                one: nuisances.get(one, 0.0) if is_linear(one) else value_of(one, self._camera, self._offsets)
-                for one in here.labels
+                label: nuisances.get(label, 0.0)
+                if is_linear(label)
+                else value_of(label, self._camera, self._offsets)
+                for label in here.labels
             },
             covariance=in_units(here.covariance, here.regressors, self._camera),
             pattern=pattern,

@@ -44,7 +44,7 @@ class Linearised:
     @property
     def labels(self) -> list[str]:
         """Labels of the regressors."""
-        return [one.label for one in self.regressors]
+        return [regressor.label for regressor in self.regressors]
 
     @property
     def sigma(self) -> Array:

@@ -93,7 +93,7 @@ def fit_noise(dataset: Dataset, camera: Camera) -> NoiseFit | None:
     confirmed = deviation < len(a) + 3 * float(np.sqrt(2 * len(a))) or departs < CLOSE
     noise = camera.noise if confirmed else _fitted(a, level, error, camera)
     model = noise.sigma_distance(a, background=camera.background) ** 2
-    common = [one.common for one in dataset.stations if one.common is not None]
+    common = [station.common for station in dataset.stations if station.common is not None]
     return NoiseFit(
         noise=noise,
         before=camera.noise,
@@ -120,21 +120,25 @@ def _variances(dataset: Dataset, camera: Camera) -> tuple[Array, Array, Array]:
     threshold = max(camera.sensor.amplitude_threshold, camera.minimum_amplitude or 0.0)
     response = response_of(camera)
     parts: list[tuple[Array, Array, Array]] = []
-    for one in dataset.stations:
-        if one.frames < 2:
+    for station in dataset.stations:
+        if station.frames < 2:
             continue
-        good = (one.count == one.frames) & (one.saturated == 0) & np.isfinite(one.distance_variance)
-        level = one.amplitude.astype(float)
-        spread = np.sqrt(np.maximum(one.amplitude_variance, 0))
+        good = (
+            (station.count == station.frames)
+            & (station.saturated == 0)
+            & np.isfinite(station.distance_variance)
+        )
+        level = station.amplitude.astype(float)
+        spread = np.sqrt(np.maximum(station.amplitude_variance, 0))
         good &= (level > 0) & (level > threshold + LEAST_RATIO * np.nan_to_num(spread))
         if response is not None:
             level = np.asarray(response.expanded(level))
-        relative = relative_variance(camera, level, one.distance, one.settings)
-        variance = one.distance_variance[good].astype(float) / relative[good]
-        parts.append((level[good], variance, (one.count[good] - 1.0)))
+        relative = relative_variance(camera, level, station.distance, station.settings)
+        variance = station.distance_variance[good].astype(float) / relative[good]
+        parts.append((level[good], variance, (station.count[good] - 1.0)))
     if not parts:
         return np.zeros(0), np.zeros(0), np.zeros(0)
-    amplitude, variance, freedom = (np.concatenate([one[i] for one in parts]) for i in range(3))
+    amplitude, variance, freedom = (np.concatenate([part[i] for part in parts]) for i in range(3))
     return amplitude, variance, freedom
 
 

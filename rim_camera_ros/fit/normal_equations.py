@@ -109,7 +109,7 @@ def reduce_folds(folds: Sequence[Fold], priors: Array, pixel_priors: PixelPriors
 def reduce_further(folds: Sequence[Fold], priors: Array, sums: WithoutPixels) -> Reduced:
     """Eliminate nuisances as well from the ``sums`` of folds; their priors may be others than before."""
     count, pixels, full = len(priors), sums.pixels, sums.gram.copy()
-    nuisances = [one for fold in folds for one in fold.nuisances]
+    nuisances = [nuisance for fold in folds for nuisance in fold.nuisances]
     # what some folds know of a regressor may be far less than rounding is beside its prior
     unit = np.hypot(np.sqrt(sums.diagonal[:count]), 1.0 / priors)
     inner = slice(count, count + len(nuisances))
@@ -199,7 +199,7 @@ def accumulate(
     together need the same. The threads of ``forward`` share the stations: the sums are the same with any
     number of them.
     """
-    regressors = [one for block in blocks for one in block.regressors]
+    regressors = [regressor for block in blocks for regressor in block.regressors]
     camera = forward.camera
     gain_prior = camera.radiometry.pattern_sigma if pattern else 0.0
     ordered = [block for block in blocks if block.in_order]
@@ -238,7 +238,7 @@ def accumulate(
     row_of = np.full(seen.size, -1)
     pixels = np.flatnonzero(seen)
     row_of[pixels] = np.arange(pixels.size)
-    numbers = [(one.recording, one.pose) for one in forward.dataset.stations]
+    numbers = [(station.recording, station.pose) for station in forward.dataset.stations]
     stations = Counter(0 if fold_of is None else fold_of[key] for key in numbers)
     sums: dict[int, FoldSums] = {}
     for number, found in in_order(share, taken(), threads=forward.threads):

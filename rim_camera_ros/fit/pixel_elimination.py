@@ -155,7 +155,7 @@ def _given(values: Array | None) -> Array:
 
 def stacked(folds: Sequence[Fold], count: int) -> tuple[Array, list[tuple[str, float, float]]]:
     """Put folds together: Gram matrix, nuisances; order regressors, nuisances, observations."""
-    nuisances = [one for fold in folds for one in fold.nuisances]
+    nuisances = [nuisance for fold in folds for nuisance in fold.nuisances]
     size = count + len(nuisances) + 1
     gram = np.zeros((size, size))
     start = count
@@ -193,5 +193,5 @@ def _times(folds: Sequence[Fold], count: int, values: Array, *, gain: bool = Fal
 
 def stacked_sides(count: int, sides: Sequence[Array]) -> Array:
     """Put right-hand sides (M - 1, R) of folds together as `stacked` does with the observations."""
-    shared = np.sum([one[:count] for one in sides], axis=0)
-    return np.concatenate([shared, *(one[count:] for one in sides)])
+    shared = np.sum([side[:count] for side in sides], axis=0)
+    return np.concatenate([shared, *(side[count:] for side in sides)])

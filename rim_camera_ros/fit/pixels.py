@@ -55,19 +55,21 @@ def usable_pixels(forward: Forward) -> tuple[Masks, int]:
     darkest = NOISIEST * forward.camera.sensor.ambiguity
     path = effect_of(forward.camera, InternalReference)
     reference = None if path is None else path.region()
-    for one in forward.predictions(slopes=False):
+    for prediction in forward.predictions(slopes=False):
         # by the predicted amplitude: picking by the measured one would pick the bright half of the noise
-        used = one.used & (one.sigma * np.sqrt(np.maximum(one.station.count, 1)) < darkest)
+        used = prediction.used & (
+            prediction.sigma * np.sqrt(np.maximum(prediction.station.count, 1)) < darkest
+        )
         if reference is not None:
             used[reference] = False
         if used.any():
-            centre = np.median(one.residual[used])
-            away = np.abs(one.residual - centre)
+            centre = np.median(prediction.residual[used])
+            away = np.abs(prediction.residual - centre)
             limit = max(GROSS, GROSS_SIGMAS * 1.4826 * float(np.median(away[used])))
-            wild = used & (away > np.maximum(limit, GROSS_SIGMAS * one.sigma))
+            wild = used & (away > np.maximum(limit, GROSS_SIGMAS * prediction.sigma))
             gross += int(wild.sum())
             used = used & ~wild
-        masks.append((used, one.amplitude_used & used))
+        masks.append((used, prediction.amplitude_used & used))
     return masks, gross
 
 
@@ -90,14 +92,14 @@ def without_edges(
     """
     totals = np.zeros((2, 2))
     zones = _Zones()
-    for one, (used, _) in zip(fitted.forward.predictions(), masks, strict=True):
-        rest, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
-        within = [beside(one, margin) for margin in range(BESIDE, WIDEST + 1)]
+    for prediction, (used, _) in zip(fitted.forward.predictions(), masks, strict=True):
+        rest, _ = after_nuisances(prediction, fitted.pattern, fitted.nuisances)
+        within = [beside(prediction, margin) for margin in range(BESIDE, WIDEST + 1)]
         with np.errstate(invalid="ignore", divide="ignore"):
-            z = np.minimum(np.abs(rest) / one.sigma, ROBUST_LIMIT)
-        for i, pixels in enumerate((one.used & ~within[0], one.used & within[0])):
+            z = np.minimum(np.abs(rest) / prediction.sigma, ROBUST_LIMIT)
+        for i, pixels in enumerate((prediction.used & ~within[0], prediction.used & within[0])):
             totals[i] += float(np.sum(z[pixels] ** 2)), float(pixels.sum())
-        zones.add(one, rest, used, within)
+        zones.add(prediction, rest, used, within)
     chi_square = totals[:, 0] / np.maximum(totals[:, 1], 1)
     poor = chi_square[1] >= POOR and chi_square[1] >= DISAGREE * chi_square[0]
     margin, step = zones.margin()
@@ -108,7 +110,9 @@ def without_edges(
         predictions = fitted.forward.predictions(slopes=False)
         left = [
             (used & inner, lit & inner)
-            for (used, lit), inner in zip(masks, (~beside(one, margin) for one in predictions), strict=True)
+            for (used, lit), inner in zip(
+                masks, (~beside(prediction, margin) for prediction in predictions), strict=True
+            )
         ]
         if sum(int(used.sum()) for used, _ in left) >= LEAST_LEFT * totals[:, 1].sum():
             break
@@ -132,9 +136,9 @@ class _Zones:
     def __init__(self) -> None:
         self._found: dict[tuple[int, float], list[float]] = {}
 
-    def add(self, one: Prediction, rest: Array, used: Array, within: Sequence[Array]) -> None:
+    def add(self, predicted: Prediction, rest: Array, used: Array, within: Sequence[Array]) -> None:
         """Add a station: residuals [m], pixels, and which of them are within each margin, (H, W) each."""
-        colours = one.view.geometry.reflectivity
+        colours = predicted.view.geometry.reflectivity
         for colour in np.unique(colours[used]):
             mine = used & (colours == colour)
             far = mine & ~within[-1]
@@ -173,4 +177,4 @@ class _Zones:
 
 def more_pixels(masks: Sequence[tuple[Array, Array]], others: Sequence[tuple[Array, Array]]) -> bool:
     """Return whether masks (H, W) of the same stations take in distances that others leave out."""
-    return any(bool((one[0] & ~other[0]).any()) for one, other in zip(masks, others, strict=True))
+    return any(bool((mask[0] & ~other[0]).any()) for mask, other in zip(masks, others, strict=True))

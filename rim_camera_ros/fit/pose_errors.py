@@ -34,13 +34,13 @@ class WiderSurface(Surface):
         return covariance * np.outer(wider, wider)
 
 
-def _wider(one: Surface, offset: float, tilt: float, *, own: bool) -> Surface:
+def _wider(plane: Surface, offset: float, tilt: float, *, own: bool) -> Surface:
     """Return the surface with larger errors of its poses; ``own``: the recording states some with them."""
-    sigma = (one.pose_sigma[0] * offset, one.pose_sigma[1] * tilt)
+    sigma = (plane.pose_sigma[0] * offset, plane.pose_sigma[1] * tilt)
     if not own:
-        return replace(one, pose_sigma=sigma)
-    before = one.factors if isinstance(one, WiderSurface) else (1.0, 1.0)
-    values = {field.name: getattr(one, field.name) for field in fields(Surface)} | {"pose_sigma": sigma}
+        return replace(plane, pose_sigma=sigma)
+    before = plane.factors if isinstance(plane, WiderSurface) else (1.0, 1.0)
+    values = {field.name: getattr(plane, field.name) for field in fields(Surface)} | {"pose_sigma": sigma}
     return WiderSurface(**values, factors=(before[0] * offset, before[1] * tilt))
 
 
@@ -75,11 +75,13 @@ def with_wider_poses(scene: Scene, fitted: Fit) -> Scene | None:
     if not any(max(pair) > WIDER for pair in ratios.values()):
         return None
     stations = fitted.forward.dataset.stations
-    own = {name for one in stations for name, pose in one.truth.items() if pose.covariance is not None}
+    own = {
+        name for station in stations for name, pose in station.truth.items() if pose.covariance is not None
+    }
     surfaces = []
-    for one in scene.surfaces:
-        offset, tilt = (max(ratio, 1.0) for ratio in ratios.get(one.name, (1.0, 1.0)))
-        surfaces.append(_wider(one, offset, tilt, own=one.name in own))
+    for surface in scene.surfaces:
+        offset, tilt = (max(ratio, 1.0) for ratio in ratios.get(surface.name, (1.0, 1.0)))
+        surfaces.append(_wider(surface, offset, tilt, own=surface.name in own))
     return replace(scene, surfaces=tuple(surfaces))
 
 

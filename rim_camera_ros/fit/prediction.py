@@ -176,13 +176,13 @@ class Prediction:
         if labels[0] in RESPONSE:
             zero = np.zeros(self.distance.shape)
             changes = curves.response_columns(self.model_amplitude / self.pixel_gain)
-            return [(zero, self.model_reading * one) for one in changes]
+            return [(zero, self.model_reading * change) for change in changes]
         changes = curves.columns(self.view.geometry, self.context.ambiguity, labels)
         if not self.spread:
-            return [self.reading_change(0.0, one) for one in changes]
+            return [self.reading_change(0.0, change) for change in changes]
         # a plane has few of the angles between which a curve bends, and spreading light is what takes time
         none = (np.zeros(self.distance.shape), np.zeros(self.distance.shape))
-        return [self.light_change(None, one + 0j) if one.any() else none for one in changes]
+        return [self.light_change(None, change + 0j) if change.any() else none for change in changes]
 
     def light_columns(self) -> dict[str, tuple[Array, Array]]:
         """Return the derivatives by light that is added to all pixels [counts], by name of its part.
@@ -251,11 +251,11 @@ class Shift:
     distance_variance: Array
     amplitude_variance: Array
 
-    def apply(self, one: Prediction) -> None:
+    def apply(self, predicted: Prediction) -> None:
         """Compare with the other recording: both scatter."""
-        one.residual = one.residual - self.distance
-        one.amplitude_residual = one.amplitude_residual - self.amplitude
-        one.variance_of_other = self.distance_variance
-        one.sigma = np.sqrt(one.sigma**2 + self.distance_variance)
-        one.amplitude_sigma = np.sqrt(one.amplitude_sigma**2 + self.amplitude_variance)
-        one.amplitude_noise = np.sqrt(one.amplitude_noise**2 + self.amplitude_variance)
+        predicted.residual = predicted.residual - self.distance
+        predicted.amplitude_residual = predicted.amplitude_residual - self.amplitude
+        predicted.variance_of_other = self.distance_variance
+        predicted.sigma = np.sqrt(predicted.sigma**2 + self.distance_variance)
+        predicted.amplitude_sigma = np.sqrt(predicted.amplitude_sigma**2 + self.amplitude_variance)
+        predicted.amplitude_noise = np.sqrt(predicted.amplitude_noise**2 + self.amplitude_variance)

@@ -210,8 +210,8 @@ def clean_by(camera: Camera, problem: Problem, scene: Scene, *, views: Views | N
     """
     forward = forward_of(problem, scene, camera, views=views, offsets={})
     masks = [
-        (one.used & one.view.clean, one.amplitude_used & one.view.clean)
-        for one in forward.predictions(slopes=False)
+        (prediction.used & prediction.view.clean, prediction.amplitude_used & prediction.view.clean)
+        for prediction in forward.predictions(slopes=False)
     ]
     return replace(problem, masks=masks)
 
@@ -246,10 +246,10 @@ def blocks_of(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
             camera, scene, lobe=not problem.reflectance, pattern_field=problem.has_pattern_field
         )
     free = [
-        (f"scene.{one.name}.{axis}", 1.0 if axis in "xyz" else 0.3)
-        for one in scene.surfaces
-        if isinstance(one.pose, ScenePose)
-        for axis in one.pose.free
+        (f"scene.{surface.name}.{axis}", 1.0 if axis in "xyz" else 0.3)
+        for surface in scene.surfaces
+        if isinstance(surface.pose, ScenePose)
+        for axis in surface.pose.free
     ]
     if free:
         blocks.append(pose_block(free))

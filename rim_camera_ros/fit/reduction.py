@@ -130,7 +130,7 @@ def _mean_settings(settings: list[Settings]) -> Settings:
     """Return the first frame's settings with the means of what changes steadily."""
 
     def mean(name: str) -> float | None:
-        values = [getattr(one, name) for one in settings]
+        values = [getattr(setting, name) for setting in settings]
         return None if any(v is None for v in values) else float(np.mean(values))
 
     return replace(
@@ -250,7 +250,7 @@ def reduce_recording(
                     recording=recording,
                     block_seconds=seconds,
                     codes=codes,
-                    surfaces=None if scene is None else {one.name for one in scene.surfaces},
+                    surfaces=None if scene is None else {surface.name for surface in scene.surfaces},
                 )
             )
         except InputError as error:
@@ -263,6 +263,6 @@ def reduce_recording(
         stations,
         [str(path)],
         notes,
-        sum(one.frames for one in stations),
+        sum(station.frames for station in stations),
         codes if codes.any() else None,
     )

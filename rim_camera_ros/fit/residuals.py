@@ -55,13 +55,13 @@ def amplitude_error(forward: Forward, nuisances: Mapping[str, float]) -> float:
     """
     pattern = np.zeros(forward.camera.shape)
 
-    def means(one: Prediction) -> tuple[Array, Array]:
-        pixels = one.amplitude_used
+    def means(predicted: Prediction) -> tuple[Array, Array]:
+        pixels = predicted.amplitude_used
         if not pixels.any():
             return np.zeros(0), np.zeros(0)
-        _, amplitude = after_nuisances(one, pattern, nuisances)
-        reading = one.station.amplitude[pixels] - one.amplitude_residual[pixels]
-        return _means(amplitude[pixels] / reading, forward.views.patches(one.view)[pixels])
+        _, amplitude = after_nuisances(predicted, pattern, nuisances)
+        reading = predicted.station.amplitude[pixels] - predicted.amplitude_residual[pixels]
+        return _means(amplitude[pixels] / reading, forward.views.patches(predicted.view)[pixels])
 
     found = list(in_order(means, forward.predictions(slopes=False), threads=forward.threads))
     if not found:
@@ -109,7 +109,7 @@ def after_nuisances(
             distance = distance - error * by_distance
             amplitude = amplitude - error * by_amplitude
     for block in prediction.linear:
-        values = [nuisances.get(one.label, 0.0) for one in block.regressors]
+        values = [nuisances.get(regressor.label, 0.0) for regressor in block.regressors]
         if not any(values):
             continue
         for value, (by_regressor, counts) in zip(values, block.columns(prediction), strict=True):

@@ -158,7 +158,7 @@ def of_phasors(
     coordinates, which are orthogonal, that prior stays diagonal, exact in value, slope and Gauss-Newton
     curvature. One of the phase itself would cost a turn by pi where an amplitude goes through 0.
     """
-    number = {one.label: i for i, one in enumerate(regressors)}
+    number = {regressor.label: i for i, regressor in enumerate(regressors)}
     found, moved = list(regressors), away.copy()
     for path, i in number.items():
         phase = path.removesuffix("amplitude") + "phase"
@@ -195,7 +195,7 @@ def moved_light(offsets: Mapping[str, float], level: float | None, scene: Scene)
 
 def in_units(covariance: Array, regressors: Sequence[Any], camera: Camera) -> Array:
     """Return a covariance of steps as one of parameters: the gain in counts, not its logarithm."""
-    scale = np.array([camera.radiometry.gain if one.label == GAIN else 1.0 for one in regressors])
+    scale = np.array([camera.radiometry.gain if regressor.label == GAIN else 1.0 for regressor in regressors])
     return np.asarray(covariance * scale[:, None] * scale[None, :])
 
 
@@ -222,19 +222,19 @@ def moved_scene(scene: Scene, offsets: Mapping[str, float]) -> Scene:
     if not any(path.startswith("scene.") for path in offsets):
         return scene
     surfaces = []
-    for one in scene.surfaces:
-        pose = one.pose
+    for surface in scene.surfaces:
+        pose = surface.pose
         if isinstance(pose, ScenePose) and pose.free:
-            shift = [offsets.get(f"scene.{one.name}.{axis}", 0.0) for axis in "xyz"]
+            shift = [offsets.get(f"scene.{surface.name}.{axis}", 0.0) for axis in "xyz"]
             rotation = rotation_matrix(pose.orientation)
             for name, axis in OPTICAL_AXES.items():
-                angle = offsets.get(f"scene.{one.name}.{name}", 0.0)
+                angle = offsets.get(f"scene.{surface.name}.{name}", 0.0)
                 half = np.array(axis) * np.sin(angle / 2)
                 turn = rotation_matrix((half[0], half[1], half[2], float(np.cos(angle / 2))))
                 rotation = turn @ rotation
             position = (pose.position[0] + shift[0], pose.position[1] + shift[1], pose.position[2] + shift[2])
             pose = replace(pose, position=position, orientation=quaternion(rotation))
-        surfaces.append(replace(one, pose=pose))
+        surfaces.append(replace(surface, pose=pose))
     return replace(scene, surfaces=tuple(surfaces))
 
 

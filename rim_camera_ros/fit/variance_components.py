@@ -65,7 +65,7 @@ def correlated_evidences(fitted: Fit, sizes: Sequence[float]) -> list[float]:
     folds, priors = fitted.equations.folds, priors_of(fitted.equations.regressors)
     sums = without_pixels(folds, len(priors), fitted.equations.pixels)
     factors = [size / fitted.forward.correlated_error for size in sizes]
-    scaled = ([_scaled(one, factor) for one in folds] for factor in factors)
+    scaled = ([_scaled(fold, factor) for fold in folds] for factor in factors)
     return [_log_evidence(fitted, reduce_further(own, priors, sums)) for own in scaled]
 
 
@@ -126,20 +126,20 @@ def pose_chi_squares(fitted: Fit, *, patch: int = PATCH) -> dict[Key, float]:
     Residuals count no more than `WILD` sigma. Poses of few patches are not among them.
     """
     totals: dict[Key, list[Array]] = {}
-    for one in fitted.forward.predictions():
-        rest, _ = after_nuisances(one, fitted.pattern, fitted.nuisances)
-        used = one.used
-        z = np.clip(rest[used] / one.sigma[used], -WILD, WILD)
-        geometry = one.view.geometry
+    for prediction in fitted.forward.predictions():
+        rest, _ = after_nuisances(prediction, fitted.pattern, fitted.nuisances)
+        used = prediction.used
+        z = np.clip(rest[used] / prediction.sigma[used], -WILD, WILD)
+        geometry = prediction.view.geometry
         rows, columns = np.nonzero(used)
         kinds = np.stack(
             [rows // patch, columns // patch, geometry.surface[used], geometry.reflectivity[used]]
         )
         _, number = np.unique(kinds, axis=1, return_inverse=True)
         number = np.ravel(number)
-        precise = 1.0 / one.sigma[used]
+        precise = 1.0 / prediction.sigma[used]
         total = np.bincount(number, precise * z)
-        key = (one.station.recording, one.station.placed)
+        key = (prediction.station.recording, prediction.station.placed)
         totals.setdefault(key, []).append(total**2 / np.bincount(number, precise**2))
     joined = {key: np.concatenate(parts) for key, parts in totals.items()}
     return {key: float(parts.mean()) for key, parts in joined.items() if len(parts) >= LEAST_PATCHES}
@@ -168,8 +168,8 @@ def likely_correlated_error(problem: Problem, fitted: Fit) -> float | None:
 def correlated_error_rms(fitted: Fit) -> float:
     """Return by how much poses of a fit err smoothly [m, RMS], beside what may be an error of the poses."""
     squares = [
-        correlated_error_of(one, fitted.nuisances)[one.used] ** 2
-        for one in fitted.forward.predictions(slopes=False)
+        correlated_error_of(prediction, fitted.nuisances)[prediction.used] ** 2
+        for prediction in fitted.forward.predictions(slopes=False)
     ]
     return float(np.sqrt(np.mean(np.concatenate(squares))))
 
@@ -204,7 +204,7 @@ def pose_variance_factors(problem: Problem, fitted: Fit) -> dict[Key, float] | N
         whole = {key: chi * before.get(key, 1.0) for key, chi in found.items()}
         level = 1.0 if absolute else _level(whole)
         factors = {key: float(np.clip(chi / level, 1.0, MOST)) for key, chi in whole.items()}
-        ratios = [one / before.get(key, 1.0) for key, one in factors.items()]
+        ratios = [factor / before.get(key, 1.0) for key, factor in factors.items()]
         if max(max(ratios), 1.0 / min(ratios)) < _SETTLED:
             break
         again = fit(replace(free, variance_factors=factors), fitted.camera, iterations=2, warm=fitted)

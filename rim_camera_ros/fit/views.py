@@ -117,7 +117,7 @@ class Views:
     def view(self, station: Station) -> View:
         """Return what a station's pixels see. Raises `InputError` for a missing pose."""
         poses = self.scene.poses_for(station.truth)
-        key = tuple(poses.get(one.name) for one in self.scene.surfaces)
+        key = tuple(poses.get(surface.name) for surface in self.scene.surfaces)
         found = self._kept.get(key)
         if found is None:
             found = (
@@ -192,7 +192,7 @@ class Views:
             # corners may lie between the rays around a pixel, and between tiles of one reflectivity
             clean &= _alone(geometry.tile)
         surfaces = self.scene.surfaces
-        there = [one for one in surfaces if one.name in poses]
+        there = [plane for plane in surfaces if plane.name in poses]
         uncertain = len(there) > 1 or there[0].type != "plane"
         if uncertain:
             for rays in self._rays_around(margins.outline):
@@ -238,22 +238,22 @@ class Views:
 def _unpainted(scene: Scene) -> tuple[Surface, ...]:
     """Return surfaces as if their tiles, which stay where they are, all reflected alike."""
     return tuple(
-        replace(one, reflectivity_sigma=0.0)
-        if one.texture is None
+        replace(surface, reflectivity_sigma=0.0)
+        if surface.texture is None
         else replace(
-            one,
+            surface,
             reflectivity_sigma=0.0,
-            texture=replace(one.texture, values=NestedList(np.ones(one.texture.values.values.shape))),
+            texture=replace(surface.texture, values=NestedList(np.ones(surface.texture.values.values.shape))),
         )
-        for one in scene.surfaces
+        for surface in scene.surfaces
     )
 
 
 def _repainted(view: View, scene: Scene) -> View:
     """Return a view whose tiles reflect as those of a scene."""
     tiles = [
-        [one.nominal_reflectivity] if one.texture is None else one.texture.values.values.ravel()
-        for one in scene.surfaces
+        [surface.nominal_reflectivity] if surface.texture is None else surface.texture.values.values.ravel()
+        for surface in scene.surfaces
     ]
     values = np.concatenate([*tiles, [np.nan]])  # the last is that of a ray that meets nothing
     geometry = replace(view.geometry, reflectivity=values[view.geometry.tile])
@@ -286,7 +286,7 @@ def _truth_columns(surface: Surface, view: View, mine: Array, rays: Array) -> li
             continue
         share = rest[:, k] / variance
         rest -= np.outer(share, share) * variance
-        together = [(factor, one) for factor, one in zip(share, changes, strict=True) if factor != 0]
+        together = [(factor, change) for factor, change in zip(share, changes, strict=True) if factor != 0]
         column, light = (np.sum([f * one[part] for f, one in together], axis=0) for part in (0, 1))
         result.append(PoseColumn(f"pose.{surface.name}.{name}", float(np.sqrt(variance)), column, light))
     return result

@@ -75,7 +75,7 @@ class GatedShutter(PulseAndGates):
     @property
     def windows(self) -> Array:
         """Width of each gate (gates,) in widths of the pulse: its share of unmodulated light."""
-        return np.array([one.width for one in self.gates]) / self.pulse_width
+        return np.array([gate.width for gate in self.gates]) / self.pulse_width
 
     def shares(self, distance: Array) -> Array:
         """Return the share (gates, ...) of a pulse's light that each gate lets through, by distance [m].

@@ -104,14 +104,14 @@ class Profile:
     def names(self) -> tuple[str, ...]:
         """All topic names that the profile knows, without transports."""
         found = [*self.distance.topics, *self.amplitude.topics, *self.camera_info.topics]
-        for one in (self.integration_time, self.body_temperature):
-            found += one.topics if one is not None else ()
+        for setting_source in (self.integration_time, self.body_temperature):
+            found += setting_source.topics if setting_source is not None else ()
         return tuple(dict.fromkeys([*found, *self.also]))
 
 
 def shipped_profiles() -> tuple[str, ...]:
     """Return the names of the profiles that come with the package, without the template."""
-    return tuple(sorted(one.stem for one in _FOLDER.glob("*.yaml") if one.stem != TEMPLATE))
+    return tuple(sorted(path.stem for path in _FOLDER.glob("*.yaml") if path.stem != TEMPLATE))
 
 
 def find_profile(name: str) -> Path:

@@ -234,7 +234,7 @@ class DriverRecording:
         ):
             if number > used:
                 self.skipped[f"{role} images without a partner within half a period"] += number - used
-        apart = [abs(one - other) for one, other in self._partner.items()]
+        apart = [abs(name - other) for name, other in self._partner.items()]
         if any(apart):
             self.notes.append(
                 f"distance and amplitude are up to {max(apart) / 1e6:.3g} ms apart"

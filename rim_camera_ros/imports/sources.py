@@ -114,7 +114,7 @@ def find_sources(
         if types.get(info) != CAMERA_INFO:
             raise InputError(
                 f"no topic {info} of type sensor_msgs/CameraInfo",
-                remedy=f"there are: {listed([one for one, kind in types.items() if kind == CAMERA_INFO])}",
+                remedy=f"there are: {listed([name for name, kind in types.items() if kind == CAMERA_INFO])}",
             )
     else:
         listed_names = [f"{namespace}/{name}" for name in profile.camera_info.topics]
@@ -133,7 +133,7 @@ def find_sources(
 
 def _missing(role: str, namespace: str, names: tuple[str, ...], types: Mapping[str, str]) -> InputError:
     kinds = (IMAGE, COMPRESSED_IMAGE)
-    there = [one for one, kind in types.items() if kind in kinds]
+    there = [name for name, kind in types.items() if kind in kinds]
     wanted = " or ".join(name if name.startswith("/") else f"{namespace}/{name}" for name in names)
     return InputError(
         f"no {role} image {wanted}, raw or compressed; images: {listed(there)}",

@@ -149,8 +149,8 @@ def camera_text(facts: dict[str, Any]) -> str:
 def _effects(parts: Sequence[Part]) -> dict[str, Effect]:
     """Return the effects by name, with the part's name where the parts differ in it."""
     result: dict[str, Effect] = {}
-    for name in dict.fromkeys(name for one in parts for name in one.camera.effects):
-        found = [(one.camera.effects[name], one.name) for one in parts if name in one.camera.effects]
+    for name in dict.fromkeys(name for part in parts for name in part.camera.effects):
+        found = [(part.camera.effects[name], part.name) for part in parts if name in part.camera.effects]
         same = len(found) == len(parts) and all(one == found[0][0] for one, _ in found)
         result |= {name: found[0][0]} if same else {f"{name}, {part}": one for one, part in found}
     return result
@@ -172,7 +172,7 @@ def _integration_times(camera: Camera) -> list[float | None]:
         times |= effect.rows()
         if isinstance(effect, CovariateTable):
             pairs = zip(effect.covariates, effect.knots, strict=True)
-            times |= {one for name, knots in pairs if name == "integration_time" for one in knots}
+            times |= {knot for name, knots in pairs if name == "integration_time" for knot in knots}
     if times:
         return [*sorted(times)]
     return [camera.sensor.integration_time]

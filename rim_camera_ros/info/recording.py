@@ -153,8 +153,8 @@ def recording_facts(
             "damage": summary.damage,
             "fault": None if fault is None else str(fault),
             "topics": {
-                one.name: {"type": one.msgtype, "messages": one.count, "role": one.role}
-                for one in summary.topics
+                topic.name: {"type": topic.msgtype, "messages": topic.count, "role": topic.role}
+                for topic in summary.topics
             },
         }
         return facts, fault
@@ -211,7 +211,7 @@ def recording_text(facts: dict[str, Any]) -> str:
         notes.append("--camera CAMERA gives distances in metres and the noise of its model")
     if notes:
         parts.append("notes\n" + wrapped(notes))
-    topics = [[name, one["role"] or "-", one["messages"]] for name, one in facts["topics"].items()]
+    topics = [[name, fact["role"] or "-", fact["messages"]] for name, fact in facts["topics"].items()]
     if topics:
         parts.append("topics\n" + table(["topic", "role", "messages"], topics, left=2))
     return "\n\n".join(parts)

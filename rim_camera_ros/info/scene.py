@@ -17,13 +17,15 @@ def scene_facts(scene: Scene, camera: Camera | None = None) -> dict[str, Any]:
     """Return plain facts: surfaces, schedule, motion, and with a camera what its pixels see of it first."""
     stations = scene.schedule
     facts: dict[str, Any] = {
-        "surfaces": [_surface(one) for one in scene.surfaces],
+        "surfaces": [_surface(surface) for surface in scene.surfaces],
         "needs_truth": list(scene.needs_truth),
         "stations": len(stations),
-        "frames": sum(one.frames for one in stations) or None,
-        "duration_s": sum(one.frames / one.rate for one in stations) or None,
-        "integration_times": sorted({t for one in stations if (t := one.integration_time) is not None}),
-        "ambient_degc": sorted({t for one in stations if (t := one.ambient) is not None}),
+        "frames": sum(station.frames for station in stations) or None,
+        "duration_s": sum(station.frames / station.rate for station in stations) or None,
+        "integration_times": sorted(
+            {t for station in stations if (t := station.integration_time) is not None}
+        ),
+        "ambient_degc": sorted({t for station in stations if (t := station.ambient) is not None}),
         "moving_camera": scene.camera_motion.moves,
     }
     if camera is not None and not scene.needs_truth:
@@ -31,22 +33,22 @@ def scene_facts(scene: Scene, camera: Camera | None = None) -> dict[str, Any]:
     return facts
 
 
-def _surface(one: Surface) -> dict[str, Any]:
-    size: list[float] | None = list(one.size) if one.size else None
-    if one.radius is not None:
-        size = [one.radius]
-    reflectivity = [one.nominal_reflectivity] * 2 if one.is_described else None
-    if one.texture is not None:
-        values = one.texture.values.values
+def _surface(plane: Surface) -> dict[str, Any]:
+    size: list[float] | None = list(plane.size) if plane.size else None
+    if plane.radius is not None:
+        size = [plane.radius]
+    reflectivity = [plane.nominal_reflectivity] * 2 if plane.is_described else None
+    if plane.texture is not None:
+        values = plane.texture.values.values
         reflectivity = [float(values.min()), float(values.max())]
     return {
-        "name": one.name,
-        "type": one.type,
+        "name": plane.name,
+        "type": plane.type,
         "size_m": size,
-        "position_m": None if isinstance(one.pose, str) else list(one.pose.position),
-        "free": [] if isinstance(one.pose, str) else list(one.pose.free),
+        "position_m": None if isinstance(plane.pose, str) else list(plane.pose.position),
+        "free": [] if isinstance(plane.pose, str) else list(plane.pose.free),
         "reflectivity": reflectivity,
-        "pose_sigma": list(one.pose_sigma),
+        "pose_sigma": list(plane.pose_sigma),
     }
 
 
@@ -59,7 +61,7 @@ def _seen(scene: Scene, camera: Camera) -> dict[str, Any]:
     geometry = simulation.geometry(exposure.poses)
     lit = geometry.hit & (signal.amplitude > 0)
     dark = not lit.any()
-    shares = {one.name: float((geometry.surface == i).mean()) for i, one in enumerate(scene.surfaces)}
+    shares = {surface.name: float((geometry.surface == i).mean()) for i, surface in enumerate(scene.surfaces)}
     return {
         "integration_time": context.integration_time,
         "share_of_pixels": shares,
@@ -76,20 +78,20 @@ def scene_text(facts: dict[str, Any]) -> str:
     """Return the facts for a person."""
     rows = []
     shares = facts.get("seen", {}).get("share_of_pixels", {})
-    for one in facts["surfaces"]:
-        size = "-" if one["size_m"] is None else " x ".join(f"{x:g}" for x in one["size_m"])
-        if one["type"] in ("disc", "sphere"):
+    for fact in facts["surfaces"]:
+        size = "-" if fact["size_m"] is None else " x ".join(f"{x:g}" for x in fact["size_m"])
+        if fact["type"] in ("disc", "sphere"):
             size = f"r {size}"
-        position = "truth" if one["position_m"] is None else " ".join(map(number, one["position_m"]))
+        position = "truth" if fact["position_m"] is None else " ".join(map(number, fact["position_m"]))
         row = [
-            one["name"],
-            one["type"],
+            fact["name"],
+            fact["type"],
             size,
             position,
-            span(*one["reflectivity"]) if one["reflectivity"] else "unknown",
+            span(*fact["reflectivity"]) if fact["reflectivity"] else "unknown",
         ]
         if shares:
-            row.append(percent(shares[one["name"]]))
+            row.append(percent(shares[fact["name"]]))
         rows.append(row)
     headings = ["surface", "type", "size [m]", "position [m]", "reflectivity"] + (
         ["of the image"] if shares else []

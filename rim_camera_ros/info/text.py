@@ -21,7 +21,7 @@ def section(heading: str, lines: Lines) -> str:
 
 def wrapped(sentences: Iterable[str], mark: str = "  ") -> str:
     """Return sentences one below the other, long ones over several lines."""
-    return "\n".join(_hanging(mark, one) for one in sentences)
+    return "\n".join(_hanging(mark, sentence) for sentence in sentences)
 
 
 def _hanging(start: str, text: str) -> str:

@@ -24,11 +24,11 @@ def usb_facts(cameras: UsbCameras | None = None, *, library: str | None = None) 
     except UsbUnavailable as error:
         missing.append(f"{error}; without it nobody can say what is connected")
     else:
-        facts["cameras"] = [_camera(one) for one in found]
+        facts["cameras"] = [_camera(usb_camera) for usb_camera in found]
         if not found:
             missing.append("no SwissRanger is connected (plug it in and switch it on)")
-        elif all(one["problem"] for one in facts["cameras"]):
-            missing.extend(one["problem"] for one in facts["cameras"])
+        elif all(fact["problem"] for fact in facts["cameras"]):
+            missing.extend(fact["problem"] for fact in facts["cameras"])
     try:
         facts["library"] = probe_library(library)
     except RimError as error:
@@ -39,22 +39,22 @@ def usb_facts(cameras: UsbCameras | None = None, *, library: str | None = None) 
 def usb_text(facts: dict[str, Any]) -> str:
     """Return the facts as text, one line for each thing that is there or missing."""
     lines = []
-    for one in facts["cameras"] or ():
-        lines.append(f"{one['model']} ({one['ids']}) at {one['file']}: {one['state']}")
+    for fact in facts["cameras"] or ():
+        lines.append(f"{fact['model']} ({fact['ids']}) at {fact['file']}: {fact['state']}")
     if facts["library"]:
         lines.append(f"libmesasr {facts['library']['version']}: {facts['library']['file']}")
-    lines += [f"missing: {one}" for one in facts["missing"]]
+    lines += [f"missing: {fact}" for fact in facts["missing"]]
     if not facts["missing"]:
         lines.append("frames can be taken")
     return "\n".join(lines)
 
 
-def _camera(one: UsbCamera) -> dict[str, Any]:
-    error = one.error()
+def _camera(usb_camera: UsbCamera) -> dict[str, Any]:
+    error = usb_camera.error()
     return {
-        "model": one.model.name,
-        "ids": f"{one.vendor:04x}:{one.product:04x}",
-        "file": one.file,
-        "state": one.state,
+        "model": usb_camera.model.name,
+        "ids": f"{usb_camera.vendor:04x}:{usb_camera.product:04x}",
+        "file": usb_camera.file,
+        "state": usb_camera.state,
         "problem": None if error is None else str(error),
     }

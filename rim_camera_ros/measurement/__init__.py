@@ -20,7 +20,9 @@ from rim_camera_ros.measurement.several_frequencies import SeveralFrequencies
 from rim_camera_ros.measurement.single_photon import SinglePhoton
 
 #: Types by their name in a camera file; each a frozen dataclass of the keys of the group ``measurement``.
-TYPES: dict[str, type[Measurement]] = {one.type: one for one in (SeveralFrequencies, SinglePhoton, Gated)}
+TYPES: dict[str, type[Measurement]] = {
+    severalfrequency.type: severalfrequency for severalfrequency in (SeveralFrequencies, SinglePhoton, Gated)
+}
 
 _ORDINARY = OneFrequency()
 

@@ -38,7 +38,7 @@ class Gated(PulseAndGates, OneFrequency):
 
     def shutter(self, camera: Camera) -> GatedShutter:
         """Return pulse, gates and period."""
-        keys = {one.name: getattr(self, one.name) for one in fields(PulseAndGates)}
+        keys = {field.name: getattr(self, field.name) for field in fields(PulseAndGates)}
         return GatedShutter(pulse_rate=camera.sensor.modulation_frequency, **keys)
 
     def estimator(self, camera: Camera) -> GateEstimator:

@@ -47,7 +47,7 @@ def documents(document: Document) -> tuple[Document, ...]:
 def _places(data: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return where lists with an entry per frequency may stand."""
     groups = (*_SECTIONS, "effects")
-    inner = [(one, key) for one in groups if isinstance(data.get(one), Mapping) for key in data[one]]
+    inner = [(group, key) for group in groups if isinstance(data.get(group), Mapping) for key in data[group]]
     return [place for place in inner if place[1] not in _LISTS] + [(one,) for one in _WHOLE if one in data]
 
 
@@ -71,9 +71,9 @@ def _of_one(document: Document, lists: Sequence[tuple[str, ...]], index: int) ->
         own = (*place, index)
         lines.update(
             {
-                (*place, *one[len(own) :]): line
-                for one, line in document.lines.items()
-                if one[: len(own)] == own
+                (*place, *name[len(own) :]): line
+                for name, line in document.lines.items()
+                if name[: len(own)] == own
             }
         )
     return replace(document, data=data, lines=lines)
@@ -83,11 +83,11 @@ def merged(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Return the content of one file of those of the frequencies; the inverse of `documents`."""
     result = dict(parts[0])
     for section in (*_SECTIONS, "effects"):
-        keys = dict.fromkeys(key for one in parts for key in one.get(section, {}))
-        result[section] = {key: _entry([one.get(section, {}).get(key) for one in parts]) for key in keys}
+        keys = dict.fromkeys(key for part in parts for key in part.get(section, {}))
+        result[section] = {key: _entry([part.get(section, {}).get(key) for part in parts]) for key in keys}
     for key in _WHOLE:
-        if any(key in one for one in parts):
-            result[key] = _entry([one.get(key) for one in parts])
+        if any(key in part for part in parts):
+            result[key] = _entry([part.get(key) for part in parts])
     return result
 
 

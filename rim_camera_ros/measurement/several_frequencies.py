@@ -58,10 +58,10 @@ class SeveralFrequencies:
             raise ValueError("type several_frequencies needs a list at sensor.modulation_frequency")
         if len(channels) > FREQUENCIES:
             raise ValueError(f"{len(channels)} frequencies, {FREQUENCIES} at most")
-        frequencies = [one.sensor.modulation_frequency for one in channels]
+        frequencies = [channel.sensor.modulation_frequency for channel in channels]
         if len(set(frequencies)) < len(frequencies):
             raise ValueError("sensor.modulation_frequency: a frequency is given twice")
-        if not all(one.sensor.wraps for one in channels):
+        if not all(channel.sensor.wraps for channel in channels):
             raise ValueError("sensor.distance_lsb: counts must wrap at each frequency's ambiguity range")
         low, high = self.span(camera)
         most = common_range(frequencies)
@@ -74,7 +74,7 @@ class SeveralFrequencies:
         for row in self.wraps or ():
             if len(row) != len(channels):
                 raise ValueError(f"wraps: {list(row)} has {len(row)} entries for {len(channels)} frequencies")
-            if max(n * one.sensor.ambiguity for n, one in zip(row, channels, strict=True)) > high:
+            if max(n * channel.sensor.ambiguity for n, channel in zip(row, channels, strict=True)) > high:
                 raise ValueError(f"wraps: {list(row)} lie beyond the range of {high:.4g} m")
         if self.two_paths and len(channels) < 3:
             raise ValueError("two_paths needs three frequencies: two leave nothing to tell them from noise")
@@ -85,11 +85,13 @@ class SeveralFrequencies:
         """Return the least and greatest distance in metres that the wraps are resolved to."""
         if self.range is not None:
             return self.range
-        return 0.0, common_range([one.sensor.modulation_frequency for one in camera.channels])
+        return 0.0, common_range([channel.sensor.modulation_frequency for channel in camera.channels])
 
     def table(self, camera: Camera) -> WrapTable:
         """Return the wraps that are possible."""
-        return WrapTable([one.sensor.ambiguity for one in camera.channels], self.span(camera), self.wraps)
+        return WrapTable(
+            [channel.sensor.ambiguity for channel in camera.channels], self.span(camera), self.wraps
+        )
 
     def camera_of(self, channels: tuple[Camera, ...]) -> Camera:
         """Return the camera that delivers the resolved distance, with those of its frequencies.
@@ -97,18 +99,18 @@ class SeveralFrequencies:
         It wraps where all phases repeat. Its amplitude is the mean over the frequencies; its noise combines
         theirs by their weights, term by term; its effects name all of theirs.
         """
-        common = common_range([one.sensor.modulation_frequency for one in channels])
+        common = common_range([channel.sensor.modulation_frequency for channel in channels])
         sensor = replace(
             channels[0].sensor, modulation_frequency=SPEED_OF_LIGHT / (2 * common), distance_lsb=None
         )
         effects: dict[str, Any] = {}
-        for one in channels:
-            effects = dict(one.effects) | effects
-        gains = np.array([one.radiometry.gain for one in channels])
+        for channel in channels:
+            effects = dict(channel.effects) | effects
+        gains = np.array([channel.radiometry.gain for channel in channels])
         relative = gains / gains.mean()
 
         def combined(key: str, power: float) -> float:
-            values = np.array([getattr(one.noise, key) for one in channels]) / relative**power
+            values = np.array([getattr(channel.noise, key) for channel in channels]) / relative**power
             return float(1 / np.sqrt(np.sum(values**-2.0))) if np.all(values > 0) else 0.0
 
         return replace(
@@ -168,17 +170,19 @@ class SeveralFrequencies:
     def parts(self, camera: Camera) -> tuple[Part, ...]:
         """Return the cameras of the frequencies, with the images of each."""
         return tuple(
-            Part(one, f"{one.sensor.modulation_frequency / 1e6:g}MHz", i)
-            for i, one in enumerate(camera.channels)
+            Part(channel, f"{channel.sensor.modulation_frequency / 1e6:g}MHz", i)
+            for i, channel in enumerate(camera.channels)
         )
 
     def joined(self, camera: Camera, parts: tuple[Camera, ...]) -> Camera:
         """Return the camera of these frequencies, under the name and with the geometry of the first."""
         made = zip(self.parts(camera), parts, strict=True)
-        provenance = MappingProxyType({part.name: dict(one.provenance) for part, one in made})
+        provenance = MappingProxyType({part.name: dict(other.provenance) for part, other in made})
         optics = parts[0].optics
         return self.camera_of(
-            tuple(replace(one, device=camera.device, optics=optics, provenance=provenance) for one in parts)
+            tuple(
+                replace(other, device=camera.device, optics=optics, provenance=provenance) for other in parts
+            )
         )
 
     def review(self, camera: Camera, frames: Iterable[RawFrame], scene: Scene) -> tuple[Camera, list[Change]]:
@@ -189,11 +193,11 @@ class SeveralFrequencies:
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
         """Return frequencies, ranges and how certain the wraps are."""
-        frequencies = [one.sensor.modulation_frequency for one in camera.channels]
-        ranges = [one.sensor.ambiguity for one in camera.channels]
+        frequencies = [channel.sensor.modulation_frequency for channel in camera.channels]
+        ranges = [channel.sensor.ambiguity for channel in camera.channels]
         low, high = self.span(camera)
         table = self.table(camera)
-        error = table.probability_of_error([one / (2 * np.pi * STATED_AT) for one in ranges])
+        error = table.probability_of_error([interval / (2 * np.pi * STATED_AT) for interval in ranges])
         return [
             (
                 "distance",

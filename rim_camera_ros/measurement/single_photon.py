@@ -46,7 +46,7 @@ class SinglePhoton(PulseAndDiode, OneFrequency):
 
     def detector(self, camera: Camera) -> SinglePhotonDetector:
         """Return pulse, diode and clock."""
-        keys = {one.name: getattr(self, one.name) for one in fields(PulseAndDiode)}
+        keys = {field.name: getattr(self, field.name) for field in fields(PulseAndDiode)}
         return SinglePhotonDetector(pulse_rate=camera.sensor.modulation_frequency, **keys)
 
     def check(self, camera: Camera) -> None:
@@ -161,11 +161,11 @@ def _nearest(detector: SinglePhotonDetector, dark: float, most: float) -> tuple[
         fisher_sigma(
             detector,
             distance=detector.ambiguity / 2.0,
-            signal=float(one),
-            background=dark + detector.afterpulse_probability * float(one),
+            signal=float(signal),
+            background=dark + detector.afterpulse_probability * float(signal),
             cycles=_MANY,
         )
-        for one in signals
+        for signal in signals
     ]
     from scipy.optimize import nnls  # takes a good part of a node's start
 
@@ -176,7 +176,7 @@ def _nearest(detector: SinglePhotonDetector, dark: float, most: float) -> tuple[
 
 def check_effects(camera: Camera, way: str) -> None:
     """Raise ValueError where a camera file has effects of demodulation, which a way of measuring has not."""
-    found = [name for name, one in camera.effects.items() if one.demodulates]
+    found = [name for name, effect in camera.effects.items() if effect.demodulates]
     if found:
         raise ValueError(f"effects.{found[0]} does not act on {way}: remove it")
 

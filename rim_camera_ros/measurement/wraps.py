@@ -36,7 +36,7 @@ _BLOCK = 1 << 14
 
 def common_range(frequencies: Sequence[float]) -> float:
     """Return the distance in metres from which the phases of all frequencies [Hz] repeat together."""
-    return SPEED_OF_LIGHT / (2.0 * math.gcd(*(round(one) for one in frequencies)))
+    return SPEED_OF_LIGHT / (2.0 * math.gcd(*(round(frequency) for frequency in frequencies)))
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,8 @@ class WrapTable:
         NaN where a frequency has none, and where no wraps of the table lie within the span.
         """
         shape = distances[0].shape
-        d = [np.ascontiguousarray(one, np.float32).ravel() for one in distances]
-        s = [np.ascontiguousarray(one, np.float32).ravel() for one in sigmas]
+        d = [np.ascontiguousarray(distance, np.float32).ravel() for distance in distances]
+        s = [np.ascontiguousarray(sigma, np.float32).ravel() for sigma in sigmas]
         result, lead = np.empty(d[0].size, np.float32), np.empty(d[0].size, np.float32)
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             for start in range(0, d[0].size, _BLOCK):
@@ -162,7 +162,7 @@ class WrapTable:
 
     def wraps_at(self, distance: float) -> tuple[int, ...]:
         """Return the wraps of a distance in metres."""
-        return tuple(int(distance // one) for one in self.ambiguities)
+        return tuple(int(distance // ambiguity) for ambiguity in self.ambiguities)
 
 
 def possible(ambiguities: Sequence[float], span: tuple[float, float]) -> tuple[tuple[int, ...], ...]:

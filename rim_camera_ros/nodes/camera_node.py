@@ -24,10 +24,13 @@ def nodes() -> Iterator[Service]:
     frames, clouds = Handover[Exposure](), Handover[CorrectedCloud]()
     known = {
         spec.name
-        for one in (driver_parameters, correction_parameters, people_parameters)
-        for spec in one.SPECS
+        for parameter in (driver_parameters, correction_parameters, people_parameters)
+        for spec in parameter.SPECS
     }
-    known |= {correction_parameters.PEOPLE.name, *(correction_parameters.EFFECT + one for one in registry())}
+    known |= {
+        correction_parameters.PEOPLE.name,
+        *(correction_parameters.EFFECT + name for name in registry()),
+    }
     correction = CorrectionNode(frames=frames, clouds=clouds, elsewhere=known)
     yield correction
     if correction.follows_people:

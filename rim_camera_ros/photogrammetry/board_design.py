@@ -269,20 +269,20 @@ def marker_modules(name: str, count: int | None = None) -> list[NDArray[np.bool_
 def _rasterised(shapes: Sequence[Shape], columns: int, rows: int, cell: float) -> Array:
     """Return the mean level of each cell (rows, columns): exact for rectangles of whole cells."""
     levels = np.ones((rows, columns))
-    for one in shapes:
-        left, top = one.centre[0] / cell + columns / 2, one.centre[1] / cell + rows / 2
-        half = (np.array(one.size) / 2 if one.radius == 0 else np.full(2, one.radius)) / cell
+    for shape in shapes:
+        left, top = shape.centre[0] / cell + columns / 2, shape.centre[1] / cell + rows / 2
+        half = (np.array(shape.size) / 2 if shape.radius == 0 else np.full(2, shape.radius)) / cell
         first = np.floor(np.array([left, top]) - half + 1e-6).astype(int)
         last = np.ceil(np.array([left, top]) + half - 1e-6).astype(int)
         window = (slice(first[1], last[1]), slice(first[0], last[0]))
         share: Any = 1.0
-        if one.radius > 0:
+        if shape.radius > 0:
             fine = (np.arange(_FINE) + 0.5) / _FINE
             x = (np.arange(first[0], last[0])[:, None] + fine).ravel() - left
             y = (np.arange(first[1], last[1])[:, None] + fine).ravel() - top
-            inside = np.hypot(x[None, :], y[:, None]) <= one.radius / cell
+            inside = np.hypot(x[None, :], y[:, None]) <= shape.radius / cell
             share = inside.reshape(len(y) // _FINE, _FINE, len(x) // _FINE, _FINE).mean(axis=(1, 3))
-        levels[window] = (1 - share) * levels[window] + share * one.level
+        levels[window] = (1 - share) * levels[window] + share * shape.level
     return levels
 
 

@@ -182,13 +182,13 @@ def _best(
             found.append(FoundBoard(pose, points, correlation, ambiguous=False))
     if not found:
         return None
-    found.sort(key=lambda one: -one.correlation)
+    found.sort(key=lambda found_board: -found_board.correlation)
     if found[0].correlation < LEAST_CORRELATION:
         return None
-    alike = [one for one in found if one.correlation > found[0].correlation - _SAME]
+    alike = [found_board for found_board in found if found_board.correlation > found[0].correlation - _SAME]
     if len(alike) == 1:
         return found[0]
-    best = min(alike, key=lambda one: _turned(one.pose, near))
+    best = min(alike, key=lambda found_board: _turned(found_board.pose, near))
     return FoundBoard(best.pose, best.points, best.correlation, ambiguous=True)
 
 

@@ -111,14 +111,14 @@ def print_board(
     axes.set_xlim(0, page[0])
     axes.set_ylim(page[1], 0)
     middle = np.array([left + width / 2, top + height / 2])
-    for one in design.shapes:
-        grey = str(round(one.level ** (1 / _GAMMA), 4))
+    for shape in design.shapes:
+        grey = str(round(shape.level ** (1 / _GAMMA), 4))
         style: dict[str, Any] = {"facecolor": grey, "edgecolor": "none", "linewidth": 0, "antialiased": False}
-        if one.radius > 0:
-            axes.add_patch(Circle(tuple(middle + one.centre), one.radius, **style))
+        if shape.radius > 0:
+            axes.add_patch(Circle(tuple(middle + shape.centre), shape.radius, **style))
         else:
-            corner = middle + np.array(one.centre) - np.array(one.size) / 2
-            axes.add_patch(Rectangle(tuple(corner), *one.size, **style))
+            corner = middle + np.array(shape.centre) - np.array(shape.size) / 2
+            axes.add_patch(Rectangle(tuple(corner), *shape.size, **style))
     for x in (left, left + width):
         for y in (top, top + height):
             # where the board ends: marks to cut along, outside of it

@@ -98,11 +98,11 @@ class BoardStations:
             targets = targets_of(surface)
             if targets is not None:
                 seen = [find_board(one, surface, targets, self.camera.optics) for one in self._missed]
-                found[words] = sum(one is not None for one in seen)
+                found[words] = sum(found_board is not None for found_board in seen)
         most = max(found.values(), default=0)
         if not most:
             return None
-        words = ", or ".join(one for one, count in found.items() if count == most)
+        words = ", or ".join(name for name, count in found.items() if count == most)
         return f"{words}, it is found in {most} of {len(self._missed)} that were looked at again"
 
     def _rests(
@@ -182,12 +182,14 @@ def board_of(scene: Scene) -> Surface:
 
     Raises `InputError` where there is none, or more than one.
     """
-    boards = [one for one in scene.surfaces if one.pose == TRUTH and targets_of(one) is not None]
+    boards = [
+        surface for surface in scene.surfaces if surface.pose == TRUTH and targets_of(surface) is not None
+    ]
     if len(boards) == 1:
         return boards[0]
     if boards:
         raise InputError(
-            f"the scene has {len(boards)} boards: {', '.join(one.name for one in boards)}",
+            f"the scene has {len(boards)} boards: {', '.join(board.name for board in boards)}",
             place="surfaces",
             remedy="give a scene file with one of them",
         )

@@ -122,7 +122,7 @@ def _fit_corner(image: Image, start: Array, edges: Array, bend: Array, radius: f
     height, width = image.shape
     u0, u1 = max(int(np.ceil(start[0] - radius)), 0), min(int(start[0] + radius), width - 1)
     v0, v1 = max(int(np.ceil(start[1] - radius)), 0), min(int(start[1] + radius), height - 1)
-    columns, rows = (one.ravel() for one in np.meshgrid(np.arange(u0, u1 + 1.0), np.arange(v0, v1 + 1.0)))
+    columns, rows = (grid.ravel() for grid in np.meshgrid(np.arange(u0, u1 + 1.0), np.arange(v0, v1 + 1.0)))
     near = np.hypot(columns - start[0], rows - start[1]) <= radius
     x, y = columns[near], rows[near]
     grey = np.asarray(image[v0 : v1 + 1, u0 : u1 + 1], np.float64).ravel()[near]

@@ -35,21 +35,21 @@ def usable_points(observations: Observations) -> tuple[list[ImagePoint], list[st
     a sigma or coordinate that is no number, too few targets, only one station.
     """
     field = observations.field
-    for one in observations.points:
-        if one.target not in field.targets:
+    for point in observations.points:
+        if point.target not in field.targets:
             raise InputError(
-                f"target '{one.target}' of station {one.station} is not in the target field",
+                f"target '{point.target}' of station {point.station} is not in the target field",
                 place="targets",
-                remedy=nearest_name(one.target, field.targets),
+                remedy=nearest_name(point.target, field.targets),
             )
-        if not (np.isfinite([one.u, one.v, one.sigma]).all() and one.sigma > 0):
+        if not (np.isfinite([point.u, point.v, point.sigma]).all() and point.sigma > 0):
             raise InputError(
-                f"target '{one.target}' of station {one.station} has u {one.u:g}, v {one.v:g}, "
-                f"sigma {one.sigma:g}",
+                f"target '{point.target}' of station {point.station} has u {point.u:g}, v {point.v:g}, "
+                f"sigma {point.sigma:g}",
                 place="targets",
                 remedy="coordinates must be numbers and sigma positive",
             )
-    counted = Counter((one.station, one.target) for one in observations.points)
+    counted = Counter((point.station, point.target) for point in observations.points)
     for (station, target), count in counted.items():
         if count > 1:
             raise InputError(
@@ -58,8 +58,8 @@ def usable_points(observations: Observations) -> tuple[list[ImagePoint], list[st
                 remedy="give each target at most once per station",
             )
     by_station: dict[int, list[tuple[float, float, float]]] = {}
-    for one in observations.points:
-        by_station.setdefault(one.station, []).append(field.targets[one.target].position)
+    for point in observations.points:
+        by_station.setdefault(point.station, []).append(field.targets[point.target].position)
     if not by_station:
         raise InputError(
             "too few targets: none was observed",
@@ -87,23 +87,24 @@ def usable_points(observations: Observations) -> tuple[list[ImagePoint], list[st
             place="stations",
             remedy="observe the field from at least two stations, better eight and more, some of them rolled",
         )
-    return [one for one in observations.points if one.station not in unusable], notes
+    return [point for point in observations.points if point.station not in unusable], notes
 
 
 def check_field(field: TargetField, *, distances: Sequence[Distance], free: bool) -> None:
     """Raise `InputError` for distances between unknown targets, without need, or that are no lengths."""
-    for one in distances:
-        for name in (one.first, one.second):
+    for distance in distances:
+        for name in (distance.first, distance.second):
             if name not in field.targets:
                 raise InputError(
-                    f"the known distance {one.first} - {one.second} names target '{name}', "
+                    f"the known distance {distance.first} - {distance.second} names target '{name}', "
                     "which is not in the field",
                     place="distances",
                     remedy=nearest_name(name, field.targets),
                 )
-        if one.first == one.second or not (one.length > 0 and one.sigma > 0):
+        if distance.first == distance.second or not (distance.length > 0 and distance.sigma > 0):
             raise InputError(
-                f"the known distance {one.first} - {one.second} is {one.length:g} m, sigma {one.sigma:g} m",
+                f"the known distance {distance.first} - {distance.second} is {distance.length:g} m, "
+                f"sigma {distance.sigma:g} m",
                 place="distances",
                 remedy="length and sigma must be positive and the two targets different",
             )

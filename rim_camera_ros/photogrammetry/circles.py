@@ -119,9 +119,11 @@ def find_circles(
     level = enhance_edges(-level if dark else level)
     candidates = _candidates(level, smallest=smallest_diameter, largest=largest_diameter)
     found = []
-    for i, one in enumerate(candidates):
+    for i, candidate in enumerate(candidates):
         others = [other for j, other in enumerate(candidates) if j != i]
-        ellipse = fit_ellipse(amplitude, centre=one[:2], shape=one[2:5], others=[o[:5] for o in others])
+        ellipse = fit_ellipse(
+            amplitude, centre=candidate[:2], shape=candidate[2:5], others=[o[:5] for o in others]
+        )
         if ellipse is None or ellipse.contrast * (-1 if dark else 1) < _LEAST_CONTRAST:
             continue
         long, short = ellipse.axes
@@ -152,7 +154,7 @@ def fit_ellipse(
     v0, v1 = max(int(np.floor(centre[1] - reach[1])), 0), min(int(np.ceil(centre[1] + reach[1])), height - 1)
     if u1 <= u0 or v1 <= v0:
         return None
-    columns, rows = (one.ravel() for one in np.meshgrid(np.arange(u0, u1 + 1.0), np.arange(v0, v1 + 1.0)))
+    columns, rows = (grid.ravel() for grid in np.meshgrid(np.arange(u0, u1 + 1.0), np.arange(v0, v1 + 1.0)))
     grey = np.asarray(amplitude[v0 : v1 + 1, u0 : u1 + 1], dtype=np.float64).ravel()
     depth = _depth(np.array([[*centre, *lower]]), columns, rows)[0]
     used = (depth > -MARGIN) & np.isfinite(grey)
@@ -299,7 +301,7 @@ def _blobs(binary: NDArray[np.bool_], *, smallest: float, largest: float) -> lis
 def _distinct(ellipses: list[Ellipse]) -> list[Ellipse]:
     """Return the ellipses without those that were found twice; the more precise one stays."""
     kept: list[Ellipse] = []
-    for one in sorted(ellipses, key=lambda one: one.sigma):
-        if all(np.hypot(one.u - other.u, one.v - other.v) > other.axes[1] for other in kept):
-            kept.append(one)
+    for ellipse in sorted(ellipses, key=lambda ellipse: ellipse.sigma):
+        if all(np.hypot(ellipse.u - other.u, ellipse.v - other.v) > other.axes[1] for other in kept):
+            kept.append(ellipse)
     return kept

@@ -86,7 +86,7 @@ def estimate_optics(
     adjusted = _adjusted(block, state, estimated, loss)
     while loss == "huber" and (gross := outliers(adjusted, block.bundle, limit=GROSS)).any():
         rejected += _rejected(adjusted, block.points, gross)
-        kept = tuple(one for one, bad in zip(block.points, gross, strict=True) if not bad)
+        kept = tuple(point for point, bad in zip(block.points, gross, strict=True) if not bad)
         points, few = usable_points(replace(observations, points=kept))
         notes += [f"after rejecting gross errors {note}" for note in few]
         block = block_of(points)
@@ -161,28 +161,31 @@ def block_from(
     distances: Sequence[Distance],
     correct_ellipses: bool,
 ) -> Block:
-    stations = sorted({one.station for one in points})
-    seen = {one.target for one in points} | {name for one in distances for name in (one.first, one.second)}
+    stations = sorted({point.station for point in points})
+    seen = {point.target for point in points} | {
+        name for distance in distances for name in (distance.first, distance.second)
+    }
     names = [name for name in observations.field.targets if name in seen]
     station_of = {name: i for i, name in enumerate(stations)}
     target_of = {name: i for i, name in enumerate(names)}
     known = [observations.field.targets[name] for name in names]
-    shared = [one.shifts for one in points]
+    shared = [point.shifts for point in points]
     shape = next((one.shape for one in shared if one is not None), None)
     bundle = Bundle(
-        image=np.array([(one.u, one.v) for one in points], dtype=float),
-        sigma=np.array([one.sigma for one in points], dtype=float),
+        image=np.array([(point.u, point.v) for point in points], dtype=float),
+        sigma=np.array([point.sigma for point in points], dtype=float),
         shifts=None
         if shape is None
         else np.array([np.zeros(shape) if one is None else one for one in shared]),
-        station=np.array([station_of[one.station] for one in points], dtype=np.intp),
-        target=np.array([target_of[one.target] for one in points], dtype=np.intp),
+        station=np.array([station_of[point.station] for point in points], dtype=np.intp),
+        target=np.array([target_of[point.target] for point in points], dtype=np.intp),
         targets=np.array([one.position for one in known], dtype=float),
         radii=np.array([one.radius for one in known], dtype=float),
         normals=np.array([one.normal for one in known], dtype=float),
         free_targets=targets == "free",
         distances=tuple(
-            (target_of[one.first], target_of[one.second], one.length, one.sigma) for one in distances
+            (target_of[distance.first], target_of[distance.second], distance.length, distance.sigma)
+            for distance in distances
         ),
         aspect=start.fx / start.fy,
         correct_ellipses=correct_ellipses,
@@ -260,7 +263,7 @@ def _rejected(
     adjusted: Adjusted, points: Sequence[ImagePoint], gross: NDArray[np.bool_]
 ) -> list[RejectedPoint]:
     return [
-        RejectedPoint(one.target, one.station, (float(u), float(v)))
-        for one, (u, v), bad in zip(points, adjusted.residuals, gross, strict=True)
+        RejectedPoint(point.target, point.station, (float(u), float(v)))
+        for point, (u, v), bad in zip(points, adjusted.residuals, gross, strict=True)
         if bad
     ]

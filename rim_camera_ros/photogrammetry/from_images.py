@@ -95,12 +95,12 @@ class ImagePoses:
     def words(self) -> list[str]:
         """Return the result in lines."""
         stations = list(self.poses.stations.values())
-        normal = [1e3 * one.sigma_normal for one in stations]
-        tilt = [1e3 * one.sigma_tilt for one in stations]
-        residual = [one.residual for one in stations]
+        normal = [1e3 * station.sigma_normal for station in stations]
+        tilt = [1e3 * station.sigma_tilt for station in stations]
+        residual = [station.residual for station in stations]
         lines = [
             f"'{self.surface.name}' at {len(stations)} stations, in {self.placed_frames} of {self.frames} "
-            f"frames; {np.median([one.points for one in stations]):.0f} targets each, residuals "
+            f"frames; {np.median([station.points for station in stations]):.0f} targets each, residuals "
             f"{np.median(residual):.2g} px (medians)",
             f"1-sigma of the poses: {np.median(normal):.2g} mm along the normal ({min(normal):.2g} to "
             f"{max(normal):.2g}), {np.median(tilt):.2g} mrad of tilt ({min(tilt):.2g} to {max(tilt):.2g})",
@@ -211,7 +211,7 @@ def _optics(
 ) -> tuple[Optics, OpticsCovariance, OpticsReport | None]:
     """Return the optics to use and their covariance."""
     if estimate:
-        if len({one.station for one in observed.points}) < _LEAST_STATIONS:
+        if len({point.station for point in observed.points}) < _LEAST_STATIONS:
             raise InputError(
                 f"optics need {_LEAST_STATIONS} stations and more",
                 place="--estimate",
@@ -220,7 +220,11 @@ def _optics(
         optics, covariance, report = estimate_optics(
             observed, start=camera.optics, parameters=estimate, known=stated_optics(camera)
         )
-        held = _declared(optics, known, [one for one in OPTICS_PARAMETERS[:4] if one not in report.sigmas])
+        held = _declared(
+            optics,
+            known,
+            [parameter for parameter in OPTICS_PARAMETERS[:4] if parameter not in report.sigmas],
+        )
         paths = (*covariance.parameters, *held.parameters)
         matrix = np.zeros((len(paths), len(paths)))
         n = len(covariance.parameters)

@@ -218,7 +218,7 @@ def _expected(
 ) -> _Expected:
     """Predict the targets that lie in the image with their surroundings and are not hidden."""
     targets = list(field.field.targets.items())
-    index = {one.name: i for i, one in enumerate(scene.surfaces)}
+    index = {surface.name: i for i, surface in enumerate(scene.surfaces)}
     optics = camera.optics
     height, width = camera.shape
     names, image, axes, dark, edges, bends = [], [], [], [], [], []
@@ -317,7 +317,9 @@ def _circles(expected: _Expected, view: _View, gate: float, reference: Array | N
         if not ellipses:
             continue
         apart = np.linalg.norm(
-            expected.image[wanted][:, None] - np.array([(one.u, one.v) for one in ellipses])[None], axis=2
+            expected.image[wanted][:, None]
+            - np.array([(ellipse.u, ellipse.v) for ellipse in ellipses])[None],
+            axis=2,
         )
         for row, i in enumerate(wanted):
             j = int(np.argmin(apart[row]))

@@ -196,9 +196,9 @@ def _all_adjusted(
 ) -> tuple[dict[int, _Found], list[str]]:
     """Adjust every station, targets with an error [px] in common; those without a pose are said in words."""
     by_station: dict[int, list[ImagePoint]] = {}
-    for one in observations.points:
-        sigma = float(np.hypot(one.sigma, common_error))
-        by_station.setdefault(one.station, []).append(replace(one, sigma=sigma))
+    for point in observations.points:
+        sigma = float(np.hypot(point.sigma, common_error))
+        by_station.setdefault(point.station, []).append(replace(point, sigma=sigma))
     found: dict[int, _Found] = {}
     failures = []
     for station, points in sorted(by_station.items()):
@@ -286,7 +286,7 @@ def _adjusted_from(
         except NotDetermined:
             raise RimError("its targets lie on one line") from None
         rejected += int(gross.sum())
-        points = tuple(one for one, bad in zip(block.points, gross, strict=True) if not bad)
+        points = tuple(point for point, bad in zip(block.points, gross, strict=True) if not bad)
 
 
 def _by_optics(adjusted: Adjusted, bundle: Bundle) -> Array:

@@ -43,8 +43,10 @@ class FieldOnSurfaces:
         texture's grid, 0 at the board's centre. The surfaces' poses to each other are those of the scene
         file, of surfaces with ``pose: truth`` those in ``truth``. Raises `InputError` without a target.
         """
-        boards = {one.name: found for one in scene.surfaces if (found := targets_of(one)) is not None}
-        carriers = [one for one in scene.surfaces if one.type == "disc" or one.name in boards]
+        boards = {
+            surface.name: found for surface in scene.surfaces if (found := targets_of(surface)) is not None
+        }
+        carriers = [surface for surface in scene.surfaces if surface.type == "disc" or surface.name in boards]
         if not carriers:
             raise InputError(
                 "the scene has no targets",
@@ -59,27 +61,27 @@ class FieldOnSurfaces:
         surfaces: dict[str, Pose] = {}
         of: dict[str, str] = {}
         edges: dict[str, Array] = {}
-        for one in carriers:
-            pose = poses[one.name]
+        for carrier in carriers:
+            pose = poses[carrier.name]
             turn = back @ rotation_matrix(pose.orientation)
             origin = back @ (np.array(pose.position) - np.array(first.position))
-            surfaces[one.name] = Pose(_triple(origin), quaternion(turn))
-            if one.type == "disc":
-                assert one.radius is not None
-                targets[one.name] = Target(_triple(origin), one.radius, _triple(turn[:, 2]))
-                of[one.name] = one.name
+            surfaces[carrier.name] = Pose(_triple(origin), quaternion(turn))
+            if carrier.type == "disc":
+                assert carrier.radius is not None
+                targets[carrier.name] = Target(_triple(origin), carrier.radius, _triple(turn[:, 2]))
+                of[carrier.name] = carrier.name
                 continue
-            board = boards[one.name]
+            board = boards[carrier.name]
             for (row, column), local in board.crossings.items():
-                name = f"{one.name}/{row}/{column}"
+                name = f"{carrier.name}/{row}/{column}"
                 targets[name] = Target(_triple(origin + turn[:, :2] @ local))
-                of[name] = one.name
+                of[name] = carrier.name
                 edges[name] = (turn[:, :2] * board.arms[row, column]).T
             for (row, column), (x, y, radius) in board.circles.items():
-                name = f"{one.name}/{row}/{column}"
+                name = f"{carrier.name}/{row}/{column}"
                 centre = origin + turn[:, :2] @ np.array([x, y])
                 targets[name] = Target(_triple(centre), radius, _triple(turn[:, 2]))
-                of[name] = one.name
+                of[name] = carrier.name
         return cls(TargetField(targets), surfaces, of, edges)
 
     def pose(self, poses: Mapping[str, Pose]) -> tuple[Array, Array, float]:

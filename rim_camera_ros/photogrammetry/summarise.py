@@ -69,8 +69,8 @@ def report_on(
     by_path = dict(zip(OPTICS_PATHS, OPTICS_PARAMETERS, strict=True))
     sigmas = {by_path[path]: covariance.sigma(path) for path in covariance.parameters}
     square = np.sum(adjusted.residuals**2, axis=1)
-    at = np.array([one.station for one in points])
-    image = np.array([(one.u, one.v) for one in points])
+    at = np.array([point.station for point in points])
+    image = np.array([(point.u, point.v) for point in points])
     state = adjusted.state
     poses = {
         station: Pose(_triple(state.translations[i]), quaternion(state.rotations[i]))
@@ -84,7 +84,7 @@ def report_on(
         redundancy=adjusted.redundancy,
         points=len(points),
         residual_rms=float(np.sqrt(square.mean() / 2)),
-        station_rms={one: float(np.sqrt(square[at == one].mean() / 2)) for one in stations},
+        station_rms={station: float(np.sqrt(square[at == station].mean() / 2)) for station in stations},
         correlations=_strong_pairs(covariance, by_path, tied="fy" not in adjusted.estimated),
         pose_correlations=_strongest_with_poses(adjusted, Labels(adjusted.estimated, stations, names)),
         left_out=left_out,
@@ -93,8 +93,8 @@ def report_on(
         targets={name: _triple(state.targets[i]) for i, name in enumerate(names)},
         region=(float(low[0]), float(low[1]), float(high[0]), float(high[1])),
         residuals={
-            (one.station, one.target): (float(u), float(v))
-            for one, (u, v) in zip(points, adjusted.residuals, strict=True)
+            (point.station, point.target): (float(u), float(v))
+            for point, (u, v) in zip(points, adjusted.residuals, strict=True)
         },
         doubts=tuple(doubts),
         notes=tuple(notes),

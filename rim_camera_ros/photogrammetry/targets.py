@@ -36,7 +36,7 @@ class TargetField:
     @property
     def positions(self) -> NDArray[np.float64]:
         """Positions (targets, 3) in m, in the order of the ids."""
-        return np.array([one.position for one in self.targets.values()], dtype=float).reshape(-1, 3)
+        return np.array([target.position for target in self.targets.values()], dtype=float).reshape(-1, 3)
 
 
 @dataclass(frozen=True, slots=True)

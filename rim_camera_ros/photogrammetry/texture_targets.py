@@ -129,7 +129,7 @@ def _lattice(names: Any) -> tuple[tuple[int, int], ...]:
     """Return the names row by row if they are a full regular grid."""
     rows, columns = sorted({row for row, _ in names}), sorted({column for _, column in names})
     full = len(names) == len(rows) * len(columns) and min(len(rows), len(columns)) >= _LEAST_CROSSINGS
-    even = all(len(set(np.diff(one))) == 1 for one in (rows, columns)) if full else False
+    even = all(len(set(np.diff(row))) == 1 for row in (rows, columns)) if full else False
     return tuple((row, column) for row in rows for column in columns) if full and even else ()
 
 
@@ -178,7 +178,7 @@ def _uniform(grid: Array, i: int, j: int, *, most: int) -> int:
             grid[i : i + n, j - n : j],
             grid[i : i + n, j : j + n],
         )
-        if all(one.shape == (n, n) and np.ptp(one) == 0 for one in quarters):
+        if all(quarter.shape == (n, n) and np.ptp(quarter) == 0 for quarter in quarters):
             return n
     return 1
 
@@ -189,7 +189,7 @@ def _uniform(grid: Array, i: int, j: int, *, most: int) -> int:
 def _side(markers: Mapping[int, Array]) -> int:
     if not markers:
         return 0
-    return round(float(np.median([np.linalg.norm(one[1] - one[0]) for one in markers.values()])))
+    return round(float(np.median([np.linalg.norm(marker[1] - marker[0]) for marker in markers.values()])))
 
 
 def _markers(grid: Array) -> tuple[str, dict[int, Array]]:
@@ -202,7 +202,7 @@ def _markers(grid: Array) -> tuple[str, dict[int, Array]]:
     best: tuple[str, dict[int, Array]] = ("", {})
     if not hasattr(cv2, "aruco"):
         return best
-    for name in (one for one in _DICTIONARIES if hasattr(cv2.aruco, one)):
+    for name in (dictionary for dictionary in _DICTIONARIES if hasattr(cv2.aruco, dictionary)):
         table = _table(name)
         side = math.isqrt(len(next(iter(table)))) + 2
         if min(bright.shape) < side:
@@ -251,8 +251,8 @@ def detect_markers(image: NDArray[np.uint8], dictionary: str) -> dict[int, Array
         corners, ids, _ = aruco.detectMarkers(image, table, parameters=parameters)
     numbers = [] if ids is None else [int(one) for one in np.ravel(ids)]
     return {
-        number: np.asarray(one, float).reshape(4, 2)
-        for number, one in zip(numbers, corners, strict=True)
+        number: np.asarray(corner, float).reshape(4, 2)
+        for number, corner in zip(numbers, corners, strict=True)
         if numbers.count(number) == 1
     }
 
@@ -296,7 +296,7 @@ def _circles(
 def _levels(values: list[float], apart: float) -> list[float]:
     ordered = np.sort(values)
     groups = np.split(ordered, np.flatnonzero(np.diff(ordered) > apart) + 1)
-    return [float(one.mean()) for one in groups]
+    return [float(group.mean()) for group in groups]
 
 
 def _nearest(levels: list[float], value: float) -> int:

@@ -62,8 +62,8 @@ class AmplitudeModel:
 
     def _term(self, amplitude: Image) -> Image:
         total = np.zeros_like(amplitude)
-        for one in self._terms:
-            total = total + one.term(total, amplitude, self._context)
+        for term in self._terms:
+            total = total + term.term(total, amplitude, self._context)
         return total
 
     def _slope(self, amplitude: Image) -> Image:
@@ -129,9 +129,11 @@ class AmplitudeModel:
     @cached_property
     def compiled(self) -> kernels.CompiledTable:
         """The table, for the compiled reader."""
-        one = self.table
-        amplitude = None if self._response is None else one.amplitude
-        return kernels.CompiledTable(term=one.term, amplitude=amplitude, sigma=one.sigma, flags=one.flags)
+        by_amplitude = self.table
+        amplitude = None if self._response is None else by_amplitude.amplitude
+        return kernels.CompiledTable(
+            term=by_amplitude.term, amplitude=amplitude, sigma=by_amplitude.sigma, flags=by_amplitude.flags
+        )
 
     @cached_property
     def table(self) -> ByAmplitude:

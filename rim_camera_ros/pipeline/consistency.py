@@ -51,7 +51,7 @@ class Verdict:
     def departure(self) -> float:
         """The greatest of the three from 1 [-], as the absolute value of its logarithm."""
         ratios = (self.ratio, self.dark, self.bright)
-        return max(abs(math.log(one)) if one > 0 else math.inf for one in ratios)
+        return max(abs(math.log(ratio)) if ratio > 0 else math.inf for ratio in ratios)
 
 
 class NoiseWatch:
@@ -104,7 +104,8 @@ class NoiseWatch:
         camera = self._camera
         rows = slice(None, None, -(-frame.distance.size // _MOST_PIXELS))
         last, frame = (
-            replace(one, distance=one.distance[rows], amplitude=one.amplitude[rows]) for one in (last, frame)
+            replace(raw_frame, distance=raw_frame.distance[rows], amplitude=raw_frame.amplitude[rows])
+            for raw_frame in (last, frame)
         )
         amplitude = (last.amplitude.astype(np.float32) + frame.amplitude) / 2
         usable = (last.distance > 0) & (frame.distance > 0)

@@ -86,7 +86,7 @@ class Correction:
         self._folded: dict[float | None, Folded] = {}
         self._dtype = np.float64 if exact else np.float32
         self._compiled = kernels.LIBRARY is not None and not exact
-        self._active = {name: one for name, one in camera.effects.items() if name not in self.without}
+        self._active = {name: effect for name, effect in camera.effects.items() if name not in self.without}
         self._chain = Chain.of(self._active.values())
         undone = replace(camera, effects=self._active)
         self._optics = OpticsUndo(undone, self._dtype)

@@ -45,7 +45,7 @@ class DistanceSolver:
         self._exact = exact
         #: where it was compiled, and there are terms to tabulate
         self.compiled: kernels.CompiledSolver | None = None
-        self._cyclic = next((one for one in self.terms if isinstance(one, HarmonicError)), None)
+        self._cyclic = next((term for term in self.terms if isinstance(term, HarmonicError)), None)
         if not exact and self.terms:
             self._tabulate(camera)
 
@@ -108,9 +108,11 @@ class DistanceSolver:
         cyclic = self._cyclic
         if cyclic is None or not any(cyclic.gradient):
             return np.zeros(shape), 0.0, 1.0
-        harmonics = sorted(cyclic.harmonics, key=lambda one: -abs(one.amplitude))
+        harmonics = sorted(cyclic.harmonics, key=lambda harmonic: -abs(harmonic.amplitude))
         order = harmonics[0].order
-        curvature = sum(abs(one.amplitude) * (1 - one.order / order) ** 2 for one in harmonics[1:])
+        curvature = sum(
+            abs(harmonic.amplitude) * (1 - harmonic.order / order) ** 2 for harmonic in harmonics[1:]
+        )
         greatest = np.inf if len(self.terms) == 1 else _PHASE_STEP
         phase = np.broadcast_to(cyclic.phase_shift(self._context), shape)
         step = min(
@@ -121,9 +123,11 @@ class DistanceSolver:
     def _solved(self, y: Image, phase: float) -> NDArray[np.float64]:
         """Return y - d over a grid of y for one phase."""
         cyclic = self._cyclic
-        terms = [cyclic.shifted(phase) if one is cyclic and cyclic is not None else one for one in self.terms]
+        terms = [
+            cyclic.shifted(phase) if term is cyclic and cyclic is not None else term for term in self.terms
+        ]
         context = self._context
-        d = solve_terms(y, lambda x: sum(one.term(x, x, context) for one in terms), context, tolerance=1e-8)
+        d = solve_terms(y, lambda x: sum(term.term(x, x, context) for term in terms), context, tolerance=1e-8)
         correction: NDArray[np.float64] = y - d
         if self._wraps:
             correction -= self._ambiguity * np.rint(correction / self._ambiguity)
@@ -140,7 +144,7 @@ class DistanceSolver:
             # its terms are those of the whole array
             assert rows == WHOLE
             terms, context = self.terms, self._context
-            found = solve_terms(y, lambda d: sum(one.term(d, d, context) for one in terms), context)
+            found = solve_terms(y, lambda d: sum(term.term(d, d, context) for term in terms), context)
             return _copied(found, out)
         if self.compiled is not None:
             return self.compiled.solve(y, first=self._slope[: rows.start or 0].size, out=out)
@@ -160,7 +164,7 @@ class DistanceSolver:
         np.add(entry, self._row[rows], out=index)
         # the index is in range: "clip" and "wrap" are the modes without a check before
         np.take(self._entries, index, out=fetched, mode="wrap")
-        planes = [one[rows] for one in self._planes]
+        planes = [plane[rows] for plane in self._planes]
         cv2.split(fetched.view(np.float32).reshape(*y.shape, 4), planes)
         value, slope, by_phase, _ = planes
         cv2.accumulateProduct(slope, at, value)
@@ -183,7 +187,7 @@ class DistanceSolver:
             return gain
         context, step = self._context, 1e-4
         up, down = (
-            sum(one.term(d, d, context) for one in self.terms) for d in (distance + step, distance - step)
+            sum(term.term(d, d, context) for term in self.terms) for d in (distance + step, distance - step)
         )
         return np.asarray(1.0 / (1.0 + (up - down) / (2 * step)))
 
@@ -204,14 +208,14 @@ class PlaneTable:
     """
 
     def __init__(self, camera: Camera, terms: Sequence[DistanceTerm], context: Context) -> None:
-        knots = sorted({float(k) for one in terms for k in one.distance_knots()})
+        knots = sorted({float(k) for term in terms for k in term.distance_knots()})
         amplitude = np.ones(camera.shape)
         values = []
         for knot in knots:
             distance = np.full(camera.shape, knot)
             total = np.zeros(camera.shape)
-            for one in terms:
-                total = total + one.term(distance, amplitude, context)
+            for term in terms:
+                total = total + term.term(distance, amplitude, context)
             values.append(total)
         slopes = [
             (above - below) / (k1 - k0)

@@ -56,17 +56,30 @@ class Folded:
         )
         self.distance = DistanceSolver(camera, self._by_distance, context, exact=exact)
         self.map = _sum_maps(self._by_pixel, camera, context, self._dtype)
-        planes = [] if exact else [one for one in self._placed if _folds_into_planes(one)]
-        self._placed_directly = [one for one in self._placed if one not in planes]
+        planes = (
+            []
+            if exact
+            else [distance_term for distance_term in self._placed if _folds_into_planes(distance_term)]
+        )
+        self._placed_directly = [
+            distance_term for distance_term in self._placed if distance_term not in planes
+        ]
         self._planes = PlaneTable(camera, planes, context) if planes else None
         self._fold_incidence()
-        self._reference = next((one for one in chain.light if isinstance(one, InternalReference)), None)
+        self._reference = next(
+            (
+                reference_path
+                for reference_path in chain.light
+                if isinstance(reference_path, InternalReference)
+            ),
+            None,
+        )
         #: pixels that see no scene
         self.reference_region = self._reference.region() if self._reference is not None else None
-        self._constant = sum(self._number(one) for one in self._constants)
+        self._constant = sum(self._number(constant) for constant in self._constants)
         t = context.camera.stated_integration_time(context.settings)
         #: whether the setting lies outside the calibrated rows
-        self.outside = any(outside_rows(one.rows(), t) for one in (*chain.light, *chain.terms))
+        self.outside = any(outside_rows(effect.rows(), t) for effect in (*chain.light, *chain.terms))
 
     def _sort(self, terms: Sequence[DistanceTerm]) -> None:
         self._by_amplitude: list[DistanceTerm] = []
@@ -78,26 +91,26 @@ class Folded:
         self._constants: list[DistanceTerm] = []
         self._scalars: list[DistanceTerm] = []
         self._drifts: list[DistanceTerm] = []
-        for one in terms:
-            needs = one.depends_on() - {"settings"}
+        for term in terms:
+            needs = term.depends_on() - {"settings"}
             if "incidence" in needs:
-                self._by_incidence.append(one)
-            elif one.drifts:
-                self._drifts.append(one)
-            elif one.constant_in_setting:
-                self._constants.append(one)
+                self._by_incidence.append(term)
+            elif term.drifts:
+                self._drifts.append(term)
+            elif term.constant_in_setting:
+                self._constants.append(term)
             elif not needs:
-                self._scalars.append(one)
+                self._scalars.append(term)
             elif needs == {"amplitude"}:
-                self._by_amplitude.append(one)
+                self._by_amplitude.append(term)
             elif needs == {"pixel"}:
-                self._by_pixel.append(one)
-            elif needs == {"distance"} or one.has_phase:
-                self._by_distance.append(one)
+                self._by_pixel.append(term)
+            elif needs == {"distance"} or term.has_phase:
+                self._by_distance.append(term)
             elif "frame" in needs or "distance" not in needs:
-                self._by_frame.append(one)
+                self._by_frame.append(term)
             else:
-                self._placed.append(one)
+                self._placed.append(term)
 
     # --- terms that are evaluated once ----------------------------------------------------------
 
@@ -110,11 +123,11 @@ class Folded:
 
         The reference path replaces the drift terms where it reads.
         """
-        total = self._constant + sum(self._number(one) for one in self._scalars)
+        total = self._constant + sum(self._number(scalar) for scalar in self._scalars)
         reading = self.context.settings.reference_distance
         if self._reference is not None and reading is not None:
             return total + self._reference.drift(reading)
-        return total + sum(self._number(one) for one in self._drifts)
+        return total + sum(self._number(drift) for drift in self._drifts)
 
     def reference_pixels(self, raw: Image, unit: float) -> Image | None:
         """Return the distances [m], or NaN, of the pixels that see the reference; None without such."""
@@ -126,13 +139,13 @@ class Folded:
     def subtract_frame_terms(self, y: Image, amplitude: Image) -> None:
         """Subtract terms of whole frames, or of amplitude and place, from y in metres."""
         saturated = self.context.saturated
-        for one in self._by_frame:
-            lines = None if saturated is None else one.line_terms(saturated)
+        for distance_term in self._by_frame:
+            lines = None if saturated is None else distance_term.line_terms(saturated)
             if lines is not None:
                 y -= lines[0].astype(y.dtype)[:, None]
                 y -= lines[1].astype(y.dtype)
             else:
-                y -= np.asarray(one.term(y, amplitude, self.context), y.dtype)
+                y -= np.asarray(distance_term.term(y, amplitude, self.context), y.dtype)
 
     # --- terms of distance, or of distance and place --------------------------------------------
 
@@ -164,8 +177,8 @@ class Folded:
     def placed(self, distance: Image, amplitude: Image) -> Image:
         """Return the terms of distance and place in metres at a distance (H, W); a new array."""
         total: Image = np.zeros_like(distance) if self._planes is None else self._planes.term(distance)
-        for one in self._placed_directly:
-            total += np.asarray(one.term(distance, amplitude, self.context), distance.dtype)
+        for distance_term in self._placed_directly:
+            total += np.asarray(distance_term.term(distance, amplitude, self.context), distance.dtype)
         return total
 
     @property
@@ -189,9 +202,13 @@ class Folded:
         if not self._by_incidence:
             return
         self.incidence_rounds = _EXACT_ROUNDS if self._exact else 1
-        angles = [one for one in self._by_incidence if isinstance(one, IncidenceTerm)]
+        angles = [
+            incidence_term
+            for incidence_term in self._by_incidence
+            if isinstance(incidence_term, IncidenceTerm)
+        ]
         gon = incidence_gon(np.linspace(0, np.pi / 2, 91))
-        spread = sum(np.asarray(one.at(gon, self.context)) for one in angles)
+        spread = sum(np.asarray(angle.at(gon, self.context)) for angle in angles)
         self.incidence_spread = float(np.sqrt(np.mean(np.square(spread))))
         if len(angles) == len(self._by_incidence) and not self._exact:
             self._by_angle = self._tabulate_incidence(angles)
@@ -209,7 +226,7 @@ class Folded:
 
         def at(angle: Image) -> Image:
             gon = incidence_gon(angle)
-            return np.asarray(sum(np.asarray(one.at(gon, self.context)) for one in terms))
+            return np.asarray(sum(np.asarray(term.at(gon, self.context)) for term in terms))
 
         step = 1e-4
         slope = (at(angle + step) - at(np.maximum(angle - step, 0))) / (np.minimum(angle, step) + step)
@@ -240,8 +257,8 @@ class Folded:
             return result
         self.context.incidence = np.arccos(np.clip(cosine, 0.0, 1.0).astype(self._dtype))
         result = np.zeros(cosine.shape, self._dtype)
-        for one in self._by_incidence:
-            result += np.asarray(one.term(distance, amplitude, self.context), self._dtype)
+        for distance_term in self._by_incidence:
+            result += np.asarray(distance_term.term(distance, amplitude, self.context), self._dtype)
         result[np.isnan(cosine)] = 0
         return result
 
@@ -255,6 +272,6 @@ def _sum_maps(terms: list[DistanceTerm], camera: Camera, context: Context, dtype
         return None
     zero = np.zeros(camera.shape)
     total = zero
-    for one in terms:
-        total = total + one.term(zero, zero, context)
+    for term in terms:
+        total = total + term.term(zero, zero, context)
     return total.astype(dtype)

@@ -123,7 +123,7 @@ class Judgement:
             flags |= np.uint8(Flag.OUTSIDE_CALIBRATION.value)
         limits = self._camera.validity.distance
         if limits is not None:
-            low, high = (self._dtype(one) for one in limits)
+            low, high = (self._dtype(limit) for limit in limits)
             _mark(flags, (distance < low) | (distance > high), Flag.OUTSIDE_CALIBRATION)
         if self._always is not None:
             flags |= self._always

@@ -41,9 +41,9 @@ class OpticsUndo:
         fast = StrayLight | EmitterPath | InternalReference
         #: the nearest to the sensor first
         self._others = [
-            one
-            for one in reversed(Chain.of(camera.effects.values()).light)
-            if one.undo != "none" and one.shows_in == "distance" and not isinstance(one, fast)
+            effect
+            for effect in reversed(Chain.of(camera.effects.values()).light)
+            if effect.undo != "none" and effect.shows_in == "distance" and not isinstance(effect, fast)
         ]
         self._dtype = np.dtype(dtype)
         number = self._dtype.type
@@ -80,8 +80,8 @@ class OpticsUndo:
 
         ``guess``: a complex image near the result. ``quick`` leaves narrow halos and ghosts alone.
         """
-        for one in self._others:
-            found = one.correct(Signal(delivered, amplitude), context)
+        for other in self._others:
+            found = other.correct(Signal(delivered, amplitude), context)
             delivered[...], amplitude = found.distance, found.amplitude.astype(amplitude.dtype, copy=False)
         light = Light(delivered, amplitude)
         if self._spreading is not None and self._dtype == np.float32 and kernels.LIBRARY is not None:

@@ -69,11 +69,13 @@ class CompiledWindows:
         )
         self._numbers = np.zeros((9, rows, stride), np.float32)
         self._states = np.zeros((2, rows, stride), np.uint8)
-        windows = _Windows(*(one.ctypes.data for one in (*self._numbers, *self._states)))
+        windows = _Windows(*(number.ctypes.data for number in (*self._numbers, *self._states)))
         self._columns = np.empty((4, shape[1]), np.float32)
         self._entries = entries
         self._structures = _Grid(shape[1], rows, columns, stride), geometry, windows
-        self._grid, self._geometry, self._windows = (ctypes.addressof(one) for one in self._structures)
+        self._grid, self._geometry, self._windows = (
+            ctypes.addressof(structure) for structure in self._structures
+        )
 
     def fit(
         self,
@@ -87,7 +89,7 @@ class CompiledWindows:
     ) -> bool:
         """Fit planes; return whether some are so uncertain that wider windows are needed."""
         noise = np.asarray(sigma, np.float32)
-        row, column = (one // noise.itemsize for one in noise.strides) if noise.ndim else (0, 0)
+        row, column = (stride // noise.itemsize for stride in noise.strides) if noise.ndim else (0, 0)
         inverse_depth = np.ascontiguousarray(inverse_depth, np.float32)
         return bool(
             kernels.LIBRARY.rim_planes(

@@ -70,7 +70,7 @@ class PlaneWindows:
                 for part in (down.along_column, -down.along_row, -across.along_column, across.along_row)
             )
         slopes = (across.along_row, down.along_row, across.along_column, down.along_column)
-        self._slopes = tuple(one.astype(np.float32) for one in slopes)
+        self._slopes = tuple(slope.astype(np.float32) for slope in slopes)
         self._mean = across.mean.astype(np.float32), down.mean.astype(np.float32)
         #: tilt in rad of a plane per relative change of W from pixel to pixel
         self._tilt = np.float32(1.0) / np.sqrt(np.abs(determinant)).astype(np.float32)

@@ -71,8 +71,10 @@ class PulsedSimulation(Simulation):
         if k not in self._at:
             own = self.camera.sensor
             sensor = replace(own, modulation_frequency=own.modulation_frequency * (k or _SUM))
-            one = Simulation(replace(self.camera, sensor=sensor), self.scene, seed=self.seed, noise=False)
+            simulation = Simulation(
+                replace(self.camera, sensor=sensor), self.scene, seed=self.seed, noise=False
+            )
             # what the pixels see is the same
-            one._seen = self._seen
-            self._at[k] = one
+            simulation._seen = self._seen
+            self._at[k] = simulation
         return self._at[k]

@@ -47,7 +47,7 @@ class Linearity:
             u0, v0, u1, v1 = reference.pixels
             shift = cyclic.gradient[0] * ((u0 + u1) / 2 - camera.optics.cx)
             shift += cyclic.gradient[1] * ((v0 + v1) / 2 - camera.optics.cy)
-        harmonics = tuple(replace(one, phase=one.phase + shift) for one in cyclic.harmonics)
+        harmonics = tuple(replace(harmonic, phase=harmonic.phase + shift) for harmonic in cyclic.harmonics)
         return cls(harmonics, camera.sensor.ambiguity)
 
     def measured(self, distance: float) -> float:

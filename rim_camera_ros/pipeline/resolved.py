@@ -45,7 +45,7 @@ class ResolvedCorrection(Correction):
         given = frozenset(without)
         stray = effect_of(camera, StrayLight)
         apart = frozenset() if stray is None else frozenset({StrayLight.name})
-        rest = {name: one for name, one in camera.effects.items() if name not in apart}
+        rest = {name: effect for name, effect in camera.effects.items() if name not in apart}
         # a name that is in no file is refused as for every camera
         super().__init__(
             replace(camera, effects=rest), without=given - apart, minimum_amplitude=minimum_amplitude

@@ -47,17 +47,20 @@ class SeveralSimulations:
         self.camera, self.scene = camera, scene
         self.notes: set[str] = set()
         first = Simulation(camera.channels[0], scene, notes=self.notes, **options)
-        self.channels = [first, *(first.beside(one, i) for i, one in enumerate(camera.channels[1:], 1))]
-        self._stated = " ".join(f"{one.sensor.modulation_frequency:.10g}" for one in camera.channels)
+        self.channels = [
+            first,
+            *(first.beside(channel, i) for i, channel in enumerate(camera.channels[1:], 1)),
+        ]
+        self._stated = " ".join(f"{channel.sensor.modulation_frequency:.10g}" for channel in camera.channels)
 
     def frame(self, exposure: Exposure) -> RawFrame:
         """Return one raw frame with settings and truth; its images as `RawFrame` says."""
-        frames = [one.frame(exposure) for one in self.channels]
+        frames = [channel.frame(exposure) for channel in self.channels]
         settings = frames[0].settings
         extra = {**settings.extra, FREQUENCIES: self._stated}
         images = {
-            f"{kind}_{i}": getattr(one, kind)
-            for i, one in enumerate(frames[1:], 1)
+            f"{kind}_{i}": getattr(frame, kind)
+            for i, frame in enumerate(frames[1:], 1)
             for kind in ("distance", "amplitude")
         }
         settings = replace(settings, modulation_frequency=None, extra=extra)
@@ -108,18 +111,22 @@ class SeveralCorrections:
             )
         self._table = self.measurement.table(camera)
         self._least = np.float32(2 * np.log(self.measurement.odds))
-        channels = [replace(one, validity=replace(one.validity, distance=None)) for one in camera.channels]
-        absolute = {name for name, one in camera.effects.items() if one.absolute} - self.without
+        channels = [
+            replace(channel, validity=replace(channel.validity, distance=None)) for channel in camera.channels
+        ]
+        absolute = {name for name, effect in camera.effects.items() if effect.absolute} - self.without
 
         def corrections(cameras: Iterable[Camera], out: Iterable[str]) -> list[Correction]:
             return [
-                Correction(one, without=set(out) & set(one.effects), minimum_amplitude=minimum_amplitude)
-                for one in cameras
+                Correction(
+                    camera, without=set(out) & set(camera.effects), minimum_amplitude=minimum_amplitude
+                )
+                for camera in cameras
             ]
 
         self._first = corrections(channels, self.without | absolute)
         self._second = (
-            corrections([_beyond(one, self._table.span[1]) for one in channels], self.without)
+            corrections([_beyond(channel, self._table.span[1]) for channel in channels], self.without)
             if absolute
             else None
         )
@@ -143,15 +150,15 @@ class SeveralCorrections:
         parts = self.phases(frames)
         self._collect([*self._first, *(self._second or ())])
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            resolved = self._table.resolve([one.distance for one in parts], [one.sigma for one in parts])
+            resolved = self._table.resolve([part.distance for part in parts], [part.sigma for part in parts])
             distance = resolved.distance
-            flags = np.bitwise_or.reduce([one.flags for one in parts]) & np.uint8(~_MIXED & 0xFF)
+            flags = np.bitwise_or.reduce([part.flags for part in parts]) & np.uint8(~_MIXED & 0xFF)
             if self._second is not None:
                 parts = self._again(frames, parts, distance)
-                flags |= np.bitwise_or.reduce([one.flags for one in parts]) & np.uint8(~_MIXED & 0xFF)
+                flags |= np.bitwise_or.reduce([part.flags for part in parts]) & np.uint8(~_MIXED & 0xFF)
                 distance = _mean(parts)
-            sigma = 1 / np.sqrt(sum(1 / (one.sigma * one.sigma) for one in parts))
-            amplitude = np.mean([one.amplitude for one in parts], axis=0)
+            sigma = 1 / np.sqrt(sum(1 / (part.sigma * part.sigma) for part in parts))
+            amplitude = np.mean([part.amplitude for part in parts], axis=0)
             invalid = (flags & np.uint8(INVALID.value)) != 0
             flags |= (~invalid & ~(resolved.lead >= self._least)).view(np.uint8) * np.uint8(
                 Flag.AMBIGUOUS.value
@@ -195,7 +202,7 @@ class SeveralCorrections:
 
     def minimum_for(self, settings: Settings) -> float:
         """Return the minimum amplitude in counts that holds at these settings, the greatest of all."""
-        return max(one.minimum_for(settings) for one in self._first)
+        return max(correction.minimum_for(settings) for correction in self._first)
 
     def carry_on(self, before: Any) -> None:
         """Take over what another correction of this camera knows of the past."""
@@ -206,7 +213,7 @@ class SeveralCorrections:
 
     def phases(self, frames: list[RawFrame]) -> list[CorrectedFrame]:
         """Return the distances of each frequency modulo its ambiguity range, corrected one by one."""
-        return [one.correct(its) for one, its in zip(self._first, frames, strict=True)]
+        return [correction.correct(its) for correction, its in zip(self._first, frames, strict=True)]
 
     # --- steps ----------------------------------------------------------------------------------
 
@@ -247,9 +254,9 @@ class SeveralCorrections:
         ]
 
     def _check_frequencies(self, stated: str) -> None:
-        own = [one.sensor.modulation_frequency for one in self.camera.channels]
+        own = [channel.sensor.modulation_frequency for channel in self.camera.channels]
         try:
-            found = [float(one) for one in stated.split()]
+            found = [float(word) for word in stated.split()]
         except ValueError:
             found = []
         if len(found) != len(own) or any(abs(a / b - 1) > _TUNED for a, b in zip(found, own, strict=True)):
@@ -279,13 +286,13 @@ class SeveralCorrections:
         return result
 
     def _collect(self, corrections: Iterable[Correction]) -> None:
-        for one in corrections:
-            self.notes |= one.notes
+        for correction in corrections:
+            self.notes |= correction.notes
 
 
 def _mean(parts: list[CorrectedFrame]) -> Image:
-    weights = [1 / (one.sigma * one.sigma) for one in parts]
-    total = sum(w * one.distance for w, one in zip(weights, parts, strict=True))
+    weights = [1 / (part.sigma * part.sigma) for part in parts]
+    total = sum(w * part.distance for w, part in zip(weights, parts, strict=True))
     return np.asarray(total / sum(weights))
 
 

@@ -64,18 +64,18 @@ def review(camera: Camera, frames: Iterable[RawFrame], scene: Scene) -> tuple[Ca
 
 def _without_offsets(camera: Camera, seen: Sequence[_Seen], scene: Scene) -> tuple[Camera, list[Change]]:
     correction = SeveralCorrections(camera)
-    periods = [one.sensor.ambiguity for one in camera.channels]
+    periods = [channel.sensor.ambiguity for channel in camera.channels]
     found = np.full((len(seen), len(periods)), np.nan)
-    for row, one in zip(found, seen, strict=True):
-        parts = correction.phases(correction.frames(one.frame) or [])
+    for row, view in zip(found, seen, strict=True):
+        parts = correction.phases(correction.frames(view.frame) or [])
         for i, (part, period) in enumerate(zip(parts, periods, strict=True)):
-            apart = wrap_residual(part.distance - one.truth, period)
+            apart = wrap_residual(part.distance - view.truth, period)
             # around the direction of the mean: an offset may be near half the range
             turn = np.exp(2j * np.pi / period * apart[np.isfinite(apart)])
             row[i] = np.angle(turn.mean()) * period / (2 * np.pi) if turn.size else np.nan
     mean = np.nanmean(found, axis=0)
     spread = np.nanstd(found, axis=0, ddof=1) / np.sqrt(len(seen)) if len(seen) > 2 else np.inf
-    poses = max(one.pose_sigma[0] for one in scene.surfaces)
+    poses = max(surface.pose_sigma[0] for surface in scene.surfaces)
     beside = mean - np.array([np.median(np.delete(mean, i)) for i in range(len(mean))])
     far = np.maximum(_LEAST, _CHANCE * np.hypot(spread, poses))
     channels, changes = list(camera.channels), list[Change]()
@@ -128,18 +128,18 @@ def _without_wrong_wraps(camera: Camera, seen: Sequence[_Seen]) -> tuple[Camera,
 def _wrong_wraps(camera: Camera, seen: Iterable[_Seen]) -> tuple[int, float]:
     """Return the number of pixels with wrong wraps, or none, and how many chance makes so at most."""
     correction = SeveralCorrections(camera)
-    least = min(one.sensor.ambiguity for one in camera.channels)
+    least = min(channel.sensor.ambiguity for channel in camera.channels)
     wrong, expected = 0, 0.0
     # no wraps within the span are no measurement either; whether there was one the raw images say
     dark = np.uint8((INVALID & ~Flag.AMBIGUOUS & ~Flag.NO_MEASUREMENT).value)
-    for one in seen:
-        found = correction.correct(one.frame)
+    for view in seen:
+        found = correction.correct(view.frame)
         assert isinstance(found, ResolvedFrame)
-        usable = np.isfinite(one.truth) & ((found.flags & dark) == 0)
-        for its in correction.frames(one.frame) or ():
+        usable = np.isfinite(view.truth) & ((found.flags & dark) == 0)
+        for its in correction.frames(view.frame) or ():
             usable &= its.distance > 0
         flagged = usable & ((found.flags & np.uint8(Flag.AMBIGUOUS.value)) != 0)
-        away = usable & ~flagged & ~(np.abs(found.distance - one.truth) < least / 2)
+        away = usable & ~flagged & ~(np.abs(found.distance - view.truth) < least / 2)
         wrong += int(away.sum())
         expected += float(np.nansum(np.where(usable & ~flagged, found.wrong_wrap, 0.0)))
     return wrong, expected + _CHANCE * np.sqrt(expected + 1.0)

@@ -71,10 +71,10 @@ class Simulation:
     notes: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
-        for one in self.scene.surfaces:
-            if not one.is_described:
+        for surface in self.scene.surfaces:
+            if not surface.is_described:
                 raise InputError(
-                    f"the reflectivity of surface '{one.name}' is unknown: its light cannot be simulated",
+                    f"the reflectivity of surface '{surface.name}' is unknown: its light cannot be simulated",
                     place="surfaces",
                     remedy="state reflectivity or texture",
                 )
@@ -100,7 +100,7 @@ class Simulation:
 
     def geometry(self, poses: Mapping[str, Pose]) -> Geometry:
         """Return what the pixels see; the last few sets of poses are kept."""
-        key = tuple(poses[one.name] for one in self.scene.surfaces)
+        key = tuple(poses[surface.name] for surface in self.scene.surfaces)
         found = self._seen.get(key)
         if found is None:
             found = see(self.scene, poses, self.camera.rays)
@@ -179,13 +179,13 @@ class Simulation:
         After the effects that stay as they are while the scene does: emission, multipath, mixed pixels,
         scattering; before motion and whatever comes behind the pixels.
         """
-        steady = list(takewhile(lambda one: one.steady, self._chain.light))
+        steady = list(takewhile(lambda effect: effect.steady, self._chain.light))
         signal = self._steady(steady, self.context(exposure))
         return to_phasor(signal.distance, signal.amplitude, self.camera.sensor.ambiguity)
 
     def signal(self, context: Context) -> Signal:
         """Return the noise-free signal after all effects."""
-        steady = list(takewhile(lambda one: one.steady, self._chain.light))
+        steady = list(takewhile(lambda effect: effect.steady, self._chain.light))
         signal = deliver(self._chain.light[len(steady) :], self._steady(steady, context), context)
         if self._chain.terms:
             context.saturated = self._full(self._chain.published(signal.amplitude))
@@ -323,8 +323,10 @@ class Simulation:
 def drift_of(camera: Camera, context: Context) -> float:
     """Return the sum of the drifts that an internal reference shows as well, in metres for this frame."""
     empty = np.empty((0,))
-    terms = [one for one in camera.effects.values() if isinstance(one, DistanceTerm) and one.drifts]
-    return float(sum(float(np.asarray(one.term(empty, empty, context))) for one in terms))
+    terms = [
+        effect for effect in camera.effects.values() if isinstance(effect, DistanceTerm) and effect.drifts
+    ]
+    return float(sum(float(np.asarray(term.term(empty, empty, context))) for term in terms))
 
 
 def measured_residual(measured: Any, expected: Any, camera: Camera) -> Any:

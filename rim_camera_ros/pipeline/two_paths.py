@@ -37,8 +37,8 @@ class TwoPaths:
     def __init__(self, camera: Camera, span: tuple[float, float]) -> None:
         from scipy.stats import chi2  # takes a good part of a node's start
 
-        self._waves = np.array([2 * np.pi / one.sensor.ambiguity for one in camera.channels])
-        gains = np.array([one.radiometry.gain for one in camera.channels])
+        self._waves = np.array([2 * np.pi / channel.sensor.ambiguity for channel in camera.channels])
+        gains = np.array([channel.radiometry.gain for channel in camera.channels])
         self._gains = gains / gains.mean()
         self._span = span
         #: misfit of one path that noise exceeds so often, and what two unknowns more take of noise alone
@@ -54,9 +54,15 @@ class TwoPaths:
         sigma is that of d in the fit of all four unknowns.
         """
         at = np.flatnonzero(usable)
-        amplitude = np.stack([one.amplitude.ravel()[at] for one in parts]).astype(float)
-        phase = self._waves[:, None] * np.stack([one.distance.ravel()[at] for one in parts])
-        noise = self._waves[:, None] * np.stack([one.sigma.ravel()[at] for one in parts])
+        amplitude = np.stack([corrected_frame.amplitude.ravel()[at] for corrected_frame in parts]).astype(
+            float
+        )
+        phase = self._waves[:, None] * np.stack(
+            [corrected_frame.distance.ravel()[at] for corrected_frame in parts]
+        )
+        noise = self._waves[:, None] * np.stack(
+            [corrected_frame.sigma.ravel()[at] for corrected_frame in parts]
+        )
         gains = self._gains[:, None]
         light = amplitude / gains * np.exp(1j * phase)
         weight = (gains / (amplitude * noise)) ** 2

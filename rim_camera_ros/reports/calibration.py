@@ -47,7 +47,7 @@ _MOST_OPEN = 2
 
 def calibration_page(result: Calibration, *, title: str) -> str:
     """Return the report of a calibration as one HTML page."""
-    one = stated(result)
+    accuracy = stated(result)
     # a page of a refused result is made where it is forced
     notes = [*(f"written as asked, though {reason}" for reason in result.refused), *result.notes]
     return render(
@@ -58,7 +58,7 @@ def calibration_page(result: Calibration, *, title: str) -> str:
             f"in {several(len(result.sources), 'recording')}, {result.camera.provenance.get('date', '')}"
         ),
         first=first_sentence(result),
-        mood="good" if one.after < one.before else "warn",
+        mood="good" if accuracy.after < accuracy.before else "warn",
         cards=_cards(result),
         notes=[Bullets(notes)] if notes else [],
         errors=_errors(result),
@@ -66,7 +66,7 @@ def calibration_page(result: Calibration, *, title: str) -> str:
         effects=_effects(result),
         curves=[*details.curves(result), *details.pattern(result)],
         parameters=[*details.parameters(result), *details.correlations(result)],
-        whose=poses_of(one),
+        whose=poses_of(accuracy),
         residuals=details.errors_over(result),
         integral=details.by_table(result),
         noise=details.noise(result),
@@ -77,19 +77,21 @@ def calibration_page(result: Calibration, *, title: str) -> str:
 
 def first_sentence(result: Calibration) -> str:
     """Return the calibration in a sentence: how good, where, what was fitted, what to record next."""
-    one = stated(result)
-    good = millimetres(one.after)
-    lead = f"Good to {good}" if one.after < one.before else f"No better than the file before: {good}"
+    accuracy = stated(result)
+    good = millimetres(accuracy.after)
+    lead = (
+        f"Good to {good}" if accuracy.after < accuracy.before else f"No better than the file before: {good}"
+    )
     valid = result.camera.validity.distance
     if valid is not None:
         lead += f" between {valid[0]:.2g} and {valid[1]:.2g} m"
-    lead += f" (file before: {millimetres(one.before)}; "
-    lead += f"noise of the averaged frames: {millimetres(one.noise)})"
-    if not one.held_out:
+    lead += f" (file before: {millimetres(accuracy.before)}; "
+    lead += f"noise of the averaged frames: {millimetres(accuracy.noise)})"
+    if not accuracy.held_out:
         lead += ", on the poses that it was fitted to: there were too few to hold any out"
     if result.integral:
         return f"{lead}; a table by position was fitted, no effects."
-    fitted = sum(one.status == "fitted" for one in result.statuses)
+    fitted = sum(status.status == "fitted" for status in result.statuses)
     words = f"{lead}; {several(fitted, 'effect')} fitted"
     open_ones = sorted(
         (x for x in result.statuses if x.status == "undetermined"), key=lambda x: _urgency(result, x)
@@ -104,8 +106,10 @@ def first_sentence(result: Calibration) -> str:
     return f"{words}."
 
 
-def _urgency(result: Calibration, one: EffectStatus) -> tuple[bool, bool]:
-    return one.effect not in result.camera.effects, not vocabulary()[one.effect].everywhere
+def _urgency(result: Calibration, effect_status: EffectStatus) -> tuple[bool, bool]:
+    return effect_status.effect not in result.camera.effects, not vocabulary()[
+        effect_status.effect
+    ].everywhere
 
 
 def _title(effect: str) -> str:
@@ -114,15 +118,15 @@ def _title(effect: str) -> str:
 
 
 def _cards(result: Calibration) -> list[Card]:
-    one = stated(result)
-    whose = f"{one.poses} held-out poses" if one.held_out else "the poses of the fit"
+    accuracy = stated(result)
+    whose = f"{accuracy.poses} held-out poses" if accuracy.held_out else "the poses of the fit"
     items = [
         Card(
-            f"{one.before * 1e3:.2f} → {one.after * 1e3:.2f} mm",
+            f"{accuracy.before * 1e3:.2f} → {accuracy.after * 1e3:.2f} mm",
             f"RMS error of corrected mean frames before and after, {whose}",
         ),
-        Card(in_mm(one.systematic), "of it systematic: beyond noise and reference instrument"),
-        Card(in_mm(one.single), "predicted noise of one frame (median)"),
+        Card(in_mm(accuracy.systematic), "of it systematic: beyond noise and reference instrument"),
+        Card(in_mm(accuracy.single), "predicted noise of one frame (median)"),
     ]
     chi_square = result.chi_square
     if chi_square is not None and not result.integral:
@@ -143,7 +147,7 @@ def _errors(result: Calibration) -> list[Part]:
         return []
     found = effect_errors(result)
     largest = sorted(found.items(), key=lambda one: -one[1].before)
-    rows = [[f"{_title(name)} ({name})", *_millimetres(one)] for name, one in largest]
+    rows = [[f"{_title(name)} ({name})", *_millimetres(effect_error)] for name, effect_error in largest]
     own = _pattern_error(result)
     if own is not None:
         rows.append([f"offset of each pixel ({PixelMap.name})", *_millimetres(own)])
@@ -181,9 +185,9 @@ def _pattern_variance(result: Calibration) -> Array:
     return np.asarray(spread * variance / np.maximum(spread + variance, 1e-30))
 
 
-def _millimetres(one: EffectError) -> list[str]:
-    after = f"± {one.after * 1e3:.2f}" if np.isfinite(one.after) else "not estimated"
-    return [f"{one.size * 1e3:.2f}", f"{one.before * 1e3:.2f}", after, "mm"]
+def _millimetres(effect_error: EffectError) -> list[str]:
+    after = f"± {effect_error.after * 1e3:.2f}" if np.isfinite(effect_error.after) else "not estimated"
+    return [f"{effect_error.size * 1e3:.2f}", f"{effect_error.before * 1e3:.2f}", after, "mm"]
 
 
 def _uncertainty(result: Calibration) -> list[Part]:
@@ -198,17 +202,20 @@ def _uncertainty(result: Calibration) -> list[Part]:
     seen = [(wall, one * 1e3) for wall, one in zip(walls, shown, strict=True) if np.isfinite(one).any()]
     if not seen:
         return []
-    walls, images = [one for one, _ in seen], [one for _, one in seen]
-    top = max(float(np.nanquantile(one, 0.98)) for one in images)
+    walls, images = [wall for wall, _ in seen], [one for _, one in seen]
+    top = max(float(np.nanquantile(image, 0.98)) for image in images)
     picture = maps(
         [
-            Map(f"wall at {w.distance:.2f} m", one, top, from_zero=True)
-            for w, one in zip(walls, images, strict=True)
+            Map(f"wall at {w.distance:.2f} m", image, top, from_zero=True)
+            for w, image in zip(walls, images, strict=True)
         ],
         "mm",
     )
     words = joined(
-        [f"{np.nanmedian(one):.2f} mm at {w.distance:.2f} m" for w, one in zip(walls, images, strict=True)]
+        [
+            f"{np.nanmedian(image):.2f} mm at {w.distance:.2f} m"
+            for w, image in zip(walls, images, strict=True)
+        ]
     )
     caption = (
         f"Standard deviation of corrected distances, median over the image: {words}. A grey wall "
@@ -221,15 +228,17 @@ def _uncertainty(result: Calibration) -> list[Part]:
 
 
 def _effects(result: Calibration) -> list[Part]:
-    rows = [(one.effect, *_MOODS[one.status], _words(result, one)) for one in result.statuses]
+    rows = [(status.effect, *_MOODS[status.status], _words(result, status)) for status in result.statuses]
     order = [_MOODS[name][0] for name in _MOODS]
     rows.sort(key=lambda row: order.index(row[1]))
     return [Tagged(rows)]
 
 
-def _words(result: Calibration, one: EffectStatus) -> str:
-    effect = result.camera.effects.get(one.effect)
-    if one.status == "fitted" and effect is not None:
-        more = one.text.removeprefix("fitted").removeprefix("; ")
+def _words(result: Calibration, effect_status: EffectStatus) -> str:
+    effect = result.camera.effects.get(effect_status.effect)
+    if effect_status.status == "fitted" and effect is not None:
+        more = effect_status.text.removeprefix("fitted").removeprefix("; ")
         return f"{effect.sentence()}{f' ({more})' if more else ''}"
-    return one.text.removeprefix("absent: ").removeprefix("cannot be determined from these recordings: ")
+    return effect_status.text.removeprefix("absent: ").removeprefix(
+        "cannot be determined from these recordings: "
+    )

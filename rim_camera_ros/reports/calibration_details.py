@@ -60,9 +60,9 @@ def stated(result: Calibration) -> Accuracy:
     return by_table if result.integral and by_table is not None else result.accuracy
 
 
-def poses_of(one: Accuracy) -> str:
+def poses_of(accuracy: Accuracy) -> str:
     """Return which poses an accuracy is of."""
-    return "held-out poses" if one.held_out else "fitted poses"
+    return "held-out poses" if accuracy.held_out else "fitted poses"
 
 
 def curves(result: Calibration) -> list[Part]:
@@ -71,7 +71,7 @@ def curves(result: Calibration) -> list[Part]:
     if not found:
         return []
     caption = "The error that each effect adds to the measurement, with its band of 95 %"
-    alt = f"Curves of {joined([one.title for one in found])}"
+    alt = f"Curves of {joined([panel.title for panel in found])}"
     return [Figure(panels(found), alt, caption + "; dashed: the camera file before.")]
 
 
@@ -139,7 +139,7 @@ def correlations(result: Calibration) -> list[Part]:
         return []
     sigma = np.sqrt(np.diag(result.covariance))
     values = result.covariance / sigma[:, None] / sigma[None, :]
-    labels = [one.removeprefix("effects.") for one in result.paths]
+    labels = [path.removeprefix("effects.") for path in result.paths]
     content: list[Part] = [Heading("Correlations")]
     if len(labels) <= _MOST_LABELS:
         alt = f"Matrix of the correlations of {len(labels)} parameters"
@@ -156,42 +156,44 @@ def correlations(result: Calibration) -> list[Part]:
 
 def errors_over(result: Calibration) -> list[Part]:
     """Return the errors before and after over what they depend on."""
-    one = stated(result)
-    if not one.samples:
+    accuracy = stated(result)
+    if not accuracy.samples:
         return []
     shown = []
     for name, label, log in _COVARIATES:
-        values = one.samples[name].astype(float)
+        values = accuracy.samples[name].astype(float)
         known = values[np.isfinite(values)]
         if not known.size or np.ptp(known) <= 1e-6 * max(1.0, float(np.abs(known).max())):
             continue
         shown.append(Covariate(label, np.degrees(values) if name == "incidence" else values, log))
-    before, after, expected = (one.samples[name] * 1e3 for name in ("before", "after", "expected"))
+    before, after, expected = (accuracy.samples[name] * 1e3 for name in ("before", "after", "expected"))
     held = (
-        "by a camera fitted without their fold of poses" if one.held_out else "by the camera fitted to them"
+        "by a camera fitted without their fold of poses"
+        if accuracy.held_out
+        else "by the camera fitted to them"
     )
     caption = (
         "Mean frames of each pose against the scene: corrected by the camera file before (left), and "
         f"{held} (right). Dots: medians; band: the middle 68 %; dashed: what noise alone makes."
     )
-    alt = f"Errors before and after over {joined([one.label for one in shown])}"
+    alt = f"Errors before and after over {joined([covariate.label for covariate in shown])}"
     parts: list[Part] = [Figure(residuals(shown, before, after, expected=expected), alt, caption)]
-    limit = float(np.nanquantile(np.abs(one.maps["after"]), 0.98)) * 1e3
+    limit = float(np.nanquantile(np.abs(accuracy.maps["after"]), 0.98)) * 1e3
     parts.append(
         Figure(
             maps(
                 [
-                    Map("mean error before", one.maps["before"] * 1e3),
-                    Map("mean error after", one.maps["after"] * 1e3, limit),
-                    Map("RMS error after", one.maps["rms"] * 1e3, from_zero=True),
+                    Map("mean error before", accuracy.maps["before"] * 1e3),
+                    Map("mean error after", accuracy.maps["after"] * 1e3, limit),
+                    Map("RMS error after", accuracy.maps["rms"] * 1e3, from_zero=True),
                 ],
                 "mm",
             ),
             "Maps of the mean error before and after, and of the RMS error after",
-            f"Over the array, mean of the {poses_of(one)}. Each picture has its own scale.",
+            f"Over the array, mean of the {poses_of(accuracy)}. Each picture has its own scale.",
         )
     )
-    low, high = np.quantile(one.samples["distance"], [0.002, 0.998])
+    low, high = np.quantile(accuracy.samples["distance"], [0.002, 0.998])
     rows = [
         [
             f"{c.low:.2f} .. {c.high:.2f}",
@@ -200,7 +202,7 @@ def errors_over(result: Calibration) -> list[Part]:
             in_mm(c.after),
             in_mm(c.expected),
         ]
-        for c in one.classes("distance", np.linspace(low, high, 9).tolist())
+        for c in accuracy.classes("distance", np.linspace(low, high, 9).tolist())
     ]
     headings = ["distance [m]", "values", "RMS before", "RMS after", "noise alone"]
     parts.append(Table(headings, rows, numbers=range(5)))
@@ -231,15 +233,15 @@ def noise(result: Calibration) -> list[Part]:
     fit = result.noise
     if fit is None:
         return [Text("There are too few repeated frames: noise as in the camera file before.")]
-    x = np.array([one.amplitude for one in fit.classes])
+    x = np.array([group.amplitude for group in fit.classes])
     grid = np.geomspace(x.min(), x.max(), 200)
     background = result.before.background
     curves = [
         Curve(grid, fit.noise.sigma_distance(grid, background=background) * 1e3, None, "model", colour=AFTER),
         Curve(
             x,
-            np.array([one.sigma for one in fit.classes]) * 1e3,
-            np.array([one.error for one in fit.classes]) * 1e3,
+            np.array([group.sigma for group in fit.classes]) * 1e3,
+            np.array([group.error for group in fit.classes]) * 1e3,
             "repeated frames",
             points=True,
             colour="#1d2733",
@@ -281,7 +283,7 @@ def validity(result: Calibration) -> list[Part]:
 
 def provenance(result: Calibration) -> list[Part]:
     """Return what was calibrated from what."""
-    rows = [[one.path, str(one.frames), str(one.poses), one.sha256] for one in result.sources]
+    rows = [[source.path, str(source.frames), str(source.poses), source.sha256] for source in result.sources]
     command = result.camera.provenance.get("command", "")
     program = result.camera.provenance.get("program", "")
     return [

@@ -30,13 +30,17 @@ def calibration_text(result: Calibration) -> str:
         ("not determined by these recordings", ("undetermined",)),
         ("kept as in the file", ("kept",)),
     ):
-        lines = [(one.effect, _plain(one.text)) for one in result.statuses if one.status in status]
+        lines = [
+            (effect_status.effect, _plain(effect_status.text))
+            for effect_status in result.statuses
+            if effect_status.status in status
+        ]
         if (
             status == ("undetermined",)
             and not result.integral
             and (undetermined := result.solution.undetermined())
         ):
-            lines.append(("of the parameters", ", ".join(_short(one) for one in undetermined)))
+            lines.append(("of the parameters", ", ".join(_short(name) for name in undetermined)))
         if lines:
             parts.append(section(heading, lines))
     return "\n\n".join(parts)
@@ -57,17 +61,24 @@ def parameter_table(result: Calibration) -> str:
 
 def accuracy_text(result: Calibration) -> str:
     """Return the accuracy on held-out poses in lines."""
-    one = result.integral_accuracy if result.integral and result.integral_accuracy else result.accuracy
-    whose = f"{one.poses} held-out poses" if one.held_out else "the fitted poses (too few to hold any out)"
+    accuracy = result.integral_accuracy if result.integral and result.integral_accuracy else result.accuracy
+    whose = (
+        f"{accuracy.poses} held-out poses"
+        if accuracy.held_out
+        else "the fitted poses (too few to hold any out)"
+    )
     lines = [
-        ("as measured", f"{one.raw * 1e3:.2f} mm RMS"),
-        ("by the file before", f"{one.before * 1e3:.2f} mm RMS"),
-        ("corrected", f"{one.after * 1e3:.2f} mm RMS"),
-        ("of which noise", f"{one.noise * 1e3:.2f} mm, reference instrument {one.reference * 1e3:.2f} mm"),
-        ("systematic", f"{one.systematic * 1e3:.2f} mm"),
+        ("as measured", f"{accuracy.raw * 1e3:.2f} mm RMS"),
+        ("by the file before", f"{accuracy.before * 1e3:.2f} mm RMS"),
+        ("corrected", f"{accuracy.after * 1e3:.2f} mm RMS"),
+        (
+            "of which noise",
+            f"{accuracy.noise * 1e3:.2f} mm, reference instrument {accuracy.reference * 1e3:.2f} mm",
+        ),
+        ("systematic", f"{accuracy.systematic * 1e3:.2f} mm"),
         (
             "beside offset and tilts of each pose",
-            f"{one.rigid_before * 1e3:.2f} mm before, {one.rigid_after * 1e3:.2f} mm RMS corrected",
+            f"{accuracy.rigid_before * 1e3:.2f} mm before, {accuracy.rigid_after * 1e3:.2f} mm RMS corrected",
         ),
     ]
     table_ = result.integral_accuracy
@@ -138,7 +149,7 @@ def unit_of(camera: Camera, path: str) -> str:
     unit = ""
     for part in rest.split("."):
         if is_dataclass(value):
-            known = {one.name: one.metadata.get("unit", "") for one in fields(value)}
+            known = {field.name: field.metadata.get("unit", "") for field in fields(value)}
             unit = known.get(part, unit) or unit
             value = getattr(value, part, None)
         elif isinstance(value, tuple) and part.isdigit() and int(part) < len(value):

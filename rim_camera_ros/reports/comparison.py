@@ -76,36 +76,36 @@ class Comparison:
     @property
     def most(self) -> float:
         """Greatest difference of corrected distances [m] but for 1 % of the values."""
-        values = np.abs(np.concatenate([one[np.isfinite(one)] for one in self.maps]))
+        values = np.abs(np.concatenate([field[np.isfinite(field)] for field in self.maps]))
         return float(np.quantile(values, 0.99)) if values.size else float("nan")
 
 
-def compare(one: Camera, other: Camera) -> Comparison:
+def compare(file: Camera, other: Camera) -> Comparison:
     """Compare two camera files of a sensor.
 
     A grey wall across the axis is what is looked at, by a warm camera, at distances in which both are valid.
     Raises `InputError` where the sensors have other sizes or modulation frequencies.
     """
-    setting = setting_of(one, other)
-    walls = tuple(Wall(distance, setting) for distance in distances_of(one, other, count=_DISTANCES))
-    maps = tuple(difference(one, other, wall) for wall in walls)
+    setting = setting_of(file, other)
+    walls = tuple(Wall(distance, setting) for distance in distances_of(file, other, count=_DISTANCES))
+    maps = tuple(difference(file, other, wall) for wall in walls)
     effects = []
     known = known_effects()
     for name in known:
-        mine, theirs = one.effects.get(name), other.effects.get(name)
+        mine, theirs = file.effects.get(name), other.effects.get(name)
         if _plain(mine) == _plain(theirs):
             continue
         stands = "both" if mine and theirs else "first" if mine else "second"
-        swapped = {key: value for key, value in one.effects.items() if key != name}
+        swapped = {key: value for key, value in file.effects.items() if key != name}
         if theirs is not None:
             swapped[name] = theirs
         rms = None
         if known[name].shows_on_a_wall:
-            moved = with_effects(replace(one, effects={}), swapped)
-            rms = rms_of([difference(one, moved, wall) for wall in walls])
+            moved = with_effects(replace(file, effects={}), swapped)
+            rms = rms_of([difference(file, moved, wall) for wall in walls])
         effects.append(EffectDifference(name, stands, rms))
     effects.sort(key=lambda found: -(found.rms or 0.0))
-    return Comparison(walls, maps, _rays(one, other), tuple(effects), tuple(_numbers(one, other)))
+    return Comparison(walls, maps, _rays(file, other), tuple(effects), tuple(_numbers(file, other)))
 
 
 def _plain(effect: Any) -> Any:
@@ -113,30 +113,30 @@ def _plain(effect: Any) -> Any:
     if effect is None:
         return None
     arrays = list(arrays_of(effect))
-    names = {one.file for one in arrays}
+    names = {array.file for array in arrays}
 
     def unnamed(value: Any) -> Any:
         if isinstance(value, dict):
             return {key: unnamed(inner) for key, inner in value.items()}
         return None if isinstance(value, str) and value in names else value
 
-    return unnamed(encode(effect)), [one.values.tolist() for one in arrays]
+    return unnamed(encode(effect)), [array.values.tolist() for array in arrays]
 
 
 def rms_of(images: Sequence[Array]) -> float:
-    values = np.concatenate([one[np.isfinite(one)] for one in images])
+    values = np.concatenate([image[np.isfinite(image)] for image in images])
     return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
 
-def _rays(one: Camera, other: Camera) -> Array:
+def _rays(file: Camera, other: Camera) -> Array:
     """Return where the second file's rays meet the first one's image plane, less the pixel (H, W, 2) [px]."""
-    tangents = [camera.rays[..., :2] / camera.rays[..., 2:] for camera in (one, other)]
-    return np.asarray((tangents[1] - tangents[0]) * np.array([one.optics.fx, one.optics.fy]))
+    tangents = [camera.rays[..., :2] / camera.rays[..., 2:] for camera in (file, other)]
+    return np.asarray((tangents[1] - tangents[0]) * np.array([file.optics.fx, file.optics.fy]))
 
 
-def _numbers(one: Camera, other: Camera) -> list[NumberDifference]:
-    first, second = camera_numbers(one), camera_numbers(other)
-    variances = [_variances(camera) for camera in (one, other)]
+def _numbers(file: Camera, other: Camera) -> list[NumberDifference]:
+    first, second = camera_numbers(file), camera_numbers(other)
+    variances = [_variances(camera) for camera in (file, other)]
     found = []
     for path in dict.fromkeys([*first, *second]):
         a, b = first.get(path), second.get(path)
@@ -144,7 +144,7 @@ def _numbers(one: Camera, other: Camera) -> list[NumberDifference]:
             continue
         total = sum(own.get(path, 0.0) for own in variances)
         sigmas = abs(b - a) / total**0.5 if a is not None and b is not None and total > 0 else None
-        found.append(NumberDifference(path, a, b, unit_of(one if a is not None else other, path), sigmas))
+        found.append(NumberDifference(path, a, b, unit_of(file if a is not None else other, path), sigmas))
     return found
 
 
@@ -169,9 +169,14 @@ def first_sentence(found: Comparison) -> str:
         f"Corrected distances differ by {millimetres(found.rms)} (RMS; 99 % by less than "
         f"{millimetres(found.most)}) between {near:.2g} and {far:.2g} m"
     )
-    led = [one for one in found.effects if one.rms is not None and one.rms > 0.1 * max(found.rms, 1e-9)][:2]
+    led = [
+        effect
+        for effect in found.effects
+        if effect.rms is not None and effect.rms > 0.1 * max(found.rms, 1e-9)
+    ][:2]
     if led:
-        words += f", most by {joined([f'{one.effect} ({millimetres(one.rms)})' for one in led if one.rms])}"
+        most = [f"{change.effect} ({millimetres(change.rms)})" for change in led if change.rms]
+        words += f", most by {joined(most)}"
     aside = float(np.sqrt(np.nanmean(np.sum(found.rays**2, axis=-1))))
     if aside > 1e-3:
         words += f"; rays by {aside:.2g} px (RMS)"
@@ -185,11 +190,11 @@ def effect_rows(found: Comparison, names: Sequence[str]) -> list[list[str]]:
     known = known_effects()
     return [
         [
-            f"{known[one.effect].title} ({one.effect})",
-            stands[one.stands],
-            "not seen on a wall" if one.rms is None else f"{one.rms * 1e3:.3f} mm",
+            f"{known[effect.effect].title} ({effect.effect})",
+            stands[effect.stands],
+            "not seen on a wall" if effect.rms is None else f"{effect.rms * 1e3:.3f} mm",
         ]
-        for one in found.effects
+        for effect in found.effects
     ]
 
 
@@ -197,14 +202,16 @@ def number_rows(found: Comparison) -> list[list[str]]:
     """Return the numbers that differ."""
     return [
         [
-            one.path.removeprefix("effects."),
-            number_of(one.one),
-            number_of(one.other),
-            number_of(one.other - one.one) if one.one is not None and one.other is not None else "-",
-            "-" if one.sigmas is None else f"{one.sigmas:.1f}",
-            one.unit,
+            number.path.removeprefix("effects."),
+            number_of(number.one),
+            number_of(number.other),
+            number_of(number.other - number.one)
+            if number.one is not None and number.other is not None
+            else "-",
+            "-" if number.sigmas is None else f"{number.sigmas:.1f}",
+            number.unit,
         ]
-        for one in found.numbers
+        for number in found.numbers
     ]
 
 
@@ -257,6 +264,6 @@ def comparison_json(found: Comparison, names: Sequence[str]) -> dict[str, Any]:
             for wall, image in zip(found.walls, found.maps, strict=True)
         ],
         "rays_px": finite(float(np.sqrt(np.nanmean(np.sum(found.rays**2, axis=-1))))),
-        "effects": [vars(one) for one in found.effects],
-        "numbers": [vars(one) for one in found.numbers],
+        "effects": [vars(effect) for effect in found.effects],
+        "numbers": [vars(number) for number in found.numbers],
     }

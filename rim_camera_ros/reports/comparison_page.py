@@ -47,12 +47,12 @@ def comparison_page(found: Comparison, *, names: tuple[str, str]) -> str:
 def _pictures(found: Comparison) -> list[Part]:
     shown = range(0, len(found.walls), 2)
     images = [found.maps[i] * 1e3 for i in shown]
-    known = np.concatenate([np.abs(one[np.isfinite(one)]) for one in images])
+    known = np.concatenate([np.abs(image[np.isfinite(image)]) for image in images])
     if not known.size:
         return [Text("No pixel is valid by both files.")]
     top = max(float(np.quantile(known, 0.98)), 1e-3)
     titles = [f"wall at {found.walls[i].distance:.2f} m" for i in shown]
-    picture = maps([Map(title, one, top) for title, one in zip(titles, images, strict=True)], "mm")
+    picture = maps([Map(title, image, top) for title, image in zip(titles, images, strict=True)], "mm")
     setting = found.walls[0].integration_time
     caption = (
         "Corrected distance by the second file minus that by the first, of what a camera as in the first "

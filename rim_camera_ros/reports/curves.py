@@ -37,11 +37,11 @@ def effect_panels(
         )
         bands = _Bands(camera, name, [paths[i] for i in own], covariance[np.ix_(own, own)] if own else None)
         old = before.effects.get(name) if graph.compared and before is not None else None
-        curves = [bands.curve(one, "after" if old is not None else one.label) for one in graph.lines]
+        curves = [bands.curve(line, "after" if old is not None else line.label) for line in graph.lines]
         if old is not None:
             curves += [
-                Curve(one.x, one.value(old), None, "before", colour="#9aa5b1", dashed=True)
-                for one in graph.lines
+                Curve(line.x, line.value(old), None, "before", colour="#9aa5b1", dashed=True)
+                for line in graph.lines
             ]
         result.append(Panel(graph.title, graph.x_label, graph.y_label, tuple(curves), log=graph.log))
     return result

@@ -47,7 +47,7 @@ def effect_errors(result: Calibration) -> dict[str, EffectError]:
     old = fitted.by_another(start)
     old.margins = new.margins
     paths, covariance = result.solution.covariance()
-    names = [n for n, one in fitted.camera.effects.items() if one.estimated in ("joint", "covariates")]
+    names = [n for n, effect in fitted.camera.effects.items() if effect.estimated in ("joint", "covariates")]
     names += [name for name in OPTICS if any(path.startswith("optics.") for path in paths)]
     every = max(1, len(new.dataset.stations) // _MOST_STATIONS)
     sums = {name: _Sums(name, paths, covariance) for name in names}
@@ -85,7 +85,7 @@ class _Sums:
             slopes = after.columns(after.context.camera.effects[self._name])
             columns += [slopes[path][0] if path in slopes else 0.0 for path in self._paths]
         used = after.used & np.isfinite(size + old)
-        rows = np.stack([np.nan_to_num(np.broadcast_to(one, used.shape)[used]) for one in columns])
+        rows = np.stack([np.nan_to_num(np.broadcast_to(column, used.shape)[used]) for column in columns])
         self.count += int(used.sum())
         self._first += rows.sum(axis=1)
         self._second += rows @ rows.T

@@ -84,8 +84,8 @@ def panels(items: Sequence[Panel], *, columns: int = 3, height: float = 2.5, wid
 
     def draw(figure: Any) -> None:
         axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
-        for one, axis in zip(items, axes, strict=False):
-            draw_panel(axis, one)
+        for panel, axis in zip(items, axes, strict=False):
+            draw_panel(axis, panel)
         for axis in axes[len(items) :]:
             axis.set_visible(False)
 
@@ -93,23 +93,23 @@ def panels(items: Sequence[Panel], *, columns: int = 3, height: float = 2.5, wid
 
 
 def draw_panel(axis: Any, panel: Panel) -> None:
-    for number, one in enumerate(panel.curves):
-        colour = one.colour or COLOURS[number % len(COLOURS)]
-        band = None if one.sigma is None else 1.96 * one.sigma
-        if one.points:
+    for number, curve in enumerate(panel.curves):
+        colour = curve.colour or COLOURS[number % len(COLOURS)]
+        band = None if curve.sigma is None else 1.96 * curve.sigma
+        if curve.points:
             axis.errorbar(
-                one.x, one.y, yerr=band, fmt="o", ms=3.2, lw=1, capsize=0, color=colour, label=one.label
+                curve.x, curve.y, yerr=band, fmt="o", ms=3.2, lw=1, capsize=0, color=colour, label=curve.label
             )
             continue
-        axis.plot(one.x, one.y, color=colour, lw=1.5, ls="--" if one.dashed else "-", label=one.label)
+        axis.plot(curve.x, curve.y, color=colour, lw=1.5, ls="--" if curve.dashed else "-", label=curve.label)
         if band is not None:
-            axis.fill_between(one.x, one.y - band, one.y + band, color=colour, alpha=0.22, lw=0)
+            axis.fill_between(curve.x, curve.y - band, curve.y + band, color=colour, alpha=0.22, lw=0)
     axis.set(title=panel.title, xlabel=panel.x, ylabel=panel.y)
     if panel.log:
         axis.set_xscale("log")
     if panel.log_y:
         axis.set_yscale("log")
-    if any(one.label for one in panel.curves):
+    if any(curve.label for curve in panel.curves):
         axis.legend(loc="best", handlelength=1.4, borderaxespad=0.2)
 
 
@@ -133,16 +133,16 @@ def residuals(
 
     def draw(figure: Any) -> None:
         axes = figure.subplots(len(covariates), 2, squeeze=False)
-        for number, (row, one) in enumerate(zip(axes, covariates, strict=True)):
-            known = np.isfinite(one.values)
-            edges = class_edges(one.values[known], bins, log=one.log)
+        for number, (row, covariate) in enumerate(zip(axes, covariates, strict=True)):
+            known = np.isfinite(covariate.values)
+            edges = class_edges(covariate.values[known], bins, log=covariate.log)
             for axis, values, colour, title in (
                 (row[0], before, BEFORE, "before"),
                 (row[1], after, AFTER, "after"),
             ):
-                _draw_classes(axis, one.values[known], values[known], expected[known], edges, colour)
-                axis.set(xlabel=one.label, ylabel="residual [mm]")
-                if one.log:
+                _draw_classes(axis, covariate.values[known], values[known], expected[known], edges, colour)
+                axis.set(xlabel=covariate.label, ylabel="residual [mm]")
+                if covariate.log:
                     axis.set_xscale("log")
                 if number == 0:
                     axis.set_title(title)

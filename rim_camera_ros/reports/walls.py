@@ -44,16 +44,16 @@ class Wall:
 
 def setting_of(*cameras: Camera) -> float | None:
     """Return an integration time that all cameras have rows for, the longest; None where none states any."""
-    keys = [set(_settings(one)) for one in cameras]
+    keys = [set(_settings(camera)) for camera in cameras]
     stated = [one for one in keys if one]
     common = set.intersection(*stated) if stated else set()
     if common:
         return max(common)
-    for one in cameras:
-        if one.sensor.integration_time is not None:
-            return one.sensor.integration_time
-        if one.validity.integration_time is not None:
-            return one.validity.integration_time[1]
+    for camera in cameras:
+        if camera.sensor.integration_time is not None:
+            return camera.sensor.integration_time
+        if camera.validity.integration_time is not None:
+            return camera.validity.integration_time[1]
     return max((max(one) for one in stated), default=None)
 
 
@@ -64,9 +64,9 @@ def _settings(camera: Camera) -> list[float]:
 def distances_of(*cameras: Camera, count: int = 3) -> list[float]:
     """Return distances [m] over the range in which all cameras are valid, or within their ambiguity."""
     low, high = 0.15 * cameras[0].sensor.ambiguity, 0.9 * cameras[0].sensor.ambiguity
-    ranges = [one.validity.distance for one in cameras if one.validity.distance is not None]
+    ranges = [camera.validity.distance for camera in cameras if camera.validity.distance is not None]
     if ranges:
-        inside = max(one[0] for one in ranges), min(one[1] for one in ranges)
+        inside = max(interval[0] for interval in ranges), min(interval[1] for interval in ranges)
         if inside[0] < inside[1]:
             low, high = inside
     return [float(x) for x in np.linspace(low, high, count)]
@@ -77,7 +77,7 @@ def raw_wall(camera: Camera, wall: Wall) -> RawFrame:
 
     Raises `InputError` where the camera needs an integration time and none is given.
     """
-    steady = {name: one for name, one in camera.effects.items() if one.shows_on_a_wall}
+    steady = {name: effect for name, effect in camera.effects.items() if effect.shows_on_a_wall}
     quiet = with_effects(replace(camera, radiometry=replace(camera.radiometry, gain_sigma=0.0)), steady)
     pose = Pose((0.0, 0.0, wall.distance))
     surface = Surface("wall", "plane", ScenePose(pose.position), reflectivity=wall.reflectivity)
@@ -89,26 +89,26 @@ def raw_wall(camera: Camera, wall: Wall) -> RawFrame:
 
 def corrected_walls(camera: Camera, raw: Sequence[RawFrame]) -> Array:
     """Return corrected distances (N, H, W) [m] of N raw frames, NaN where a camera file allows none."""
-    steady = {name: one for name, one in camera.effects.items() if one.shows_on_a_wall}
+    steady = {name: effect for name, effect in camera.effects.items() if effect.shows_on_a_wall}
     correction = Correction(with_effects(camera, steady), minimum_amplitude=0.0, exact=True)
-    return np.stack([np.asarray(correction.correct(one).distance, float) for one in raw])
+    return np.stack([np.asarray(correction.correct(raw_frame).distance, float) for raw_frame in raw])
 
 
-def difference(one: Camera, other: Camera, wall: Wall) -> Array:
+def difference(file: Camera, other: Camera, wall: Wall) -> Array:
     """Return how much longer ``other`` than ``one`` says that distances of a wall are (H, W) [m].
 
     The raw frame is that which ``one`` measures of the wall; both correct it. NaN where either has none.
     Raises `InputError` where the sensors have other sizes or modulation frequencies.
     """
-    same = (one.shape, one.sensor.modulation_frequency) == (other.shape, other.sensor.modulation_frequency)
+    same = (file.shape, file.sensor.modulation_frequency) == (other.shape, other.sensor.modulation_frequency)
     if not same:
         raise InputError(
             "the camera files are of sensors of other sizes or modulation frequencies",
             remedy="compare two files of one camera",
         )
-    raw = [raw_wall(one, wall)]
-    moved = corrected_walls(other, raw)[0] - corrected_walls(one, raw)[0]
-    return np.asarray(wrap_residual(moved, one.sensor.ambiguity))
+    raw = [raw_wall(file, wall)]
+    moved = corrected_walls(other, raw)[0] - corrected_walls(file, raw)[0]
+    return np.asarray(wrap_residual(moved, file.sensor.ambiguity))
 
 
 def uncertainty(
@@ -139,12 +139,12 @@ def uncertainty(
         slope[:] = _slopes(camera, path, float(sigma), raw, base, step)
     variances = np.einsum("inhw,ij,jnhw->nhw", slopes, scaled, slopes, optimize=True)
     variances = np.where(np.isfinite(base), np.maximum(variances, 0.0), np.nan)
-    full = [_finer(one, camera.shape) if step > 1 else one for one in variances]
+    full = [_finer(variance, camera.shape) if step > 1 else variance for variance in variances]
     return [np.asarray(np.sqrt(one if pattern is None else one + pattern)) for one in full]
 
 
 def _coarseness(camera: Camera) -> int:
-    if any(one.stated_by_pixels for one in camera.effects.values()):
+    if any(effect.stated_by_pixels for effect in camera.effects.values()):
         return 1
     return max(1, int(np.ceil(np.sqrt(camera.sensor.width * camera.sensor.height / _ENOUGH))))
 

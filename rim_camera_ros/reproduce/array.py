@@ -54,17 +54,17 @@ def _phases(laboratory: Laboratory) -> Phases:
         scene = stations(plate(), placed, frames=_FRAMES, uptime=WARM["sr3000"])
         words = f"track line, pixel {pixel[0]}/{pixel[1]}"
         there = laboratory.record(camera, scene, around(pixel, _REACH), seed=_SEED + i, words=words)
-        error = np.array([one.mean_error for one in there])
-        light = np.array([one.mean_amplitude for one in there])
-        sigma = np.array([one.sigma / np.sqrt(one.count) for one in there])
+        error = np.array([result.mean_error for result in there])
+        light = np.array([result.mean_amplitude for result in there])
+        sigma = np.array([result.sigma / np.sqrt(result.count) for result in there])
         reduced = error - fitted.offset(light)
         errors.append(reduced)
         fits.append(fit_cyclic(_DISTANCES, reduced, ambiguity=camera.sensor.ambiguity, sigma=sigma))
     # within half a period of the phase in the middle of the array
     middle = fits[TABLE_3_6.index((71, 87))].phase
-    phase = np.array([middle + (one.phase - middle + np.pi) % (2 * np.pi) - np.pi for one in fits])
+    phase = np.array([middle + (fit.phase - middle + np.pi) % (2 * np.pi) - np.pi for fit in fits])
     row, column = np.array(TABLE_3_6, float).T
-    plane = fit_plane(row, column, phase, np.array([one.phase_sigma for one in fits]))
+    plane = fit_plane(row, column, phase, np.array([fit.phase_sigma for fit in fits]))
     return Phases(np.array(errors), tuple(fits), phase, plane)
 
 
@@ -120,12 +120,12 @@ def _pictures(found: Phases) -> tuple[Picture, ...]:
     curves = tuple(
         Curve(
             _DISTANCES,
-            -(error - one.offset) * 1e3,
+            -(error - fit.offset) * 1e3,
             label=f"{r}/{c}",
             colour=COLOURS[i % len(COLOURS)],
             dashed=i >= len(COLOURS),
         )
-        for i, (error, one, (r, c)) in enumerate(zip(found.error, found.fits, TABLE_3_6, strict=True))
+        for i, (error, fit, (r, c)) in enumerate(zip(found.error, found.fits, TABLE_3_6, strict=True))
     )
     distance = Picture(
         "fig_3_50",

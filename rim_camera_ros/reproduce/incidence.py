@@ -104,17 +104,17 @@ def turned_plate(laboratory: Laboratory) -> Mapping[int, Turned]:
 
 def _turned(laboratory: Laboratory, fitted: Mapping[int, HyperbolaFit]) -> dict[int, Turned]:
     scene = with_frames(laboratory.scene("rotating_plate"), _FRAMES)
-    uniform = tuple(replace(one, texture=None, reflectivity=TARGET) for one in scene.surfaces)
+    uniform = tuple(replace(surface, texture=None, reflectivity=TARGET) for surface in scene.surfaces)
     scene = replace(scene, surfaces=uniform)
     camera = laboratory.camera("sr3000")
     there = laboratory.record(camera, scene, _REGION, seed=_SEED, words="rotating plate")
     result = {}
     for setting in SETTINGS:
-        mine = [one for one in there if one.setting == setting]
-        angle = np.array([_gon(one.poses["plate"].orientation) for one in mine])
+        mine = [row for row in there if row.setting == setting]
+        angle = np.array([_gon(row.poses["plate"].orientation) for row in mine])
         # each pixel against its nominal distance, which changes with the angle beside the axis
-        error = np.array([float(np.nanmean(np.nanmedian(one.error, axis=0))) for one in mine])
-        amplitude = np.array([float(np.nanmean(np.nanmedian(one.amplitude, axis=0))) for one in mine])
+        error = np.array([float(np.nanmean(np.nanmedian(row.error, axis=0))) for row in mine])
+        amplitude = np.array([float(np.nanmean(np.nanmedian(row.amplitude, axis=0))) for row in mine])
         gon, raw = fold_angles(angle, error)
         _, reduced = fold_angles(angle, error - fitted[setting].offset(amplitude))
         keep = gon <= 80.0 + 1e-6
@@ -128,9 +128,9 @@ def _gon(orientation: tuple[float, float, float, float]) -> float:
     return float(np.arctan2(rotation[0, 2], rotation[2, 2]) * 200 / np.pi)
 
 
-def _cancelled(one: Turned, setting: int) -> Row:
-    judged = one.gon <= _JUDGED
-    share = root_mean_square(one.raw[judged]) / root_mean_square(one.reduced[judged])
+def _cancelled(turned: Turned, setting: int) -> Row:
+    judged = turned.gon <= _JUDGED
+    share = root_mean_square(turned.raw[judged]) / root_mean_square(turned.reduced[judged])
     how = (
         "RMS over 0-60 gon of the deviations from the perpendicular case, not reduced over reduced for the "
         "amplitude"

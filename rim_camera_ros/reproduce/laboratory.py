@@ -129,7 +129,7 @@ class Laboratory:
 
         def load() -> Camera:
             camera = load_camera(find_camera(name))
-            resting = {key: one for key, one in camera.effects.items() if key != "motion"}
+            resting = {key: effect for key, effect in camera.effects.items() if key != "motion"}
             return with_effects(replace(camera, covariance=None), resting)
 
         return self.once(f"camera {name}", load)
@@ -250,4 +250,4 @@ def stations(
 
 def with_frames(scene: Scene, frames: int) -> Scene:
     """Return the scene with so many frames at each station."""
-    return replace(scene, schedule=tuple(replace(one, frames=frames) for one in scene.schedule))
+    return replace(scene, schedule=tuple(replace(station, frames=frames) for station in scene.schedule))

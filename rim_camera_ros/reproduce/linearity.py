@@ -73,14 +73,14 @@ def track_line(laboratory: Laboratory, name: str, *, frames: int) -> Mapping[int
 
 
 def _line(there: list[Measured]) -> TrackLine:
-    sigma = np.array([one.sigma for one in there])
+    sigma = np.array([result.sigma for result in there])
     kept = sigma < _DISCARD
     return TrackLine(
-        np.array([float(one.nominal.mean()) for one in there]),
-        np.where(kept, [one.mean_error for one in there], np.nan),
-        np.array([one.mean_amplitude for one in there]),
+        np.array([float(result.nominal.mean()) for result in there]),
+        np.where(kept, [result.mean_error for result in there], np.nan),
+        np.array([result.mean_amplitude for result in there]),
         np.where(kept, sigma, np.nan),
-        np.array([one.count for one in there]),
+        np.array([result.count for result in there]),
     )
 
 
@@ -100,12 +100,12 @@ def sr2(laboratory: Laboratory) -> Outcome:
     frames = 6
     camera = laboratory.camera("sr2")
     lines = track_line(laboratory, "sr2", frames=frames)
-    fits = {setting: _fitted(one, camera.sensor.ambiguity) for setting, one in lines.items()}
+    fits = {setting: _fitted(measurement, camera.sensor.ambiguity) for setting, measurement in lines.items()}
     at_100, line = fits[100], lines[100]
     order = strongest_order(
         line.nominal, line.error, ambiguity=camera.sensor.ambiguity, orders=range(1, 9), sigma=line.mean_sigma
     )
-    mean = {setting: one.offset + one.slope * 3.75 for setting, one in fits.items()}
+    mean = {setting: fit.offset + fit.slope * 3.75 for setting, fit in fits.items()}
     how = _description(frames)
     rows = (
         Row(
@@ -161,7 +161,8 @@ def sr2(laboratory: Laboratory) -> Outcome:
         ),
     )
     curves = tuple(
-        Curve(one.nominal, -one.error * 1e3, label=f"setting {setting}") for setting, one in lines.items()
+        Curve(measurement.nominal, -measurement.error * 1e3, label=f"setting {setting}")
+        for setting, measurement in lines.items()
     )
     panel = Panel("SR-2, look-up tables", "nominal distance [m]", "correction [mm]", curves)
     caption = "Additive correction of the SR-2 over the distance for three integration times, not filtered."
@@ -241,9 +242,15 @@ def _pictures(
     fit: CyclicFit,
     ambiguity: float,
 ) -> tuple[Picture, ...]:
-    raw = tuple(Curve(one.nominal, -one.error * 1e3, label=f"{s}") for s, one in lines.items())
-    light = tuple(Curve(one.nominal, one.amplitude, label=f"{s}") for s, one in lines.items())
-    sigma = tuple(Curve(one.nominal, one.sigma * 1e3, label=f"{s}") for s, one in lines.items())
+    raw = tuple(
+        Curve(measurement.nominal, -measurement.error * 1e3, label=f"{s}") for s, measurement in lines.items()
+    )
+    light = tuple(
+        Curve(measurement.nominal, measurement.amplitude, label=f"{s}") for s, measurement in lines.items()
+    )
+    sigma = tuple(
+        Curve(measurement.nominal, measurement.sigma * 1e3, label=f"{s}") for s, measurement in lines.items()
+    )
     line = lines[100]
     known = np.isfinite(error)
     fine = np.linspace(_NEAREST, 7.3, 400)

@@ -44,13 +44,13 @@ def _size(picture: Picture) -> tuple[float, float]:
 def _panels(figure: Any, picture: Picture) -> None:
     rows, columns = _grid(picture)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for one, axis in zip(picture.panels, axes, strict=False):
-        draw_panel(axis, one)
+    for panel, axis in zip(picture.panels, axes, strict=False):
+        draw_panel(axis, panel)
     for axis in axes[len(picture.panels) :]:
         axis.set_visible(False)
 
 
 def _maps(figure: Any, picture: Picture) -> None:
     axes = figure.subplots(1, len(picture.maps), squeeze=False)[0]
-    for axis, one in zip(axes, picture.maps, strict=True):
-        draw_map(figure, axis, one, picture.unit)
+    for axis, field in zip(axes, picture.maps, strict=True):
+        draw_map(figure, axis, field, picture.unit)

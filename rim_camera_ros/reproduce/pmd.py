@@ -48,21 +48,21 @@ _TABLE_2_3 = (
 def sensors(laboratory: Laboratory) -> Outcome:
     """Table 2.3, what follows from pixel and light, and the precision under a hundredfold of other light."""
     rows: list[Row] = []
-    for one in _TABLE_2_3:
-        rows += _area_rows(laboratory, one)
-    measured = {one.name: _dynamic_range(laboratory, one.name) for one in _TABLE_2_3}
+    for sensor in _TABLE_2_3:
+        rows += _area_rows(laboratory, sensor)
+    measured = {sensor.name: _dynamic_range(laboratory, sensor.name) for sensor in _TABLE_2_3}
     how = (
         "greatest amplitude that a pixel delivers unsaturated, over the noise of amplitudes in the dark; "
         "their variance over 400 frames at five faint lights follows a line, of which the value without "
         "light counts. The camera file's noise is stated from the printed dynamic range and 16 bit: the row "
         "shows that light, noise and read-out keep it"
     )
-    for one in _TABLE_2_3:
-        name = f"dynamic range {laboratory.camera(one.name).device}"
-        value = Printed.number(one.dynamic_range)
-        rows.append(Row(name, "table 2.3", value, measured[one.name], "dB", how))
+    for sensor in _TABLE_2_3:
+        name = f"dynamic range {laboratory.camera(sensor.name).device}"
+        value = Printed.number(sensor.dynamic_range)
+        rows.append(Row(name, "table 2.3", value, measured[sensor.name], "dB", how))
     rows += _area_law(laboratory, measured[_REFERENCE])
-    rows += [_suppression(laboratory, one) for one in _TABLE_2_3 if one.suppression is not None]
+    rows += [_suppression(laboratory, sensor) for sensor in _TABLE_2_3 if sensor.suppression is not None]
     rows.append(_under_background(laboratory))
     return Outcome(tuple(rows))
 
@@ -86,8 +86,8 @@ def _amplitude(laboratory: Laboratory, camera: Camera, setting: float) -> float:
     return float(frame.amplitude[height // 2, width // 2])
 
 
-def _area_rows(laboratory: Laboratory, one: _Sensor) -> list[Row]:
-    camera = laboratory.camera(one.name)
+def _area_rows(laboratory: Laboratory, sensor: _Sensor) -> list[Row]:
+    camera = laboratory.camera(sensor.name)
     simulation = _light(bare(camera), 5.0)
     (_, frame), *_ = laboratory.frames(simulation, f"sensor of {camera.device}")
     lit = frame.distance > 0
@@ -95,7 +95,7 @@ def _area_rows(laboratory: Laboratory, one: _Sensor) -> list[Row]:
     how = "columns and rows that deliver distances in a simulated frame times the pixel size of the table"
     rows = []
     for side, printed, number, pitch in zip(
-        ("width", "height"), one.area, counted, _pitch(laboratory, one.name), strict=True
+        ("width", "height"), sensor.area, counted, _pitch(laboratory, sensor.name), strict=True
     ):
         label = f"{camera.device} image area, {side}"
         value = Printed.number(printed)
@@ -125,8 +125,8 @@ def _dynamic_range(laboratory: Laboratory, name: str) -> float:
     measured = laboratory.record(
         camera, scene, (middle_of[0], middle_of[1]), seed=_SEED, words=f"noise of {camera.device}"
     )
-    light = [one.mean_amplitude for one in measured]
-    variance = [float(one.amplitude.var(axis=0, ddof=1).mean()) for one in measured]
+    light = [result.mean_amplitude for result in measured]
+    variance = [float(result.amplitude.var(axis=0, ddof=1).mean()) for result in measured]
     _, in_the_dark = np.polyfit(light, variance, 1)
     return 20.0 * math.log10(greatest / math.sqrt(in_the_dark))
 
@@ -139,19 +139,19 @@ def _area_law(laboratory: Laboratory, reference: float) -> list[Row]:
         "range grows by 10 log10 of the area"
     )
     rows = []
-    for one in _TABLE_2_3:
-        if one.name in (_REFERENCE, "pmd1ks2"):  # the pixel of the 1k-S 2 is that of the 768-S, turned
+    for sensor in _TABLE_2_3:
+        if sensor.name in (_REFERENCE, "pmd1ks2"):  # the pixel of the 1k-S 2 is that of the 768-S, turned
             continue
-        ratio = math.prod(_pitch(laboratory, one.name)) / math.prod(_pitch(laboratory, _REFERENCE))
-        name = f"dynamic range {laboratory.camera(one.name).device} by its pixel's area"
-        value = Printed.number(one.dynamic_range)
+        ratio = math.prod(_pitch(laboratory, sensor.name)) / math.prod(_pitch(laboratory, _REFERENCE))
+        name = f"dynamic range {laboratory.camera(sensor.name).device} by its pixel's area"
+        value = Printed.number(sensor.dynamic_range)
         rows.append(Row(name, "table 2.3", value, reference + 10.0 * math.log10(ratio), "dB", how))
     return rows
 
 
-def _suppression(laboratory: Laboratory, one: _Sensor) -> Row:
+def _suppression(laboratory: Laboratory, sensor: _Sensor) -> Row:
     """Return by how much more unmodulated light a pixel takes than without suppression, in dB."""
-    camera = bare(laboratory.camera(one.name))
+    camera = bare(laboratory.camera(sensor.name))
     without = replace(camera, sensor=replace(camera.sensor, background_suppression=0.0))
     levels = [_saturating_level(laboratory, each) for each in (without, camera)]
     ours = 20.0 * math.log10(levels[1] / levels[0])
@@ -159,7 +159,7 @@ def _suppression(laboratory: Laboratory, one: _Sensor) -> Row:
         "unmodulated light at which a pixel that sees a white wall at 2 m (1 ms) saturates, with the circuit "
         "over without it. The camera file states the suppression; the row shows what a pixel then takes"
     )
-    value = Printed.number(one.suppression or 0.0)
+    value = Printed.number(sensor.suppression or 0.0)
     return Row(f"more light by SBI, {camera.device}", "table 2.3, sec. 2.3.2", value, ours, "dB", how)
 
 
@@ -185,8 +185,8 @@ def _under_background(laboratory: Laboratory) -> Row:
     scene = stations(plate(size=None), [(5.0, facing(2.0))], frames=400, uptime=3600.0)
     region = (slice(22, 26), slice(30, 34))
     noise = [
-        laboratory.record(one, scene, region, seed=_SEED, words="noise under other light")[0].sigma
-        for one in (camera, lit)
+        laboratory.record(other, scene, region, seed=_SEED, words="noise under other light")[0].sigma
+        for other in (camera, lit)
     ]
     expected = math.sqrt(1.0 + _BACKGROUND_RATIO)
     how = (

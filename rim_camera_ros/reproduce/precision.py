@@ -48,13 +48,13 @@ def histograms(laboratory: Laboratory) -> Outcome:
         region = around(_PIXELS[name], 2)
         there = laboratory.record(camera, scene, region, seed=_SEED, words=f"histograms, {name}")
         sigmas, amplitudes, curves = [], [], []
-        for one, c in zip(there, printed, strict=True):
+        for result, c in zip(there, printed, strict=True):
             # the pixels have their own offsets: taken as one by their means
-            values = (one.distance - one.distance.mean(axis=0) + one.distance.mean()).ravel()
+            values = (result.distance - result.distance.mean(axis=0) + result.distance.mean()).ravel()
             fitted = fit_histogram(values, bin_width=_BIN)
             sigmas.append(fitted.sigma)
-            amplitudes.append(one.mean_amplitude)
-            curves.append(_histogram(values, f"{one.setting:g}"))
+            amplitudes.append(result.mean_amplitude)
+            curves.append(_histogram(values, f"{result.setting:g}"))
             how = (
                 f"white wall ({TARGET:.0%}) at {_WALL} m, 320 frames of 5 x 5 pixels (8000 distances), "
                 "histogram with bins of "
@@ -63,7 +63,7 @@ def histograms(laboratory: Laboratory) -> Outcome:
             shown = Printed.number(c * 1e3 / np.sqrt(2), f"{c * 1e3 / np.sqrt(2):.3g}")
             rows.append(
                 Row(
-                    f"{camera.device} sigma of one distance, setting {one.setting:g}",
+                    f"{camera.device} sigma of one distance, setting {result.setting:g}",
                     "table 3.3",
                     shown,
                     fitted.sigma * 1e3,
@@ -187,7 +187,7 @@ def led_power(laboratory: Laboratory) -> Outcome:
         gon = angle * 200 / np.pi
         edges = np.arange(0.0, 36.0, 1.0)
         classes = [emitted[(gon >= a) & (gon < a + 1)] for a in edges]
-        profile = np.array([np.nan if one.size < 8 else one.mean() for one in classes])
+        profile = np.array([np.nan if group.size < 8 else group.mean() for group in classes])
         profile /= emitted[gon < 2].mean()
         at = float(np.interp(25.0, edges + 0.5, profile)) * 100
         how = (

@@ -110,7 +110,7 @@ def fit_hyperbola(
     stays below the smallest amplitude. The sigmas returned are those of the stated errors.
     """
     x, y, y_sigma, x_sigma = (
-        np.asarray(one, float) for one in (amplitude, distance, distance_sigma, amplitude_sigma)
+        np.asarray(buffer, float) for buffer in (amplitude, distance, distance_sigma, amplitude_sigma)
     )
     scale = float(np.ptp(y)) / float(1 / x.min() - 1 / x.max())
     found = np.array([scale, 0.0, float(y.min())])
@@ -154,8 +154,10 @@ def fold_angles(gon: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
     """Return |angle| (n,) and the mean of the values at +angle and -angle; pairs that are incomplete go."""
     x, y = np.round(np.asarray(gon, float), 6), np.asarray(values, float)
     angles = np.unique(np.abs(x))
-    folded = np.array([y[x == one].sum() / 2 + y[x == -one].sum() / 2 for one in angles])
-    complete = np.array([(x == one).any() and (x == -one).any() for one in angles]) & np.isfinite(folded)
+    folded = np.array([y[x == angle].sum() / 2 + y[x == -angle].sum() / 2 for angle in angles])
+    complete = np.array([(x == angle).any() and (x == -angle).any() for angle in angles]) & np.isfinite(
+        folded
+    )
     return angles[complete], folded[complete]
 
 
@@ -255,7 +257,7 @@ class Plane:
 
 def fit_plane(row: ArrayLike, column: ArrayLike, values: ArrayLike, sigma: ArrayLike) -> Plane:
     """Least squares of a plane through values (N,) at rows and columns, weighted by their 1-sigma."""
-    r, c, y, s = (np.asarray(one, float) for one in (row, column, values, sigma))
+    r, c, y, s = (np.asarray(buffer, float) for buffer in (row, column, values, sigma))
     columns = np.stack([np.ones_like(r), r, c], axis=1)
     constant, by_row, by_column = np.linalg.lstsq(columns / s[:, None], y / s, rcond=None)[0]
     left = y - columns @ np.array([constant, by_row, by_column])

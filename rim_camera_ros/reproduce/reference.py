@@ -147,9 +147,9 @@ def two_distances(laboratory: Laboratory) -> Outcome:
     scene = laboratory.scene("climate_cell")
     poses = {"cardboard": ScenePose((0.0, 0.0, 3.2))}
     for name, pixel, distance in (("middle_plate", OBSERVED, 2.81), ("lower_plate", (106, 87), 1.79)):
-        x, y, z = (float(one) for one in camera.rays[pixel] * distance)
+        x, y, z = (float(ray) for ray in camera.rays[pixel] * distance)
         poses[name] = ScenePose((x, y, z))
-    surfaces = [replace(one, pose="truth") for one in scene.surfaces]
+    surfaces = [replace(surface, pose="truth") for surface in scene.surfaces]
     there = record_paths(
         laboratory, climate_cell((10, 0, 10, 20, 30, 10), surfaces, poses), "two distances", seed=_SEED + 3
     )

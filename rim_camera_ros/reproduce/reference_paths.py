@@ -73,22 +73,22 @@ UPPER, LOWER = slice(0, 3), slice(35, 38)
 
 def by_frame(there: Sequence[Measured]) -> Paths:
     """Return the paths frame by frame, the external one as the mean of 3 x 3 pixels, as the reference is."""
-    external = np.concatenate([one.error[:, UPPER].mean(axis=(1, 2)) for one in there])
+    external = np.concatenate([result.error[:, UPPER].mean(axis=(1, 2)) for result in there])
     return Paths(
-        np.concatenate([one.uptime for one in there]),
+        np.concatenate([result.uptime for result in there]),
         external,
-        np.concatenate([one.reference for one in there]),
-        np.concatenate([one.ambient for one in there]),
+        np.concatenate([result.reference for result in there]),
+        np.concatenate([result.ambient for result in there]),
     )
 
 
 def by_burst(there: Sequence[Measured], rows: slice = UPPER) -> Paths:
     """Return the paths as means of each burst, filtered by a running mean of five bursts."""
-    external = np.array([float(np.nanmean(one.error[:, rows])) for one in there])
-    reference = np.array([float(one.reference.mean()) for one in there])
-    time = np.array([float(one.uptime.mean()) for one in there])
+    external = np.array([float(np.nanmean(result.error[:, rows])) for result in there])
+    reference = np.array([float(result.reference.mean()) for result in there])
+    time = np.array([float(result.uptime.mean()) for result in there])
     external, reference = moving_mean(external, 5), moving_mean(reference, 5)
-    ambient = np.array([float(one.ambient.mean()) for one in there])
+    ambient = np.array([float(result.ambient.mean()) for result in there])
     return Paths(time - time[0], external - external[0], reference - reference[0], ambient)
 
 
@@ -98,7 +98,11 @@ def by_burst(there: Sequence[Measured], rows: slice = UPPER) -> Paths:
 def cold_start(laboratory: Laboratory) -> Scene:
     """Return the shipped cold start with a continuous first half minute."""
     scene = laboratory.scene("cold_start")
-    later = [one for one in scene.schedule if one.uptime is not None and 30.0 < one.uptime <= 1800.0]
+    later = [
+        station
+        for station in scene.schedule
+        if station.uptime is not None and 30.0 < station.uptime <= 1800.0
+    ]
     first = replace(scene.schedule[0], frames=600, rate=20.0)
     return replace(scene, schedule=(first, *later))
 

@@ -145,12 +145,12 @@ def two_pictures(far: Paths, near: Paths, scale: tuple[float, float]) -> tuple[P
             "time [h]",
             "drift [mm]",
             (
-                Curve(hours, one.external * 1e3, label="external", colour=_GREY),
-                Curve(hours, one.corrected * 1e3, label="eq. 4.4", colour=_DARK),
-                Curve(hours, one.scaled(factor) * 1e3, label=f"eq. 4.5, scale {factor:.2f}"),
+                Curve(hours, paths.external * 1e3, label="external", colour=_GREY),
+                Curve(hours, paths.corrected * 1e3, label="eq. 4.4", colour=_DARK),
+                Curve(hours, paths.scaled(factor) * 1e3, label=f"eq. 4.5, scale {factor:.2f}"),
             ),
         )
-        for title, one, factor in (("2.81 m", far, scale[0]), ("1.79 m", near, scale[1]))
+        for title, paths, factor in (("2.81 m", far, scale[0]), ("1.79 m", near, scale[1]))
     )
     return (
         Picture(

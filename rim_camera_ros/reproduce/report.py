@@ -40,23 +40,23 @@ def json_report(done: Sequence[Done]) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "version": __version__,
-        "rows": [_row(one, row) for one in done for row in one.outcome.rows],
+        "rows": [_row(figure, row) for figure in done for row in figure.outcome.rows],
         "tables": [
             {
-                "experiment": one.experiment.name,
+                "experiment": figure.experiment.name,
                 "title": table.title,
                 "headings": list(table.headings),
                 "rows": [list(row) for row in table.rows],
             }
-            for one in done
-            for table in one.outcome.tables
+            for figure in done
+            for table in figure.outcome.tables
         ],
     }
 
 
-def _row(one: Done, row: Row) -> dict[str, Any]:
+def _row(figure: Done, row: Row) -> dict[str, Any]:
     return {
-        "experiment": one.experiment.name,
+        "experiment": figure.experiment.name,
         "quantity": row.quantity,
         "source": row.source,
         "thesis": {
@@ -86,7 +86,7 @@ def outside(done: Sequence[Done]) -> list[int]:
 
 def first_sentence(done: Sequence[Done]) -> str:
     """Return how many rows are within tolerance, and what that is."""
-    rows = [row for one in done for row in one.outcome.rows]
+    rows = [row for figure in done for row in figure.outcome.rows]
     compared = [row for row in rows if row.within_tolerance is not None]
     within = sum(row.within_tolerance is True for row in compared)
     words = (
@@ -105,9 +105,9 @@ def first_sentence(done: Sequence[Done]) -> str:
 def numbered(done: Sequence[Done]) -> list[tuple[Done, dict[int, Row]]]:
     """Return each experiment with its rows by the number that they have in the report."""
     result, number = [], 1
-    for one in done:
-        result.append((one, dict(enumerate(one.outcome.rows, number))))
-        number += len(one.outcome.rows)
+    for figure in done:
+        result.append((figure, dict(enumerate(figure.outcome.rows, number))))
+        number += len(figure.outcome.rows)
     return result
 
 
@@ -135,15 +135,15 @@ def text_report(done: Sequence[Done]) -> str:
     """Return a table for each experiment, with what was done below it."""
     experiments = numbered(done)
     lines = [_HEADINGS, *(cells(i, row) for _, rows in experiments for i, row in rows.items())]
-    widths = [max(len(one[i]) for one in lines) for i in range(len(_HEADINGS))]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(_HEADINGS))]
 
     def line(row: Sequence[str]) -> str:
         columns = enumerate(zip(row, widths, strict=True))
         return "  ".join(x.rjust(w) if i in _RIGHT else x.ljust(w) for i, (x, w) in columns).rstrip()
 
     shown = [first_sentence(done), "Rows outside are marked with an exclamation mark.", "", line(_HEADINGS)]
-    for one, rows in experiments:
-        shown += ["", f"{one.experiment.title} [{one.experiment.name}]"]
+    for figure, rows in experiments:
+        shown += ["", f"{figure.experiment.title} [{figure.experiment.name}]"]
         shown += [line(cells(i, row)) for i, row in rows.items()]
         for words in explanations(rows):
             shown += textwrap.wrap(words, _WIDTH, initial_indent="    ", subsequent_indent="      ")
@@ -164,11 +164,11 @@ def explanations(rows: Mapping[int, Row]) -> list[str]:
 def _ranges(numbers: Sequence[int]) -> str:
     """Return numbers as text, runs shortened: 1-3, 5."""
     runs: list[list[int]] = []
-    for one in numbers:
-        if runs and one == runs[-1][-1] + 1:
-            runs[-1].append(one)
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
         else:
-            runs.append([one])
+            runs.append([number])
     return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
 
 
@@ -183,7 +183,7 @@ def file_name(picture: Picture) -> str:
 def html_page(done: Sequence[Done]) -> str:
     """Return the page that lies beside the pictures."""
     experiments = []
-    for one, rows in numbered(done):
+    for figure, rows in numbered(done):
         moods: dict[int, Mood] = {
             i: "warn" for i, row in enumerate(rows.values()) if row.within_tolerance is False
         }
@@ -192,11 +192,11 @@ def html_page(done: Sequence[Done]) -> str:
             Bullets(explanations(rows)),
             *(
                 Figure(file_name(picture), picture.title, f"{picture.title}: {picture.caption}")
-                for picture in one.outcome.pictures
+                for picture in figure.outcome.pictures
             ),
-            *(Folded(table.title, [Table(table.headings, table.rows)]) for table in one.outcome.tables),
+            *(Folded(table.title, [Table(table.headings, table.rows)]) for table in figure.outcome.tables),
         ]
-        experiments.append((one.experiment.title, parts))
+        experiments.append((figure.experiment.title, parts))
     return render(
         "reproduction",
         title="Reproduction of the thesis",
@@ -225,16 +225,16 @@ def markdown_page(done: Sequence[Done], folder: PurePath, command: str) -> str:
         "`--json` prints the rows with",
         "what was done, `--only NAME ...` runs some of the experiments.",
     ]
-    for one, rows in numbered(done):
-        lines += ["", f"## {one.experiment.title}", "", f"`--only {one.experiment.name}`", ""]
+    for figure, rows in numbered(done):
+        lines += ["", f"## {figure.experiment.title}", "", f"`--only {figure.experiment.name}`", ""]
         lines += _markdown_table(_HEADINGS, [cells(i, row) for i, row in rows.items()])
         lines.append("")
         for words in explanations(rows):
             lines += textwrap.wrap(f"- {words}", 140, subsequent_indent="  ", break_on_hyphens=False)
-        for picture in one.outcome.pictures:
+        for picture in figure.outcome.pictures:
             place = (folder / file_name(picture)).as_posix()
             lines += ["", f"![{picture.title}]({place})", "", f"*{picture.title}: {picture.caption}*"]
-        for table in one.outcome.tables:
+        for table in figure.outcome.tables:
             lines += ["", f"{table.title}", "", *_markdown_table(table.headings, table.rows)]
     return "\n".join(lines) + "\n"
 

@@ -74,7 +74,7 @@ def chosen(names: Sequence[str] | None) -> tuple[Experiment, ...]:
     """
     if names is None:
         return EXPERIMENTS
-    known = [one.name for one in EXPERIMENTS]
+    known = [experiment.name for experiment in EXPERIMENTS]
     for name in names:
         if name not in known:
             raise InputError(
@@ -82,10 +82,10 @@ def chosen(names: Sequence[str] | None) -> tuple[Experiment, ...]:
                 place="--only",
                 remedy=nearest_name(name, known),
             )
-    return tuple(one for one in EXPERIMENTS if one.name in names)
+    return tuple(experiment for experiment in EXPERIMENTS if experiment.name in names)
 
 
 def reproduce(experiments: Sequence[Experiment], *, progress: Progress = lambda words: None) -> list[Done]:
     """Simulate and reduce the experiments; seeds are fixed, so that it can be repeated."""
     laboratory = Laboratory(progress)
-    return [Done(one, one.run(laboratory)) for one in experiments]
+    return [Done(experiment, experiment.run(laboratory)) for experiment in experiments]

@@ -20,8 +20,8 @@ def scattering(laboratory: Laboratory) -> Outcome:
     """Fig. 3.10: distances to six targets of 2 x 2 cm at 1.660 m, white against black wall."""
     camera, whole = laboratory.camera("sr3000"), laboratory.scene("scattering")
     scene = Scene(whole.surfaces, schedule=whole.schedule[: 3 * _WALLS])
-    targets = [i for i, one in enumerate(scene.surfaces) if one.name.startswith("target_")]
-    first = scene.poses_for({name: one.pose for name, one in scene.schedule[0].poses.items()})
+    targets = [i for i, surface in enumerate(scene.surfaces) if surface.name.startswith("target_")]
+    first = scene.poses_for({name: pose.pose for name, pose in scene.schedule[0].poses.items()})
     seen = Simulation(camera, scene).geometry(first).surface
     pixels = [_middle(seen == i) for i in targets]
     there = laboratory.record(camera, scene, (slice(None), slice(None)), seed=_SEED, words="scattering")
@@ -103,16 +103,16 @@ def _middle(mask: np.ndarray) -> tuple[int, int]:
 def _distance(there: list[Measured], pixel: tuple[int, int]) -> float:
     """Return the mean of measured minus nominal distance of a pixel over stations, in m."""
     region = around(pixel, 0)
-    return float(np.mean([mean(one.error[:, *region]) for one in there]))
+    return float(np.mean([mean(result.error[:, *region]) for result in there]))
 
 
 def _amplitude(there: list[Measured], pixel: tuple[int, int]) -> float:
     """Return the mean amplitude of a pixel over stations in counts."""
     region = around(pixel, 0)
-    return float(np.mean([mean(one.amplitude[:, *region]) for one in there]))
+    return float(np.mean([mean(result.amplitude[:, *region]) for result in there]))
 
 
 def _sigma(there: list[Measured], pixel: tuple[int, int]) -> float:
     """Return the 1-sigma in m of the mean over the stations."""
-    values = np.concatenate([one.error[:, pixel[0], pixel[1]] for one in there])
+    values = np.concatenate([result.error[:, pixel[0], pixel[1]] for result in there])
     return float(np.std(values, ddof=1) / np.sqrt(values.size))

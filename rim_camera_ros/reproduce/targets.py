@@ -48,27 +48,27 @@ def hyperbolas(laboratory: Laboratory) -> Mapping[int, HyperbolaFit]:
 
 def _series(there: list[Measured], setting: int, distance: float) -> list[Measured]:
     return [
-        one
-        for one in there
-        if one.setting == setting
-        and abs(one.poses["wedge"].position[2] - distance) < 1e-3
-        and one.sigma < _DISCARD
+        result
+        for result in there
+        if result.setting == setting
+        and abs(result.poses["wedge"].position[2] - distance) < 1e-3
+        and result.sigma < _DISCARD
     ]
 
 
 def _means(series: list[Measured]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return mean amplitude [counts], mean distance [m] and the 1-sigma of that, by station."""
-    amplitude = np.array([one.mean_amplitude for one in series])
-    distance = np.array([float(np.nanmean(one.distance)) for one in series])
-    sigma = np.array([one.sigma / np.sqrt(one.count) for one in series])
+    amplitude = np.array([result.mean_amplitude for result in series])
+    distance = np.array([float(np.nanmean(result.distance)) for result in series])
+    sigma = np.array([result.sigma / np.sqrt(result.count) for result in series])
     order = np.argsort(amplitude)
     return amplitude[order], distance[order], sigma[order]
 
 
 def _fit(series: list[Measured]) -> HyperbolaFit:
     amplitude, distance, sigma = _means(series)
-    spread = np.array([float(np.nanstd(one.amplitude)) / np.sqrt(one.count) for one in series])
-    order = np.argsort([one.mean_amplitude for one in series])
+    spread = np.array([float(np.nanstd(result.amplitude)) / np.sqrt(result.count) for result in series])
+    order = np.argsort([result.mean_amplitude for result in series])
     return fit_hyperbola(amplitude, distance, distance_sigma=sigma, amplitude_sigma=spread[order])
 
 
@@ -83,28 +83,28 @@ def grey_wedge(laboratory: Laboratory) -> Outcome:
     )
     why = "noise of the measurements, a and b being correlated; stray light makes a larger by half a percent"
     for setting, (a, b) in TABLE_3_4.items():
-        one = fitted[setting]
+        hyperbola_fit = fitted[setting]
         rows += [
             Row(
                 f"hyperbola a, setting {setting}",
                 "table 3.4",
                 Printed.number(a, f"{a:.4g}"),
-                one.a,
+                hyperbola_fit.a,
                 "m counts",
                 how,
                 1,
-                one.a_sigma,
+                hyperbola_fit.a_sigma,
                 why,
             ),
             Row(
                 f"hyperbola b, setting {setting}",
                 "table 3.4",
                 Printed.number(b, f"{b:.4g}"),
-                one.b,
+                hyperbola_fit.b,
                 "counts",
                 how,
                 1,
-                one.b_sigma,
+                hyperbola_fit.b_sigma,
                 why,
             ),
         ]
@@ -118,8 +118,8 @@ def grey_wedge(laboratory: Laboratory) -> Outcome:
 
 def _spread(there: list[Measured], setting: int) -> tuple[np.ndarray, np.ndarray]:
     """Return mean amplitude [counts] and sigma of one measurement [m] of all stations at a setting."""
-    mine = [one for one in there if one.setting == setting and one.sigma < _DISCARD]
-    return np.array([one.mean_amplitude for one in mine]), np.array([one.sigma for one in mine])
+    mine = [result for result in there if result.setting == setting and result.sigma < _DISCARD]
+    return np.array([result.mean_amplitude for result in mine]), np.array([result.sigma for result in mine])
 
 
 def _exponent(there: list[Measured]) -> Row:
@@ -165,10 +165,12 @@ def _amplitude(there: list[Measured], fitted: Mapping[int, HyperbolaFit]) -> Pic
     for setting in SETTINGS:
         amplitude, distance, sigma = _means(_series(there, setting, _TABLE_DISTANCE))
         colour = ("#1f6f8b", "#b9632f", "#5d8a3a")[SETTINGS.index(setting)]
-        one = fitted[setting]
-        curves.append(Curve(amplitude, (distance - one.c) * 1e3, sigma * 1e3, f"{setting}", True, colour))
+        hyperbola_fit = fitted[setting]
+        curves.append(
+            Curve(amplitude, (distance - hyperbola_fit.c) * 1e3, sigma * 1e3, f"{setting}", True, colour)
+        )
         fine = np.geomspace(amplitude.min(), amplitude.max(), 200)
-        curves.append(Curve(fine, one.offset(fine) * 1e3, colour=colour))
+        curves.append(Curve(fine, hyperbola_fit.offset(fine) * 1e3, colour=colour))
     panel = Panel(
         "Distance over amplitude, SR-3000", "amplitude [counts]", "distance - c [mm]", tuple(curves), log=True
     )
@@ -218,7 +220,7 @@ def _between_distances(there: list[Measured]) -> Row:
     low, high = 400.0, 1500.0
     at = np.geomspace(low, high, 20)
     # by the fits: between the amplitudes of the fields the curves are too bent for straight lines
-    values = np.array([one.offset(at) - one.offset(np.array([4000.0])) for one in fits])
+    values = np.array([fit.offset(at) - fit.offset(np.array([4000.0])) for fit in fits])
     largest = float(np.max(np.ptp(values, axis=0))) * 1e3
     how = (
         "eq. 3.6 through the series of each distance, shifted to 0 at 4000 counts, setting 100: largest "

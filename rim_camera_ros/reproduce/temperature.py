@@ -36,17 +36,17 @@ class Series:
 
 def series(there: Sequence[Measured], *, last: float) -> Series:
     """Return a drift over uptime against the mean of the last ``last`` seconds."""
-    uptime = np.array([float(one.uptime.mean()) for one in there])
-    error = np.array([one.mean_error for one in there])
+    uptime = np.array([float(result.uptime.mean()) for result in there])
+    error = np.array([result.mean_error for result in there])
     final = float(error[uptime >= uptime[-1] - last].mean())
     middle = there[0].error.shape[1] // 2
-    frames = np.concatenate([one.error[:, middle, middle] for one in there])
+    frames = np.concatenate([result.error[:, middle, middle] for result in there])
     own = float(np.nanmean(frames[-50:]))
     return Series(
         uptime,
         error - final,
-        np.array([one.mean_amplitude for one in there]),
-        np.concatenate([one.uptime for one in there]),
+        np.array([result.mean_amplitude for result in there]),
+        np.concatenate([result.uptime for result in there]),
         frames - own,
     )
 
@@ -64,8 +64,8 @@ def warm_up(laboratory: Laboratory) -> Outcome:
             seed=_SEED,
             words=f"cold start, {name}",
         )
-        one = series(there, last=600.0)
-        settled = settled_after(one.uptime, one.drift, final=0.0, tolerance=_STABLE) / 60
+        run = series(there, last=600.0)
+        settled = settled_after(run.uptime, run.drift, final=0.0, tolerance=_STABLE) / 60
         how = (
             "white wall at 1.166 m, setting 100, from power-on for 40 min in bursts of 5 frames; mean of 21 "
             "x 21 "
@@ -75,8 +75,8 @@ def warm_up(laboratory: Laboratory) -> Outcome:
         shown = Printed.number(minutes)
         rows.append(Row(f"{camera.device} warm-up", "sec. 3.3.7", shown, settled, "min", how, why=why))
         if name == "sr3000":
-            rows += _drifts(one)
-        panels += _panels(camera.device, one)
+            rows += _drifts(run)
+        panels += _panels(camera.device, run)
     caption = (
         "Warm-up of the SR-2 and the SR-3000: distance of one pixel (points) and mean of 21 x 21 pixels "
         "(line), "
@@ -85,9 +85,9 @@ def warm_up(laboratory: Laboratory) -> Outcome:
     return Outcome(tuple(rows), (Picture("fig_3_33", "Fig. 3.33", caption, tuple(panels), columns=2),))
 
 
-def _drifts(one: Series) -> list[Row]:
-    at = np.interp([30.0, 480.0], one.uptime, one.drift)
-    start = float(one.drift[0])
+def _drifts(run: Series) -> list[Row]:
+    at = np.interp([30.0, 480.0], run.uptime, run.drift)
+    start = float(run.drift[0])
     how = "the same recording: mean distance at that time minus that of the first burst (0 to 0.4 s)"
     return [
         Row(
@@ -110,18 +110,18 @@ def _drifts(one: Series) -> list[Row]:
     ]
 
 
-def _panels(device: str, one: Series) -> list[Panel]:
+def _panels(device: str, run: Series) -> list[Panel]:
     distance = Panel(
         f"{device}, distance",
         "uptime [min]",
         "distance - final [mm]",
         (
-            Curve(one.frame_uptime / 60, one.frame_drift * 1e3, points=True, colour="#c9d3dc"),
-            Curve(one.uptime / 60, one.drift * 1e3, colour="#1d2733"),
+            Curve(run.frame_uptime / 60, run.frame_drift * 1e3, points=True, colour="#c9d3dc"),
+            Curve(run.uptime / 60, run.drift * 1e3, colour="#1d2733"),
         ),
     )
     amplitude = Panel(
-        f"{device}, amplitude", "uptime [min]", "amplitude [counts]", (Curve(one.uptime / 60, one.amplitude),)
+        f"{device}, amplitude", "uptime [min]", "amplitude [counts]", (Curve(run.uptime / 60, run.amplitude),)
     )
     return [distance, amplitude]
 
@@ -137,9 +137,9 @@ def ambient(laboratory: Laboratory) -> Outcome:
     camera, scene = laboratory.camera("sr2"), laboratory.scene("climate_cell")
     pixel = (62, 74)  # sees the plate at 1.996 m
     there = laboratory.record(camera, scene, around(pixel, 3), seed=_SEED, words="climate cell, sr2")
-    error = np.array([one.mean_error for one in there])
-    degrees = np.array([float(one.ambient.mean()) for one in there])
-    hours = np.array([float(one.uptime.mean()) for one in there])
+    error = np.array([result.mean_error for result in there])
+    degrees = np.array([float(result.ambient.mean()) for result in there])
+    hours = np.array([float(result.uptime.mean()) for result in there])
     since = (hours - hours[0]) % _STEP
     rests = since >= _STEP - _REST
     slope, level = np.polyfit(degrees[rests], error[rests], 1)

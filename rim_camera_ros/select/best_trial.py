@@ -58,7 +58,7 @@ class Trials:
                     choices.append(other)
         stay = {choice: trial for choice, trial in trials.items() if became[choice] is None}
         alone = {trial.effects[0]: trial for choice, trial in stay.items() if len(choice) == 1}
-        best = max(stay.values(), key=lambda one: one.likelihood)
+        best = max(stay.values(), key=lambda trial: trial.likelihood)
         return best, as_good(alone, best)
 
     def _ahead(
@@ -83,13 +83,13 @@ class Trials:
             joint = [self.step.joint(*choice) for choice in able]
             gain = 0.0 if self.is_first else max(joint, default=0.0)
             least = _NEARLY * gain * len(few) / len(self.problem.dataset.stations)
-            by_fold = {choice: one.fitted.scores.log_likelihoods() for choice, one in trials.items()}
+            by_fold = {choice: trial.fitted.scores.log_likelihoods() for choice, trial in trials.items()}
             lost = dominated(by_fold, least=least)
         # they cost little: the nearer they come to their end, the fewer steps remain with all poses
         left = [choice for choice in able if choice not in lost]
         further = [onwards(trials[choice], self.folds, self.seed) for choice in left]
         ends = fitted_trials(further, self.workers, self.say, to="a few poses")
-        starts = {choice: one.fit.camera for choice, one in zip(left, ends, strict=True)}
+        starts = {choice: end.fit.camera for choice, end in zip(left, ends, strict=True)}
         return [choice for choice in choices if choice not in lost], starts
 
     def fitted(
@@ -116,12 +116,12 @@ class Trials:
         result = {}
         poses = "all poses" if few is None else "a few poses"
         fits = fitted_trials(requests, self.workers, self.say, to=poses)
-        for choice, one, fitted in zip(choices, requests, fits, strict=True):
+        for choice, request, fitted in zip(choices, requests, fits, strict=True):
             likelihood = fitted.scores.log_likelihood()
             if len(choice) == 2:
                 likelihood -= self.step.threshold_of(choice)
-            solved = replace(one.problem, response=fitted.fit.response)
-            result[choice] = Trial([*one.effects], solved, fitted, likelihood)
+            solved = replace(request.problem, response=fitted.fit.response)
+            result[choice] = Trial([*request.effects], solved, fitted, likelihood)
         return result
 
     def _physics(self, number: int) -> type[Physics]:

@@ -34,10 +34,10 @@ def candidates(camera: Camera, facts: Facts, *, effects: Sequence[str] | None = 
     # those of the optics last, whose columns need no light
     names = [*(name for name in known if name not in OPTICS), *OPTICS]
     return [
-        one
+        candidate
         for name in names
         if name not in camera.effects and (effects is None or name in effects)
-        for one in known[name].candidates(camera, facts)
+        for candidate in known[name].candidates(camera, facts)
     ]
 
 
@@ -62,7 +62,7 @@ def form_blocks(fitted: Fit, names: Sequence[str], variants: Sequence[Candidate]
     for name in names:
         if name not in effects or not effects[name].has_discrepancy:
             continue
-        own = [one.block for one in variants if one.effect == name]
+        own = [variant.block for variant in variants if variant.effect == name]
         blocks.append(_sized(fitted, name, own))
     return blocks
 
@@ -76,12 +76,12 @@ def change_of_forms(
     ``names`` of the camera, by label. Nothing of effects whose changes the data do not determine where they
     act most.
     """
-    by_name = {one.regressors[0].label.split(".")[1]: one for one in forms}
+    by_name = {form.regressors[0].label.split(".")[1]: form for form in forms}
     kept = [name for name in names if name in by_name and camera.effects[name].discrepancy_is_determined]
     effects = [camera.effects[name] for name in kept]
     blocks = [
         *(by_name[name] for name in kept),
-        *(effect_block(one, one.priors()) for one in effects),
+        *(effect_block(effect, effect.priors()) for effect in effects),
     ]
 
     def change(prediction: Prediction) -> Array:
@@ -101,8 +101,8 @@ def _sized(fitted: Fit, name: str, variants: Sequence[Block]) -> Block:
     """Return the block whose priors are shares of what the effect does."""
     every = max(1, len(fitted.forward.dataset.stations) // _MOST_STATIONS)
     some = list(fitted.forward.predictions(every=every))
-    weights = [_squares(one, change_by(one, name)) for one in some]
-    whole = sum(float(one.sum()) for one in weights)
+    weights = [_squares(predicted, change_by(predicted, name)) for predicted in some]
+    whole = sum(float(weight.sum()) for weight in weights)
 
     def moments(values: list[Array]) -> tuple[Array, Array]:
         """Return mean and inverse spread (K, 1, 1) where the effect acts."""
@@ -115,7 +115,7 @@ def _sized(fitted: Fit, name: str, variants: Sequence[Block]) -> Block:
         inverse = np.where(spread > 1e-6, 1.0 / np.maximum(spread, 1e-6), 0.0)
         return first[:, None, None], inverse[:, None, None]
 
-    middle, scale = moments([_factors(one) for one in some])
+    middle, scale = moments([_factors(predicted) for predicted in some])
 
     def columns(prediction: Prediction) -> list[Column]:
         factors = (_factors(prediction) - middle) * scale
@@ -125,13 +125,13 @@ def _sized(fitted: Fit, name: str, variants: Sequence[Block]) -> Block:
         return result
 
     sums: Any = 0.0
-    for one in some:
-        sums = sums + np.array([float(_squares(one, change).sum()) for change in columns(one)])
+    for predicted in some:
+        sums = sums + np.array([float(_squares(predicted, change).sum()) for change in columns(predicted)])
     priors = np.where(sums > 0, SHARE * np.sqrt(whole / np.where(sums > 0, sums, 1.0)), 0.0)
     regressors = tuple(
         Regressor(f"form.{name}.{i}", FORM, max(float(prior), 1e-9)) for i, prior in enumerate(priors)
     )
-    return Block(regressors, columns, in_order=any(one.in_order for one in variants))
+    return Block(regressors, columns, in_order=any(variant.in_order for variant in variants))
 
 
 def _squares(prediction: Prediction, change: Column) -> Array:

@@ -71,8 +71,8 @@ def curve_of_forms(step: Exploration, found: Sequence[Found]) -> tuple[float, in
 
     The gain is that beside the changes of forms which the exploration has already.
     """
-    effects = [step.fit.camera.effects.get(one.effect) for one in found]
-    own = {name for one in effects if one is not None for name in one.own_covariates()}
+    effects = [step.fit.camera.effects.get(finding.effect) for finding in found]
+    own = {name for effect in effects if effect is not None for name in effect.own_covariates()}
     smooth = [k for k in range(step.named, len(step.candidates)) if step.candidates[k].variant in own]
     return max(((step.joint(k), k) for k in smooth), default=None)
 
@@ -249,9 +249,9 @@ def as_good(alone: Mapping[str, Trial], best: Trial) -> list[str]:
         return []
     mine = best.fitted.scores.log_likelihoods()
     result = []
-    for name, one in alone.items():
-        theirs = one.fitted.scores.log_likelihoods()
-        ahead = best.likelihood - one.likelihood
+    for name, trial in alone.items():
+        theirs = trial.fitted.scores.log_likelihoods()
+        ahead = best.likelihood - trial.likelihood
         close = not mine or ahead <= PAIRED_ERRORS * paired_error(mine, theirs)
         if name not in best.effects and close:
             result.append(name)
@@ -283,8 +283,8 @@ class Result:
 
     def forget(self) -> None:
         """Let go of the sums per pixel, where the search is made anew."""
-        for one in self.explorations:
-            one.forget()
+        for exploration in self.explorations:
+            exploration.forget()
 
     def withdrawn(self) -> Result:
         """Return the result as if nothing had been found."""

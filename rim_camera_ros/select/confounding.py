@@ -56,7 +56,7 @@ def follows_time(
     True where there are too few poses to tell, None where the pixels of the ``problem`` show nothing of it,
     and know too little of the poses to show even the drift as it was fitted.
     """
-    poses = list(dict.fromkeys((one.recording, one.placed) for one in problem.dataset.stations))
+    poses = list(dict.fromkeys((station.recording, station.placed) for station in problem.dataset.stations))
     if len(poses) < _LEAST_POSES or not variants:
         return True
     shifts, shapes = _by_pose(fitted, name, variants, poses)
@@ -86,15 +86,15 @@ def _by_pose(
     numbers = {key: i for i, key in enumerate(poses)}
     stations = np.zeros(len(poses))
     shifts = np.zeros(len(poses))
-    columns = [np.zeros((len(poses), len(one.block.regressors))) for one in variants]
+    columns = [np.zeros((len(poses), len(variant.block.regressors))) for variant in variants]
     for prediction in fitted.forward.predictions(slopes=False):
         at = numbers[prediction.station.recording, prediction.station.placed]
         stations[at] += 1
         shifts[at] += float(np.mean(change_by(prediction, name)[0]))
-        for one, values in zip(variants, columns, strict=True):
-            values[at] += [float(np.mean(column)) for column, _ in one.block.columns(prediction)]
+        for variant, values in zip(variants, columns, strict=True):
+            values[at] += [float(np.mean(column)) for column, _ in variant.block.columns(prediction)]
     counts = np.maximum(stations, 1)
-    priors = [priors_of(one.block.regressors) for one in variants]
+    priors = [priors_of(variant.block.regressors) for variant in variants]
     shapes = [(values / counts[:, None], prior) for values, prior in zip(columns, priors, strict=True)]
     return shifts / counts, shapes
 
@@ -162,7 +162,7 @@ def shows_in_quiet_pixels(
     own = list(range(count, count + len(span)))
     scores = Scores(fitted.equations, range(count), held=fitted.at_bounds)
     values = step.scores.values(span)
-    strength = np.array([values[one.label] for one in candidate.block.regressors])
+    strength = np.array([values[regressor.label] for regressor in candidate.block.regressors])
     whole = step.scores.expected_gain(span, strength)
     if whole <= 0:
         return True
@@ -178,14 +178,14 @@ def quiet_pixels(fitted: Fit, names: Sequence[str]) -> list[tuple[Array, Array]]
     None where too few are left.
     """
     masks, used, kept = [], 0, 0
-    for one in fitted.forward.predictions():
-        distance, light = one.used, one.amplitude_used
+    for prediction in fitted.forward.predictions():
+        distance, light = prediction.used, prediction.amplitude_used
         used += int(distance.sum())
         for name in names:
-            moved, changed = change_by(one, name)
-            distance = distance & (np.abs(np.nan_to_num(moved)) < _QUIET * one.sigma)
+            moved, changed = change_by(prediction, name)
+            distance = distance & (np.abs(np.nan_to_num(moved)) < _QUIET * prediction.sigma)
             if changed is not None:
-                light = light & (np.abs(np.nan_to_num(changed)) < _QUIET * one.amplitude_sigma)
+                light = light & (np.abs(np.nan_to_num(changed)) < _QUIET * prediction.amplitude_sigma)
         kept += int(distance.sum())
         masks.append((distance, light))
     return masks if kept >= _LEAST_LEFT * max(used, 1) else None
@@ -212,10 +212,10 @@ def follows_time_in_quiet_pixels(
     """
     # such a form leaves what changes with its own covariates, and these with time
     effects = [fitted.camera.effects[one] for one in found if one in fitted.camera.effects]
-    covariates = {covariate for one in effects for covariate in one.own_covariates()}
-    own = [one.block for one in curves if one.variant in covariates]
+    covariates = {covariate for effect in effects for covariate in effect.own_covariates()}
+    own = [curve.block for curve in curves if curve.variant in covariates]
     conditional_on = [*own, *form_blocks(fitted, found, variants)]
-    masks = quiet_pixels(fitted, [one.name for one in effects])
+    masks = quiet_pixels(fitted, [effect.name for effect in effects])
     quiet = [] if masks is None else [replace(problem, masks=masks)]
     for there in (*quiet, problem):
         follows = follows_time(fitted, name, drifts, folds, there, conditional_on=conditional_on, seed=seed)

@@ -52,7 +52,7 @@ class Look:
 def edge_candidates(*, at_first_sight: bool = False) -> list[Candidate]:
     """Return the variants of all effects that only pixels show which an edge crosses."""
     kinds = registry().values()
-    return [one for kind in kinds for one in kind.edge_candidates(at_first_sight=at_first_sight)]
+    return [candidate for kind in kinds for candidate in kind.edge_candidates(at_first_sight=at_first_sight)]
 
 
 def where_clean(
@@ -74,15 +74,15 @@ def where_clean(
                 clean_by(after.fit.camera, own, after.fit.scene, views=after.fit.forward.views),
                 amplitude_error=error,
             ),
-            one.fit.camera,
+            exploration.fit.camera,
             [],
             folds,
-            views=one.fit.forward.views,
-            warm=one.fit,
+            views=exploration.fit.forward.views,
+            warm=exploration.fit,
             replicates=0,
             iterations=0,
         )
-        for one, own in fits
+        for exploration, own in fits
     )
     return with_rays, without
 
@@ -128,12 +128,12 @@ def sharper(problem: Problem, step: Exploration, fit: Fits) -> tuple[Exploration
     None where the footprint fits no better.
     """
     camera = step.fit.camera
-    without = with_effects(camera, {n: one for n, one in camera.effects.items() if not one.at_edges})
+    without = with_effects(camera, {n: effect for n, effect in camera.effects.items() if not effect.at_edges})
     first = fit(problem, without, step, edge_candidates(), iterations=0)
     number = next(iter(first.best().values()))
     if first.gains[number] <= WITHOUT_REPLICATES:
         return None
-    blur, footprint = (fit(problem, one, step, ()) for one in (camera, first.camera_with([number])))
+    blur, footprint = (fit(problem, other, step, ()) for other in (camera, first.camera_with([number])))
     gain = footprint.scores.log_likelihood() - blur.scores.log_likelihood()
     return (blur, footprint) if gain > WITHOUT_REPLICATES else None
 

@@ -28,15 +28,15 @@ def effect_size(fitted: Fit, names: Sequence[str], start: Camera) -> float:
     RMS over the 5 % of pixel values that they move most, after the fit of all else.
     """
     parts = []
-    for one in fitted.forward.predictions():
+    for prediction in fitted.forward.predictions():
         total: Any = 0.0
         for name in names:
-            total = total + contribution(one, name, start)
-            effect = one.context.camera.effects.get(name)
+            total = total + contribution(prediction, name, start)
+            effect = prediction.context.camera.effects.get(name)
             if effect is not None and effect.at_edges:
                 # on one surface the edges of its texture show it in the amplitudes alone
-                total = np.maximum(np.abs(total), SAME_SIZE * np.abs(_relative_light(one, name)[0]))
-        parts.append(np.abs(np.broadcast_to(total, one.used.shape)[one.used]))
+                total = np.maximum(np.abs(total), SAME_SIZE * np.abs(_relative_light(prediction, name)[0]))
+        parts.append(np.abs(np.broadcast_to(total, prediction.used.shape)[prediction.used]))
     values = np.concatenate(parts) if parts else np.zeros(1)
     if not values.size:
         return 0.0
@@ -112,7 +112,7 @@ def _geometry_contribution(prediction: Prediction, name: str, start: Camera) -> 
     block = OPTICS[name].block(prediction.context.camera)
     before, after = flatten(start.optics), flatten(prediction.context.camera.optics)
     total = np.zeros(prediction.used.shape)
-    for one, (column, _) in zip(block.regressors, block.columns(prediction), strict=True):
-        path = one.label.removeprefix("optics.")
+    for regressor, (column, _) in zip(block.regressors, block.columns(prediction), strict=True):
+        path = regressor.label.removeprefix("optics.")
         total = total + (after[path] - before[path]) * column
     return total

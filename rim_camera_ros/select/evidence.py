@@ -40,14 +40,17 @@ def folds_of(dataset: Dataset, count: int = 5) -> dict[Key, int]:
     Raises nothing: with fewer poses than folds there are fewer folds.
     """
     first: dict[Key, tuple[float, float]] = {}
-    for one in dataset.stations:
-        setting = one.settings.integration_time or 0.0
-        first.setdefault((one.recording, one.placed), (setting, one.time))
+    for station in dataset.stations:
+        setting = station.settings.integration_time or 0.0
+        first.setdefault((station.recording, station.placed), (setting, station.time))
     ordered = sorted(first, key=lambda key: (first[key][0], key))
     count = max(1, min(count, len(ordered)))
     # neighbours in time go to different folds, and each setting to all of them
     dealt = {key: i % count for i, key in enumerate(ordered)}
-    return {(one.recording, one.pose): dealt[one.recording, one.placed] for one in dataset.stations}
+    return {
+        (station.recording, station.pose): dealt[station.recording, station.placed]
+        for station in dataset.stations
+    }
 
 
 def _scaled(
@@ -130,7 +133,7 @@ class Scores:
         self.temper = temper
         self.away = equations.away_from_prior()
         count = len(equations.regressors)
-        self._energy = sum((one.gram[:count, :count] for one in equations.folds), np.zeros((count, count)))
+        self._energy = sum((fold.gram[:count, :count] for fold in equations.folds), np.zeros((count, count)))
 
     def of_replicates(self, full: Reduced, trained: Sequence[Reduced]) -> Scores:
         """Return the scores of replicates: right-hand sides (K, R) drawn about the middle of the priors."""
@@ -159,7 +162,7 @@ class Scores:
             reduced = self.full if number is None else self.trained[number]
             columns = self.columns([])
             labels = [self.regressors[i].label for i in columns]
-            stated = np.array([one.startswith(STATED) for one in labels], bool)
+            stated = np.array([label.startswith(STATED) for label in labels], bool)
             scale = np.where(stated, unstated, 1.0) * self.prior[columns]
             self._bases[number, unstated] = _Base.of(reduced, columns, scale, self.temper, self.away)
         return self._bases[number, unstated]
@@ -206,9 +209,9 @@ class Scores:
         return [
             everything
             - float(self._evidence(i, extra))
-            - 0.5 * float(self.full.square - one.square) / self.temper
-            - (self.full.log_norm - one.log_norm)
-            for i, one in enumerate(self.trained)
+            - 0.5 * float(self.full.square - reduced.square) / self.temper
+            - (self.full.log_norm - reduced.log_norm)
+            for i, reduced in enumerate(self.trained)
         ]
 
     def gain(self, extra: Iterable[int]) -> Any:

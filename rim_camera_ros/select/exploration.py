@@ -85,7 +85,7 @@ class Exploration:
     def recalled(self, problem: Problem, folds: Mapping[tuple[int, int], int]) -> Exploration:
         """Return the exploration with the sums per pixel of its parameters, also where it let go of them."""
         folded = self.fit.equations.folds
-        if all(one.pixel.shape[1] for one in folded):
+        if all(fold.pixel.shape[1] for fold in folded):
             return self
         return replace(self, fit=further_equations(self.fit, [], folds, problem))
 
@@ -100,14 +100,15 @@ class Exploration:
         values = self.conditional.values(columns)
         errors, pattern = self.conditional.errors_and_offsets(columns)
         own = blocks_of(problem, fitted.camera, fitted.scene)
-        stepped = [one for one in own if not is_linear(one.regressors[0].label)]
+        stepped = [block for block in own if not is_linear(block.regressors[0].label)]
         changes = [*stepped, *self.forms, *(self.candidates[k].block for k in numbers)]
         forward.linear = [*forward.linear, *changes]
         return replace(
             fitted,
             forward=forward,
             pattern=pattern.reshape(fitted.pattern.shape) if problem.pattern else fitted.pattern,
-            parameters=fitted.parameters | {one: values[one] for one in fitted.parameters if is_linear(one)},
+            parameters=fitted.parameters
+            | {parameter: values[parameter] for parameter in fitted.parameters if is_linear(parameter)},
             nuisances=fitted.nuisances | errors | values,
         )
 
@@ -193,7 +194,7 @@ def explore(
 
     Other parameters as in `adjustment.fit`.
     """
-    blocks: list[Block] = [one.block for one in (*found, *further)]
+    blocks: list[Block] = [candidate.block for candidate in (*found, *further)]
     fitted = fit(
         problem,
         camera,
@@ -227,18 +228,18 @@ def explored(
     found = [*named, *further]
     spans: list[list[int]] = []
     start = count
-    for one in found:
-        width = len(one.block.regressors)
+    for candidate in found:
+        width = len(candidate.block.regressors)
         spans.append(list(range(start, start + width)))
         start += width
     held = fitted.at_bounds
     scores = Scores(fitted.equations, range(count), held=held)
-    changes = range(start, start + sum(len(one.regressors) for one in forms))
+    changes = range(start, start + sum(len(form.regressors) for form in forms))
     conditional = ConditionalOnForms(fitted.equations, range(count), changes, held=held) if forms else scores
     gains = np.array(
         [
-            _gain(conditional if k < len(named) else scores, one, span)
-            for k, (one, span) in enumerate(zip(found, spans, strict=True))
+            _gain(conditional if k < len(named) else scores, candidate, span)
+            for k, (candidate, span) in enumerate(zip(found, spans, strict=True))
         ]
     )
     maxima = np.zeros(0)
@@ -249,13 +250,13 @@ def explored(
     if replicates and scores.trained and found:
         nulls = null_scores(scores, replicates=replicates, seed=seed, errors=fitted.nuisances)
         drawn = _gains_by_chance(nulls, spans)
-        widths = [len(one) for one in spans]
+        widths = [len(span) for span in spans]
         # beside effects, terms that are not of the vocabulary raise no alarm of their own
         family = len(named) or len(found)
         maxima = drawn[:family].max(axis=0)
         rate = rate_of_each(drawn[:family], widths[:family])
         thresholds = thresholds_at(rate, drawn, widths)
-        names = [one.effect for one in named]
+        names = [candidate.effect for candidate in named]
         thresholds[: len(named)] = _given_candidate(
             scores, names, spans, gains, thresholds[: len(named)], rate=rate, replicates=replicates, seed=seed
         )
@@ -296,7 +297,7 @@ def _given_candidate(
     errors = scores.errors(spans[leader])
     count = len({tuple(name.split(".", 2)[:2]) for name in errors})
     width = min(len(spans[leader]), count - 1)
-    larger = {name: one * float(np.sqrt(count / (count - width))) for name, one in errors.items()}
+    larger = {name: error * float(np.sqrt(count / (count - width))) for name, error in errors.items()}
     if error_size(equations, larger) >= whole:
         return thresholds
     nulls = null_scores(scores, replicates=replicates, seed=seed, errors=larger)

@@ -41,23 +41,23 @@ class ConditionalOnForms(Scores):
         factors = np.ones((len(SIZES), len(self.regressors)))
         factors[:, list(changes)] = np.array(SIZES)[:, None]
         plain = Scores(equations, self.base.tolist(), held=held)
-        self._of_sizes = [plain.with_priors(self.prior * one) for one in factors]
+        self._of_sizes = [plain.with_priors(self.prior * factor) for factor in factors]
 
     def held_out(self, extra: Iterable[int] = ()) -> Any:
         """Return the held-out log likelihood in nats, up to a constant."""
         extra = list(extra)
         if not extra:
             return self._of_base_alone
-        return logsumexp([one.held_out(extra) for one in self._of_sizes]) - np.log(len(SIZES))
+        return logsumexp([size.held_out(extra) for size in self._of_sizes]) - np.log(len(SIZES))
 
     @cached_property
     def _of_base_alone(self) -> float:
-        every = [float(one.held_out()) for one in self._of_sizes]
+        every = [float(size.held_out()) for size in self._of_sizes]
         return float(logsumexp(every) - np.log(len(SIZES)))
 
     def _likeliest(self, extra: Iterable[int]) -> Scores:
         extra = list(extra)
-        return max(self._of_sizes, key=lambda one: float(one.held_out(extra)))
+        return max(self._of_sizes, key=lambda scores: float(scores.held_out(extra)))
 
     def values(self, extra: Iterable[int] = (), *, leave_out: int | None = None) -> dict[str, float]:
         """Return the coefficients of base and extra by label, those of the likeliest size."""

@@ -89,7 +89,7 @@ class Search:
         fitted = self.step.fit
         labels = list(fitted.parameters)
         owners = {labels[i].split(".")[1] for i in fitted.at_bounds}
-        return frozenset(one.effect for one in self.found if one.effect in owners)
+        return frozenset(finding.effect for finding in self.found if finding.effect in owners)
 
     def add(self, most: int) -> None:
         """Add effects, ``most`` in all, until nothing gains enough or too many leaders proved wrong."""
@@ -118,10 +118,10 @@ class Search:
         at a bound may be nothing. The last exploration is replaced by one without them.
         """
         at_bounds = self.at_bounds
-        ahead = {one.effect for one in self.found[:-1]}
-        for name in [one.effect for one in self.found if one.effect in ahead | at_bounds]:
+        ahead = {finding.effect for finding in self.found[:-1]}
+        for name in [finding.effect for finding in self.found if finding.effect in ahead | at_bounds]:
             # what became the first is judged anew: of no effect is what was before
-            one = next(each for each in self.found if each.effect == name)
+            finding = next(each for each in self.found if each.effect == name)
             left = without_effect(name, self.problem, self.step.fit.camera, self.camera)
             if left is None or (len(self.found) < 2 and name not in at_bounds):
                 continue
@@ -129,16 +129,18 @@ class Search:
             # likelihoods of the same noise
             alike = replace(problem, amplitude_error=self.step.fit.forward.amplitude_model.tau)
             without = self._fitted(alike, camera, self.step)
-            before = self.explorations[one.step]
+            before = self.explorations[finding.step]
             own = Trial([name], self.problem, self.step, 0.0)
             compared = where_clean(own, without, problem, self.folds)
             is_alone = len(self.found) < 2
-            if self._gain(*compared) > (one.threshold if is_alone else self._entry(one.threshold, *compared)):
+            if self._gain(*compared) > (
+                finding.threshold if is_alone else self._entry(finding.threshold, *compared)
+            ):
                 continue
             if is_alone:
                 self.failed[name] = ONCE_FITTED
             self.problem = problem
-            self.found.remove(one)
+            self.found.remove(finding)
             self._replace_step(without.fit, before)
             if self.found:
                 self._judge_first_anew()
@@ -146,7 +148,7 @@ class Search:
     def _judge_first_anew(self) -> None:
         """Judge what became the first effect by what the camera file alone leaves."""
         first, start = self.found[0], self.explorations[0]
-        by_others = sum(one.gain for one in self.found[1:])
+        by_others = sum(finding.gain for finding in self.found[1:])
         gain = self.step.scores.log_likelihood() - start.scores.log_likelihood() - by_others
         number = start.best().get(first.effect)
         if number is None or first.step == 0:
@@ -160,14 +162,14 @@ class Search:
 
         There a footprint no wider than a pixel shows, and everything else shows no better.
         """
-        own = [one for one in self.variants if one.effect in self.at_edges]
+        own = [variant for variant in self.variants if variant.effect in self.at_edges]
         if not self.may_look or self.beside_edges is not None or not own:
             return
         problem = with_edges(self.problem, self.step.fit)
         if problem is self.problem:
             return
         self.say("pixels beside edges")
-        if any(one.at_edges for one in self.step.fit.camera.effects.values()):
+        if any(effect.at_edges for effect in self.step.fit.camera.effects.values()):
             self._sharpen(problem)
             return
         # the rest that one form leaves looks like the other
@@ -178,7 +180,7 @@ class Search:
 
     def _joins(self, look: Look) -> bool:
         """Try what acts at edges in pixels beside them; say whether it joined."""
-        names = [one.effect for one in self.found]
+        names = [finding.effect for finding in self.found]
         step = self._explored(look.fitted.fit, names, self.step, look.problem, mixed=look.variants)
         kept, self.explorations = self.explorations, [*self.explorations, step]
         away, self.problem = self.problem, look.problem
@@ -197,10 +199,10 @@ class Search:
         if fits is None:
             return
         blur, footprint = fits
-        names = [one.effect for one in self.found]
+        names = [finding.effect for finding in self.found]
         sharp = self._explored(footprint.fit, names, self.step, problem)
-        for one in (self.step, blur):
-            one.forget()
+        for exploration in (self.step, blur):
+            exploration.forget()
         self.beside_edges = len(self.explorations)
         self.explorations += [blur, sharp]
         self.problem = problem
@@ -208,13 +210,13 @@ class Search:
     @cached_property
     def at_edges(self) -> frozenset[str]:
         """The names of effects that act at edges."""
-        return frozenset(name for name, one in vocabulary().items() if one.at_edges)
+        return frozenset(name for name, effect in vocabulary().items() if effect.at_edges)
 
     def _effect(self, number: int) -> str:
         return self.step.candidates[number].effect
 
     def _shows_in_quiet_pixels(self, number: int) -> bool:
-        names = [one.effect for one in self.found]
+        names = [finding.effect for finding in self.found]
         return shows_in_quiet_pixels(self.problem, self.step, number, names, self.folds)
 
     def _gain(self, after: Exploration, before: Exploration) -> float:
@@ -271,7 +273,9 @@ class Search:
         fitted = self._fitted(self.problem, lean_camera(fitted.fit.camera), fitted)
         # the largest arrays of a search: not twice at once
         self.step.forget()
-        final = self._explored(fitted.fit, [one.effect for one in self.found], self.step, self.problem)
+        final = self._explored(
+            fitted.fit, [finding.effect for finding in self.found], self.step, self.problem
+        )
         self.explorations.append(final)
 
     def _why_not(self, trial: Trial, gain: float, threshold: float, need: float) -> str | None:
@@ -288,8 +292,8 @@ class Search:
             name,
             trial.problem,
             self.folds,
-            found=[one.effect for one in self.found],
-            drifts=[one for one in self.pool if one.effect == name],
+            found=[finding.effect for finding in self.found],
+            drifts=[candidate for candidate in self.pool if candidate.effect == name],
             curves=self.further,
             variants=self.variants,
             seed=self.seed,
@@ -354,7 +358,7 @@ class Search:
 
     def _replace_step(self, fitted: Fit, before: Exploration) -> None:
         """Replace the last exploration by that of another fit, with the candidates of one before."""
-        names = [one.effect for one in self.found]
+        names = [finding.effect for finding in self.found]
         self.step.forget()
         self.explorations[-1] = self._explored(fitted, names, before, self.problem)
 
@@ -371,13 +375,13 @@ class Search:
 
         Candidates are the leading ones of an exploration before, but those present.
         """
-        left = [one for one in leading_variants(before) if one.effect not in present]
+        left = [variant for variant in leading_variants(before) if variant.effect not in present]
         if mixed:
-            left = [*(one for one in left if one.effect not in self.at_edges), *mixed]
+            left = [*(candidate for candidate in left if candidate.effect not in self.at_edges), *mixed]
         forms = form_blocks(fitted, present, self.variants)
-        forms += [one.block for one in self.curves]
-        further = [one for one in self.further if one not in self.curves]
-        blocks = [*(one.block for one in (*left, *further)), *forms]
+        forms += [curve.block for curve in self.curves]
+        further = [candidate for candidate in self.further if candidate not in self.curves]
+        blocks = [*(candidate.block for candidate in (*left, *further)), *forms]
         return explored(
             further_equations(fitted, blocks, self.folds, problem),
             left,

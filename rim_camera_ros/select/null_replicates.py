@@ -47,7 +47,7 @@ def null_scores(
     errors_of_folds = _errors(equations, base, replicates, rng, _error_shapes(equations, errors or {}))
     drawn = [_Replicates(fold, *own) for fold, own in zip(folds, errors_of_folds, strict=True)]
     sides = [
-        np.zeros((count + sum(len(one.nuisances) for one in _kept(folds, out)), replicates)) for out in outs
+        np.zeros((count + sum(len(fold.nuisances) for fold in _kept(folds, out)), replicates)) for out in outs
     ]
 
     def noise() -> Iterator[tuple[slice, list[list[Array]], Array | None]]:
@@ -58,16 +58,20 @@ def null_scores(
                 return rng.standard_normal(shape, dtype=np.float32)
 
             gains = np.float32(equations.pixels.gain) * draw() if equations.pixels.gain > 0 else None
-            yield block, [[draw() for _ in range(one.unknowns)] for one in drawn], gains
+            yield block, [[draw() for _ in range(replicates.unknowns)] for replicates in drawn], gains
 
     def of_block(item: tuple[slice, list[list[Array]], Array | None]) -> tuple[list[_OfBlock], list[Array]]:
         block, white, gains = item
-        found = [one.of_block(block, own, gains) for one, own in zip(drawn, white, strict=True)]
+        found = [replicates.of_block(block, own, gains) for replicates, own in zip(drawn, white, strict=True)]
         eliminated = []
         for reduced, out in zip(observed, outs, strict=True):
             kept = _kept(found, out)
-            offset = np.sum([one.offset for one in kept], axis=0)
-            gain = np.sum([one.gain for one in kept], axis=0) if reduced.pixels.with_gains else None
+            offset = np.sum([block_sums.offset for block_sums in kept], axis=0)
+            gain = (
+                np.sum([block_sums.gain for block_sums in kept], axis=0)
+                if reduced.pixels.with_gains
+                else None
+            )
             parts = zip(reduced.pixels.rows(block), reduced.pixels.whitened(block, offset, gain), strict=True)
             eliminated.append(np.sum([rows[:, :-1].T @ summed for rows, summed in parts], axis=0))
         return found, eliminated
@@ -89,7 +93,7 @@ def null_scores(
 
 
 def _kept[Item](items: Sequence[Item], leave_out: int | None) -> list[Item]:
-    return [one for i, one in enumerate(items) if i != leave_out]
+    return [item for i, item in enumerate(items) if i != leave_out]
 
 
 def _error_shapes(equations: NormalEquations, errors: Mapping[str, float]) -> dict[str, Array]:
@@ -192,10 +196,10 @@ class _Replicates:
                 gain += fold.gain_weight[block, None] * gains
         return _OfBlock(offset, gain, right, rest)
 
-    def add(self, one: _OfBlock) -> None:
+    def add(self, block_sums: _OfBlock) -> None:
         """Add a block."""
-        self._right += one.right
-        self._rest -= one.rest
+        self._right += block_sums.right
+        self._rest -= block_sums.rest
 
     def right(self, rng: np.random.Generator) -> Array:
         """Return the right-hand sides (M - 1, R) of all blocks, with the noise that no pixel takes up."""

@@ -57,8 +57,12 @@ def search(
         problem = replace(problem, geometry=begin.problem.geometry, reflectance=begin.problem.reflectance)
     if response_of(start_camera) is not None and problem.gain:
         problem = replace(problem, response=FreeResponse(level_of(problem.dataset)))
-    present = {one.effect for one in ahead}
-    pool = [one for one in candidates(camera, facts, effects=effects) if one.effect not in present]
+    present = {finding.effect for finding in ahead}
+    pool = [
+        candidate
+        for candidate in candidates(camera, facts, effects=effects)
+        if candidate.effect not in present
+    ]
     say(f"baseline and {len(pool)} candidates")
 
     def begun(problem: Problem, *, again: bool) -> Search:
@@ -83,7 +87,7 @@ def search(
             ),
             camera=camera,
             explorations=[first],
-            found=[replace(one, step=0) for one in ahead],
+            found=[replace(finding, step=0) for finding in ahead],
             folds=folds,
             further=further,
             pool=pool,
@@ -117,7 +121,7 @@ def search(
     left_out = refused(state.step, state.failed)
     if len(state.found) < most:
         state.look_beside_edges()
-    names = {one.effect for one in state.found}
+    names = {finding.effect for finding in state.found}
     return Result(
         camera=state.step.fit.camera,
         found=state.found,

@@ -26,12 +26,12 @@ def subsample_of(problem: Problem, *, seed: int, hold: int | None = None) -> lis
     of them could all have the same distance.
     """
     stations = problem.dataset.stations
-    pixels = sum(one.distance.size for one in stations)
+    pixels = sum(station.distance.size for station in stations)
     poses: dict[float, list[tuple[int, int]]] = {}
-    for one in stations:
-        placed = poses.setdefault(one.settings.integration_time or 0.0, [])
-        if (one.recording, one.placed) not in placed:
-            placed.append((one.recording, one.placed))
+    for station in stations:
+        placed = poses.setdefault(station.settings.integration_time or 0.0, [])
+        if (station.recording, station.placed) not in placed:
+            placed.append((station.recording, station.placed))
     count = sum(len(placed) for placed in poses.values())
     wanted = max(_LEAST_POSES, round(count * (hold or _FEW_PIXELS) / max(pixels, 1)))
     if pixels < MANY_PIXELS or 2 * wanted > count:
@@ -42,7 +42,7 @@ def subsample_of(problem: Problem, *, seed: int, hold: int | None = None) -> lis
         for placed in poses.values()
         for i in rng.permutation(len(placed))[: max(1, round(wanted * len(placed) / count))]
     }
-    return [k for k, one in enumerate(stations) if (one.recording, one.placed) in kept]
+    return [k for k, station in enumerate(stations) if (station.recording, station.placed) in kept]
 
 
 def at_stations(problem: Problem, numbers: Sequence[int]) -> Problem:
@@ -63,7 +63,7 @@ def dominated[Key: Hashable](likelihoods: Mapping[Key, Sequence[float]], *, leas
     best = max(likelihoods.values(), key=sum)
     margin = max(_BEHIND, least)
     return {
-        one
-        for one, own in likelihoods.items()
+        name
+        for name, own in likelihoods.items()
         if sum(own) < sum(best) - margin and all(x < y for x, y in zip(own, best, strict=True))
     }

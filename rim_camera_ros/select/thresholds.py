@@ -67,5 +67,5 @@ def _distributions(by_chance: Array, widths: Sequence[int]) -> tuple[Array, Arra
 
 def _chances(by_chance: Array, widths: Sequence[int]) -> Array:
     """Return the chances (C, R) of gains at least as great."""
-    width, mean, scale = (one[:, None] for one in _distributions(by_chance, widths))
+    width, mean, scale = (distribution[:, None] for distribution in _distributions(by_chance, widths))
     return np.asarray(chdtrc(width, np.maximum(2 * (by_chance - mean) / scale + width, 0.0)))

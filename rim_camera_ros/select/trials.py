@@ -112,7 +112,7 @@ def _free_response(fitted: Exploration, level: float) -> FreeResponse:
     to no curve.
     """
     scores, sigma = fitted.scores, fitted.fit.sigma
-    curve = np.array([one.label in RESPONSE for one in scores.regressors], bool)
+    curve = np.array([regressor.label in RESPONSE for regressor in scores.regressors], bool)
     held_out = [
         float(scores.with_priors(np.where(curve, size, scores.prior)).held_out()) for size in RESPONSE_SIZES
     ]
@@ -146,9 +146,9 @@ def fitted_trials(
         say(f"fitting{words} to {to} ({done} of {count} fits done{seconds})")
 
     def told() -> Iterator[TrialFit]:
-        for one in trials:
-            tell(" " + " and ".join(one.effects) if one.effects else "")
-            yield one
+        for trial in trials:
+            tell(" " + " and ".join(trial.effects) if trial.effects else "")
+            yield trial
 
     for trial, fitted in zip(trials, workers(fit_trial, told()), strict=True):
         # what comes from elsewhere brings its own data
@@ -214,7 +214,9 @@ def without_effect(
             return None
     if name not in camera.effects:
         return None
-    return problem, with_effects(camera, {key: one for key, one in camera.effects.items() if key != name})
+    return problem, with_effects(
+        camera, {key: effect for key, effect in camera.effects.items() if key != name}
+    )
 
 
 def onwards(trial: Trial, folds: Mapping[tuple[int, int], int], seed: int) -> TrialFit:

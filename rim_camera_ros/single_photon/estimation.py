@@ -107,7 +107,7 @@ class PulseEstimator:
             for begin in range(0, histogram.shape[1], _BLOCK)
         ]
         return PulseEstimates(
-            *(np.concatenate([getattr(one, f.name) for one in parts]) for f in fields(PulseEstimates))
+            *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(PulseEstimates))
         )
 
     def _block(self, histogram: Array, cycles: int) -> PulseEstimates:
@@ -127,7 +127,7 @@ class PulseEstimator:
         at *= size
         at += np.arange(size)
         # in range: "wrap" is a mode without a check before
-        n, r = (np.take(one, at, mode="wrap") for one in (counts, left))
+        n, r = (np.take(count, at, mode="wrap") for count in (counts, left))
         outside = np.maximum(all_left - r.sum(axis=0), np.float32(1.0))
         share = np.clip((all_counts - n.sum(axis=0)) / outside, np.float32(0.0), np.float32(1.0 - 1e-7))
         background = np.maximum(-np.log1p(-share), np.float32(_LEAST))

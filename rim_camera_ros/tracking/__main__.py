@@ -41,8 +41,8 @@ def main() -> int:
     except RimError as error:
         print(error, file=sys.stderr)
         return error.exit_status
-    kept = sum(one.identities_kept for one in trials)
-    errors = np.concatenate([one.errors for one in trials])
+    kept = sum(trial.identities_kept for trial in trials)
+    errors = np.concatenate([trial.errors for trial in trials])
     print(f"identities kept in {kept} of {len(trials)}; position {_millimetres(errors)} mm (RMS, 95 %, max)")
     if options.picture is not None:
         draw(trials[-1], options.picture)

@@ -157,7 +157,7 @@ class _State:
 
 def _begun(frames: list[tuple[NDArray[Any], NDArray[Any]]]) -> _State:
     """Begin with the median of each pixel: somebody who passes during the warm start leaves no trace."""
-    distances, sigmas = (np.stack([one[i] for one in frames]).astype(float) for i in (0, 1))
+    distances, sigmas = (np.stack([frame[i] for frame in frames]).astype(float) for i in (0, 1))
     valid = np.isfinite(distances) & np.isfinite(sigmas)
     distances[~valid] = np.nan
     count = valid.sum(axis=0)

@@ -203,18 +203,18 @@ def walking_scene(
 
 def scene_text(scene: Scene, heading: str) -> str:
     """Return a scene with spheres that move as the text of a scene file; ``heading`` becomes comments."""
-    lines = [f"# {one}".rstrip() for one in heading.splitlines()] + ["format: rim_scene/1", "surfaces:"]
-    for one in scene.surfaces:
-        assert isinstance(one.pose, ScenePose)
-        parts = [f"name: {one.name}", f"type: {one.type}"]
-        if one.size is not None:
-            parts.append(f"size: {_numbers(one.size)}")
-        if one.radius is not None:
-            parts.append(f"radius: {one.radius:g}")
-        parts.append(f"reflectivity: {one.reflectivity:g}")
-        pose = f"position: {_numbers(one.pose.position)}"
-        if one.type != "sphere":
-            pose += f", orientation: {_numbers(one.pose.orientation, digits=9)}"
+    lines = [f"# {line}".rstrip() for line in heading.splitlines()] + ["format: rim_scene/1", "surfaces:"]
+    for surface in scene.surfaces:
+        assert isinstance(surface.pose, ScenePose)
+        parts = [f"name: {surface.name}", f"type: {surface.type}"]
+        if surface.size is not None:
+            parts.append(f"size: {_numbers(surface.size)}")
+        if surface.radius is not None:
+            parts.append(f"radius: {surface.radius:g}")
+        parts.append(f"reflectivity: {surface.reflectivity:g}")
+        pose = f"position: {_numbers(surface.pose.position)}"
+        if surface.type != "sphere":
+            pose += f", orientation: {_numbers(surface.pose.orientation, digits=9)}"
         lines.append(f"- {{{', '.join(parts)}, pose: {{{pose}}}}}")
     lines.append("schedule:")
     for station in scene.schedule:

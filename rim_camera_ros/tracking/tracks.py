@@ -121,7 +121,7 @@ class Tracker:
     @property
     def people(self) -> list[Track]:
         """Confirmed tracks, those of hidden people too."""
-        return [one for one in self._tracks if self._confirmed(one)]
+        return [track for track in self._tracks if self._confirmed(track)]
 
     def forget(self) -> None:
         """End all tracks."""
@@ -133,15 +133,18 @@ class Tracker:
         Each confirmed track has the first choice; what is left goes to new ones, then begins further ones.
         """
         settings = self.settings
-        for one in self._tracks:
-            one.state, one.covariance = predict(
-                one.state, one.covariance, step=max(time - one.time, 0.0), density=settings.acceleration
+        for person in self._tracks:
+            person.state, person.covariance = predict(
+                person.state,
+                person.covariance,
+                step=max(time - person.time, 0.0),
+                density=settings.acceleration,
             )
-            one.time = time
+            person.time = time
         rest = self._divide(found)
-        for group in (self.people, [one for one in self._tracks if not self._confirmed(one)]):
+        for group in (self.people, [person for person in self._tracks if not self._confirmed(person)]):
             rest = self._assign(group, rest)
-        self._tracks = [one for one in self._tracks if self._lives(one)]
+        self._tracks = [person for person in self._tracks if self._lives(person)]
         for new in rest:
             if all(np.linalg.norm(new.position - other.position) >= settings.apart for other in self._tracks):
                 self._begin(new, time)
@@ -149,29 +152,31 @@ class Tracker:
             track.trail.append((time, float(track.state[0]), float(track.state[1])))
         return self.people
 
-    def _confirmed(self, one: Track) -> bool:
-        return one.detections >= self.settings.confirm_after
+    def _confirmed(self, person: Track) -> bool:
+        return person.detections >= self.settings.confirm_after
 
-    def _lives(self, one: Track) -> bool:
-        return not one.hidden or (self._confirmed(one) and one.time - one.seen <= self.settings.coast)
+    def _lives(self, person: Track) -> bool:
+        return not person.hidden or (
+            self._confirmed(person) and person.time - person.seen <= self.settings.coast
+        )
 
     def _divide(self, found: Sequence[Detection]) -> list[Detection]:
         """Divide clusters that are too wide for one person among those who are expected there."""
         half_width, radius = self.settings.half_width, self.settings.body_radius
         result: list[Detection] = []
-        for one in found:
+        for detection in found:
             expected = [
                 track.position
                 for track in self.people
-                if np.linalg.norm(one.cells - track.position, axis=1).min() < 2 * half_width
+                if np.linalg.norm(detection.cells - track.position, axis=1).min() < 2 * half_width
             ]
-            wide = len(expected) > 1 and one.width > _WIDE * half_width
-            result += divided(one, np.array(expected), body_radius=radius) if wide else [one]
+            wide = len(expected) > 1 and detection.width > _WIDE * half_width
+            result += divided(detection, np.array(expected), body_radius=radius) if wide else [detection]
         return result
 
-    def _variance(self, track: Track, one: Detection) -> float:
+    def _variance(self, track: Track, detection: Detection) -> float:
         """Return the variance [m^2] of a measured position: of who is half hidden one side is seen only."""
-        visible = min(one.area / track.area, 1.0)
+        visible = min(detection.area / track.area, 1.0)
         return self.settings.measurement_sigma**2 + ((1 - visible) * self.settings.half_width) ** 2
 
     def _assign(self, tracks: list[Track], found: list[Detection]) -> list[Detection]:
@@ -181,9 +186,9 @@ class Tracker:
         gate = -2.0 * math.log1p(-self.settings.gate)  # quantile of a chi-square of two degrees
         cost = np.full((len(tracks), len(found)), _FORBIDDEN)
         for i, track in enumerate(tracks):
-            for k, one in enumerate(found):
-                spread = track.covariance[:2, :2] + self._variance(track, one) * np.eye(2)
-                difference = one.position - track.position
+            for k, detection in enumerate(found):
+                spread = track.covariance[:2, :2] + self._variance(track, detection) * np.eye(2)
+                difference = detection.position - track.position
                 mahalanobis = float(difference @ np.linalg.solve(spread, difference))
                 if mahalanobis <= gate:
                     cost[i, k] = mahalanobis + float(np.log(np.linalg.det(spread)))
@@ -192,27 +197,29 @@ class Tracker:
             if cost[row, column] < _FORBIDDEN:
                 taken.add(int(column))
                 self._see(tracks[row], found[column])
-        return [one for k, one in enumerate(found) if k not in taken]
+        return [detection for k, detection in enumerate(found) if k not in taken]
 
-    def _see(self, track: Track, one: Detection) -> None:
-        variance = self._variance(track, one)
-        track.state, track.covariance = update(track.state, track.covariance, one.position, variance=variance)
-        track.area = max(one.area, (1 - _SHRINK) * track.area)
-        track.top = max(one.top, (1 - _SHRINK) * track.top)
+    def _see(self, track: Track, detection: Detection) -> None:
+        variance = self._variance(track, detection)
+        track.state, track.covariance = update(
+            track.state, track.covariance, detection.position, variance=variance
+        )
+        track.area = max(detection.area, (1 - _SHRINK) * track.area)
+        track.top = max(detection.top, (1 - _SHRINK) * track.top)
         track.detections += 1
         track.seen = track.time
 
-    def _begin(self, one: Detection, time: float) -> None:
+    def _begin(self, detection: Detection, time: float) -> None:
         settings = self.settings
         variances = [settings.measurement_sigma**2] * 2 + [settings.start_speed**2] * 2
         self._tracks.append(
             Track(
                 identity=self._next,
-                state=np.array([*one.position, 0.0, 0.0]),
+                state=np.array([*detection.position, 0.0, 0.0]),
                 covariance=np.diag(variances),
                 time=time,
-                area=one.area,
-                top=one.top,
+                area=detection.area,
+                top=detection.top,
                 seen=time,
             )
         )

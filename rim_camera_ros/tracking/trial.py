@@ -46,9 +46,9 @@ class Trial:
     @property
     def identities_kept(self) -> bool:
         """Whether each figure had one track, which was at no other, and there were no further tracks."""
-        owners = [self.owners(one) for one in self.tracks]
-        alone = all(len(set(one.tolist())) == 1 for one in owners)
-        return alone and sorted(int(one[0]) for one in owners) == list(range(self.truth.shape[1]))
+        owners = [self.owners(track) for track in self.tracks]
+        alone = all(len(set(owner.tolist())) == 1 for owner in owners)
+        return alone and sorted(int(owner[0]) for owner in owners) == list(range(self.truth.shape[1]))
 
     @property
     def errors(self) -> Array:
@@ -86,10 +86,12 @@ def run(
         places = np.array([walk.position(max(time, 0.0)) for walk in walks])
         times.append(time)
         truth.append(places)
-        detected.append([_near(place, [one.position for one in people.detections]) for place in places])
-        for one in found:
-            entry = (time, float(one.position[0]), float(one.position[1]), float(one.hidden))
-            tracks.setdefault(one.identity, []).append(entry)
+        detected.append(
+            [_near(place, [detection.position for detection in people.detections]) for place in places]
+        )
+        for person in found:
+            entry = (time, float(person.position[0]), float(person.position[1]), float(person.hidden))
+            tracks.setdefault(person.identity, []).append(entry)
     return Trial(
         times=np.array(times),
         truth=np.array(truth),
@@ -99,4 +101,4 @@ def run(
 
 
 def _near(place: Array, positions: list[Array]) -> bool:
-    return any(float(np.linalg.norm(one - place)) <= _BELONGS for one in positions)
+    return any(float(np.linalg.norm(position - place)) <= _BELONGS for position in positions)

@@ -95,9 +95,9 @@ class CalibrationNode:
         """Take the topics back, once the result of what has just been ended was received."""
         if self._result is not None:
             self._result.wait_for_all_acked(Duration(seconds=_LAST_WORDS))
-        for one in (self._progress, self._result):
-            if one is not None:
-                self.node.destroy_publisher(one)
+        for publisher in (self._progress, self._result):
+            if publisher is not None:
+                self.node.destroy_publisher(publisher)
         self._progress = self._result = None
 
     # --- the work -------------------------------------------------------------------------------

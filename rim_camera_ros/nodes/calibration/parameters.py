@@ -68,17 +68,17 @@ _NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
 
 def recordings_of(values: Values) -> list[str]:
     """Return the paths that the parameter ``recordings`` holds."""
-    return [one for one in values["recordings"].split(os.pathsep) if one]
+    return [word for word in values["recordings"].split(os.pathsep) if word]
 
 
 def given_files(values: Values) -> list[str]:
     """Return the files that the node was started with."""
-    return [*recordings_of(values), *(one for name in _FILES for one in files_of(values, name))]
+    return [*recordings_of(values), *(parameter for name in _FILES for parameter in files_of(values, name))]
 
 
 def files_of(values: Values, name: str) -> list[str]:
     """Return the files, or names of shipped ones, that ``camera`` or ``scene`` holds."""
-    return [one for one in values[name].split(os.pathsep) if one] if name == "scene" else [values[name]]
+    return [word for word in values[name].split(os.pathsep) if word] if name == "scene" else [values[name]]
 
 
 def check(values: Values, changed: Collection[str], folders: Folders) -> None:
@@ -88,8 +88,8 @@ def check(values: Values, changed: Collection[str], folders: Folders) -> None:
             folders.check(one, place="recordings")
     for name, kind in _FILES.items():
         if name in changed:
-            for one in files_of(values, name):
-                folders.check(one, kind=kind, place=name)
+            for parameter in files_of(values, name):
+                folders.check(parameter, kind=kind, place=name)
     for name in NEW:
         if name in changed and values[name] and not _NAME.fullmatch(values[name]):
             raise InputError(
@@ -111,20 +111,20 @@ def calibration_of(values: Values, folders: Folders) -> dict[str, Any]:
             "none is given", place="recordings", remedy="name recordings, joined by ':', or record some"
         )
     seen: dict[Path, str] = {}
-    for one in recordings:
-        if not Path(one).exists():
-            raise InputError("no such recording", file=one, place="recordings", remedy="check its path")
-        if Path(one).resolve() in seen:
+    for recording in recordings:
+        if not Path(recording).exists():
+            raise InputError("no such recording", file=recording, place="recordings", remedy="check its path")
+        if Path(recording).resolve() in seen:
             raise InputError(
-                "is given twice", file=one, place="recordings", remedy="give each recording once"
+                "is given twice", file=recording, place="recordings", remedy="give each recording once"
             )
-        seen[Path(one).resolve()] = one
+        seen[Path(recording).resolve()] = recording
     if not values["scene"]:
         raise InputError("is empty", place="scene", remedy="name the scene file of the recordings")
     for name, find in (("camera", find_camera), ("scene", find_scene)):
-        for one in files_of(values, name):
+        for parameter in files_of(values, name):
             try:
-                find(one)
+                find(parameter)
             except InputError as error:
                 raise InputError(error.problem, file=error.file, place=name, remedy=error.remedy) from None
     output = _new(values, "output", folders)
@@ -132,7 +132,7 @@ def calibration_of(values: Values, folders: Folders) -> dict[str, Any]:
     for path in (output, report):
         if path.exists():
             raise InputError("exists already", file=path, place="output", remedy="give another name")
-    effects = [one.strip() for one in values["effects"].split(",") if one.strip()]
+    effects = [word.strip() for word in values["effects"].split(",") if word.strip()]
     return {
         "recordings": recordings,
         "camera": values["camera"],
@@ -181,7 +181,7 @@ def _new(values: Values, name: str, folders: Folders) -> Path:
 def _command(values: Values, recordings: list[str], effects: list[str], output: Path) -> str:
     """Return the command that does the same, for the provenance."""
     words = ["rim", "calibrate", *recordings, "--camera", values["camera"]]
-    words += [word for one in files_of(values, "scene") for word in ("--scene", one)]
+    words += [word for parameter in files_of(values, "scene") for word in ("--scene", parameter)]
     words += ["--out", str(output)]
     words += ["--effects", ",".join(effects)] if effects else []
     words += ["--geometry"] * values["geometry"]

@@ -43,7 +43,7 @@ def _work(link: Link) -> Mapping[str, Any]:
     request = Request(
         recordings=tuple(Path(one) for one in given["recordings"]),
         camera=load_camera(find_camera(camera)),
-        scene=tuple(load_scene(find_scene(one)) for one in scenes) or None,
+        scene=tuple(load_scene(find_scene(scene)) for scene in scenes) or None,
         effects=tuple(effects) if effects else None,
         geometry=given["geometry"],
         camera_name=camera,
@@ -66,21 +66,21 @@ def _work(link: Link) -> Mapping[str, Any]:
 
 def _figures(result: Calibration, out: Path, report: Path | None, notes: list[str]) -> dict[str, Any]:
     """Return what the node tells of the result; lengths in m."""
-    one = result.accuracy
+    accuracy = result.accuracy
     if result.integral and result.integral_accuracy is not None:
-        one = result.integral_accuracy
+        accuracy = result.integral_accuracy
     return {
         "file": str(out),
         "report": None if report is None else str(report),
         "frames": result.frames,
         "poses": result.poses,
-        "held_out_poses": one.poses if one.held_out else 0,
-        "rms_before_m": one.before,
-        "rms_m": one.after,
-        "noise_m": one.noise,
-        "systematic_m": one.systematic,
+        "held_out_poses": accuracy.poses if accuracy.held_out else 0,
+        "rms_before_m": accuracy.before,
+        "rms_m": accuracy.after,
+        "noise_m": accuracy.noise,
+        "systematic_m": accuracy.systematic,
         "chi_square": result.chi_square,
-        "effects": sorted(one.effect for one in result.statuses if one.status == "fitted"),
+        "effects": sorted(status.effect for status in result.statuses if status.status == "fitted"),
         "notes": sorted(set(notes)),
     }
 

@@ -48,7 +48,7 @@ def values_of(coverage: Coverage) -> list[tuple[str, str]]:
     result.append(("determined", ",".join(coverage.determined)))
     result.append(("open", ",".join(coverage.open)))
     result.append(("next", "" if coverage.next is None else coverage.next.words))
-    return result + [(f"factor.{name}", f"{one:.3g}") for name, one in coverage.factors.items()]
+    return result + [(f"factor.{name}", f"{factor:.3g}") for name, factor in coverage.factors.items()]
 
 
 def _image(pixels: Any, head: Header) -> Image:

@@ -89,11 +89,11 @@ class SteadyExecutor(SingleThreadedExecutor):
         for kind, (name, _) in _KINDS.items():
             entities = [one for node in nodes for one in getattr(node, name)]
             self._of[kind] = {one.handle.pointer: one for one in self._holding(entities)}
-        waitables = list(self._holding([one for node in nodes for one in node.waitables]))
-        for one in waitables:
-            count += one.get_num_entities()
-        self._events = [one for one in waitables if isinstance(one, EventHandler)]
-        self._waitables = [one for one in waitables if not isinstance(one, EventHandler)]
+        waitables = list(self._holding([waitable for node in nodes for waitable in node.waitables]))
+        for waitable in waitables:
+            count += waitable.get_num_entities()
+        self._events = [waitable for waitable in waitables if isinstance(waitable, EventHandler)]
+        self._waitables = [waitable for waitable in waitables if not isinstance(waitable, EventHandler)]
         self._events_due = True
         context: Any = self._context.handle
         self._held.enter_context(context)
@@ -112,16 +112,16 @@ class SteadyExecutor(SingleThreadedExecutor):
         self._adding = [(getattr(self._wait_set, add), handles[kind]) for kind, (_, add) in _KINDS.items()]
         # what was ready and has been destroyed since is not called any more
         alive = {id(one) for found in self._of.values() for one in found.values()}
-        alive |= {id(one) for one in waitables}
+        alive |= {id(waitable) for waitable in waitables}
         self._ready = deque(one for one in self._ready if id(one[1]) in alive)
 
     def _holding(self, entities: Iterable[Any]) -> Iterator[Any]:
-        for one in entities:
+        for entity in entities:
             try:
-                self._held.enter_context(getattr(one, "handle", one))
+                self._held.enter_context(getattr(entity, "handle", entity))
             except InvalidHandle:  # it is being destroyed
                 continue
-            yield one
+            yield entity
 
     def _release(self) -> None:
         self._held.close()
@@ -132,17 +132,19 @@ class SteadyExecutor(SingleThreadedExecutor):
         wait_set = self._wait_set
         wait_set.clear_entities()
         for add, handles in self._adding:
-            for one in handles:
-                add(one)
+            for handle in handles:
+                add(handle)
         waitables = self._waitables + self._events if self._events_due else self._waitables
-        for one in waitables:
-            one.add_to_wait_set(wait_set)
+        for waitable in waitables:
+            waitable.add_to_wait_set(wait_set)
         wait_set.wait(nanoseconds)
         if self._is_shutdown:
             raise ShutdownException
         if not self._context.ok():
             raise ExternalShutdownException
-        self._ready.extend((self._take_waitable, one) for one in waitables if one.is_ready(wait_set))
+        self._ready.extend(
+            (self._take_waitable, waitable) for waitable in waitables if waitable.is_ready(wait_set)
+        )
         takes: dict[str, _Take] = {
             "timer": self._take_timer,
             "subscription": self._take_subscription,

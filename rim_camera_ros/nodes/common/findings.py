@@ -170,7 +170,7 @@ class _Check:
 
     def holds(self, now: float) -> Level:
         """Return the highest level that is not over."""
-        return max((one for one, at in self.seen.items() if now - at < SETTLED), default=Level.OK)
+        return max((name for name, at in self.seen.items() if now - at < SETTLED), default=Level.OK)
 
 
 class Announcements:

@@ -30,9 +30,9 @@ class Folders:
     """
 
     def __init__(self, text: str, *, given: Iterable[str] = ()) -> None:
-        parts = [one for one in text.split(os.pathsep) if one]
+        parts = [word for word in text.split(os.pathsep) if word]
         home = Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
-        self._folders = [Path(one).resolve() for one in parts] or [home / "rim_camera"]
+        self._folders = [Path(part).resolve() for part in parts] or [home / "rim_camera"]
         self._readable = list(self._folders)
         for name in given:
             path = Path(name)

@@ -82,8 +82,8 @@ class Parameters:
 
     def __init__(self, node: Node, specs: Sequence[Spec]) -> None:
         self._node = node
-        self._specs = {one.name: one for one in specs}
-        self.values: dict[str, Any] = {one.name: one.read(_declare(node, one)) for one in specs}
+        self._specs = {spec.name: spec for spec in specs}
+        self.values: dict[str, Any] = {spec.name: spec.read(_declare(node, spec)) for spec in specs}
         self._staged: tuple[dict[str, Any], Apply] | None = None
         self._renewed = ""
         self._prepare: Prepare | None = None
@@ -91,9 +91,9 @@ class Parameters:
 
     def extend(self, specs: Sequence[Spec]) -> None:
         """Declare further parameters."""
-        for one in specs:
-            self._specs[one.name] = one
-            self.values[one.name] = one.read(_declare(self._node, one))
+        for spec in specs:
+            self._specs[spec.name] = spec
+            self.values[spec.name] = spec.read(_declare(self._node, spec))
 
     def watch(self, prepare: Prepare, *, also: Callable[[Values, Values], Values] | None = None) -> None:
         """Let changes happen from now on. ``also`` gets the values as they would be and the changed ones."""
@@ -127,7 +127,7 @@ class Parameters:
 
     def _complete(self, parameters: list[Parameter]) -> list[Parameter]:
         """Turn whole numbers into those of a number's type, and add what changes with the given ones."""
-        parameters = [self._converted(one) for one in parameters]
+        parameters = [self._converted(parameter) for parameter in parameters]
         given = self._read(parameters)
         if self._also is not None and len(given) == len(parameters):
             for name, value in self._also({**self.values, **given}, self._changed(given)).items():
@@ -137,7 +137,11 @@ class Parameters:
 
     def _read(self, parameters: Sequence[Parameter]) -> dict[str, Any]:
         """Return what parameters mean, those of this object."""
-        known = [(self._specs[one.name], one.value) for one in parameters if one.name in self._specs]
+        known = [
+            (self._specs[parameter.name], parameter.value)
+            for parameter in parameters
+            if parameter.name in self._specs
+        ]
         return {spec.name: spec.read(value) for spec, value in known}
 
     def _changed(self, given: Values) -> dict[str, Any]:

@@ -95,7 +95,10 @@ class Recorder:
             route = self._routes.get(topic) or self._pose_route(topic)
             if route is not None and route[1] in kinds:
                 role, kind = route
-                offers = [one.qos_profile for one in self.node.get_publishers_info_by_topic(topic)]
+                offers = [
+                    topic_endpoint_info.qos_profile
+                    for topic_endpoint_info in self.node.get_publishers_info_by_topic(topic)
+                ]
                 if offers:
                     self._subscribe(role, topic, kind, _suiting(role, offers))
 
@@ -179,8 +182,10 @@ class Recorder:
 
 def _suiting(role: str, offers: list[QoSProfile]) -> QoSProfile:
     """Return the best that all publishers can serve; poses that were published before are requested."""
-    reliable = all(one.reliability == ReliabilityPolicy.RELIABLE for one in offers)
-    kept = role in POSE_ROLES and all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in offers)
+    reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
+    kept = role in POSE_ROLES and all(
+        offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers
+    )
     return QoSProfile(
         depth=_DEPTH,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,

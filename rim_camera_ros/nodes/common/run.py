@@ -85,8 +85,8 @@ def _run(name: str, make: Callable[[], Iterable[Service]], signals: _Signals) ->
             return _failed(name, f"unknown argument {unknown[0]} (parameters: --ros-args -p name:=value)", 2)
         services: list[Service] = []
         try:
-            for one in make():
-                services.append(one)  # one by one: those before one that fails are closed
+            for service in make():
+                services.append(service)  # one by one: those before one that fails are closed
                 if signals.came:
                     break
         except RimError as error:
@@ -105,15 +105,15 @@ def _run(name: str, make: Callable[[], Iterable[Service]], signals: _Signals) ->
 
 def _spin(services: Sequence[Service], signals: _Signals) -> int:
     executor = SteadyExecutor()
-    for one in services:
-        executor.add_node(one.node)
+    for service in services:
+        executor.add_node(service.node)
     # a guard condition of a node counts as work: only work makes spin_once return
     signals.wake = services[0].node.create_guard_condition(lambda: None).trigger
     status = 1  # of an exception, which Python reports
     try:
-        while not signals.came and all(one.status is None for one in services):
+        while not signals.came and all(service.status is None for service in services):
             executor.spin_once()
-        status = max(one.status or 0 for one in services)
+        status = max(service.status or 0 for service in services)
     finally:
         signals.wake = None
         _close(services, executor, status=status)
@@ -125,17 +125,17 @@ def _close(services: Sequence[Service], executor: SteadyExecutor | None = None, 
 
     The process ends with that status `_ENDING` later at the latest.
     """
-    for one in reversed(services):
-        one.close()
+    for service in reversed(services):
+        service.close()
         if executor is not None:
-            executor.remove_node(one.node)
+            executor.remove_node(service.node)
     if executor is not None:
         executor.shutdown(timeout_sec=0)
     for output in (sys.stdout, sys.stderr):
         output.flush()
     end_within(_ENDING, status=status)
-    for one in services:
-        one.node.destroy_node()
+    for service in services:
+        service.node.destroy_node()
 
 
 class _Signals:

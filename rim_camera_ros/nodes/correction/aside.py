@@ -45,10 +45,10 @@ class Aside:
 def take_messages(subscriptions: Iterable[Subscription]) -> bool:
     """Take one message of each subscription, and call its callback; False where there was none."""
     found = False
-    for one in list(subscriptions):
-        with one.handle:  # as rclpy's executor takes them
-            taken = one.handle.take_message(one.msg_type, one.raw)
+    for subscription in list(subscriptions):
+        with subscription.handle:  # as rclpy's executor takes them
+            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
         if taken is not None:
             found = True
-            one.callback(taken[0])
+            subscription.callback(taken[0])
     return found

@@ -66,7 +66,7 @@ class Freshness:
         if self.expired(newest):
             return len(waiting)
         limit = self._limit or self._three_periods()
-        late = any(limit < newest - one.stamp < _JUMP for one in waiting) if limit else False
+        late = any(limit < newest - stamped.stamp < _JUMP for stamped in waiting) if limit else False
         return len(waiting) - 1 if late or len(waiting) > self._values[QUEUE_DEPTH.name] else 0
 
     def expired(self, stamp: int) -> bool:

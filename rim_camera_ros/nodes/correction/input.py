@@ -121,8 +121,8 @@ class MessageInput:
     def end(self) -> None:
         """Take no more messages."""
         self._frames.end()
-        for one in self._from.values():
-            self._receiver.node.destroy_subscription(one)
+        for subscription in self._from.values():
+            self._receiver.node.destroy_subscription(subscription)
         self._from.clear()
 
     def look(self) -> None:

@@ -322,7 +322,7 @@ class CorrectionNode:
             name = values["save_as"] or source.name
             wanted = self._folders.target(name, place="save_as")
             path = self._folders.new(name, place="save_as")
-            effects = {name: one for name, one in self._camera.effects.items() if values[EFFECT + name]}
+            effects = {name: effect for name, effect in self._camera.effects.items() if values[EFFECT + name]}
             minimum = values["minimum_amplitude"]
             off = [f"{EFFECT}{name}." for name in self._camera.effects if name not in effects]
             covariance = self._camera.covariance

@@ -22,7 +22,7 @@ class PublisherWatch:
 
     def __init__(self, node: Node, topics: Iterable[str]) -> None:
         self._node = node
-        self._topics = [node.resolve_topic_name(one) for one in topics]
+        self._topics = [node.resolve_topic_name(topic) for topic in topics]
         self._last: dict[str, _Publishers] = {}
         self._settled: dict[str, _Publishers] = {}
 
@@ -33,8 +33,8 @@ class PublisherWatch:
         self._last = found
         if news:
             self._settled = found
-        finding = Finding(values={topic: _listed(one) for topic, one in self._settled.items()})
-        several = {topic: _listed(one) for topic, one in self._settled.items() if len(one) > 1}
+        finding = Finding(values={topic: _listed(settled) for topic, settled in self._settled.items()})
+        several = {topic: _listed(settled) for topic, settled in self._settled.items() if len(settled) > 1}
         if not several:
             finding.note("one camera at most")
             return finding
@@ -53,8 +53,10 @@ class PublisherWatch:
 
     def _publishers(self, topic: str) -> _Publishers:
         return {
-            bytes(one.endpoint_gid): f"{one.node_namespace.rstrip('/')}/{one.node_name}"
-            for one in self._node.get_publishers_info_by_topic(topic)
+            bytes(
+                topic_endpoint_info.endpoint_gid
+            ): f"{topic_endpoint_info.node_namespace.rstrip('/')}/{topic_endpoint_info.node_name}"
+            for topic_endpoint_info in self._node.get_publishers_info_by_topic(topic)
         }
 
 

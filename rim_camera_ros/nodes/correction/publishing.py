@@ -63,13 +63,13 @@ class CorrectedPublishers:
 
     def wait_until_received(self, seconds: float) -> None:
         """Wait until reliable subscribers have received everything, at most so long for each topic."""
-        for one in self._of.values():
-            one.wait_for_all_acked(Duration(seconds=seconds))
+        for publisher in self._of.values():
+            publisher.wait_for_all_acked(Duration(seconds=seconds))
 
     def destroy(self) -> None:
         """Take the topics back."""
-        for one in self._of.values():
-            self._node.destroy_publisher(one)
+        for publisher in self._of.values():
+            self._node.destroy_publisher(publisher)
 
     def publish(
         self, correction: FrameCorrection, frame: RawFrame, frame_id: str, *, whole: bool
@@ -78,7 +78,7 @@ class CorrectedPublishers:
 
         ``whole``: correct it in any case, and return it with sigma and flags.
         """
-        wanted = {role for role, one in self._of.items() if one.get_subscription_count() > 0}
+        wanted = {role for role, publisher in self._of.items() if publisher.get_subscription_count() > 0}
         handed = self._clouds.wanted
         if not wanted and not whole and not handed:
             return None

@@ -183,7 +183,7 @@ class CorrectionStatus:
         """Return by which camera file is corrected, and whether it holds for the camera as it runs."""
         camera, provenance = self._camera, self._camera.provenance
         finding = Finding(values={"file": self._file, "device": camera.device})
-        finding.values["effects"] = " ".join(one for one in camera.effects if one not in self._off)
+        finding.values["effects"] = " ".join(effect for effect in camera.effects if effect not in self._off)
         finding.values["switched_off"] = " ".join(sorted(self._off))
         if "fitted_by" in provenance:
             finding.values["fitted_by"] = " ".join(str(provenance["fitted_by"]).split())[:200]

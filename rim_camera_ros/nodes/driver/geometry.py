@@ -50,7 +50,7 @@ def with_geometry(camera: Camera, message: Any) -> Camera:
 def _without_optics(camera: Camera) -> Any:
     """Return the covariance, or None where it is of the geometry that is replaced."""
     covariance = camera.covariance
-    if covariance is not None and any(one.startswith("optics.") for one in covariance.parameters):
+    if covariance is not None and any(parameter.startswith("optics.") for parameter in covariance.parameters):
         return None
     return covariance
 

@@ -143,7 +143,7 @@ SPECS = (
 )
 
 #: Parameters that describe the published transform.
-MOUNT = frozenset(one.name for one in SPECS if one.name.startswith("mount.")) | {"base_frame", "frame_id"}
+MOUNT = frozenset(spec.name for spec in SPECS if spec.name.startswith("mount.")) | {"base_frame", "frame_id"}
 #: Parameters that can be changed while a device runs; the others that describe it open another device.
 _WHILE_RUNNING = {
     "frame_rate",
@@ -155,9 +155,9 @@ _WHILE_RUNNING = {
     "pause",
     "playback_rate",
 }
-RESTARTING = frozenset(one.name for one in fields(Source)) - _WHILE_RUNNING
+RESTARTING = frozenset(field.name for field in fields(Source)) - _WHILE_RUNNING
 
 
 def source_of(values: Values) -> Source:
     """Return the source of frames that parameters describe; it is not opened and hardly checked."""
-    return Source(**{one.name: values[one.name] for one in fields(Source)})
+    return Source(**{field.name: values[field.name] for field in fields(Source)})

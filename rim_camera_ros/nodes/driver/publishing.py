@@ -55,8 +55,8 @@ class FramePublishers:
     def destroy(self) -> None:
         """Take the topics back."""
         clock = [] if self._clock is None else [self._clock]
-        for one in (*self._of.values(), *(made for made, _ in self._poses.values()), *clock):
-            self._node.destroy_publisher(one)
+        for publisher in (*self._of.values(), *(made for made, _ in self._poses.values()), *clock):
+            self._node.destroy_publisher(publisher)
 
     def listeners(self) -> int:
         """Return the number of subscribers that each of the images and frame_info has at least."""
@@ -66,8 +66,8 @@ class FramePublishers:
         """Wait until reliable subscribers have received everything, at most so long for each topic."""
         from rclpy.duration import Duration
 
-        for one in self._of.values():
-            one.wait_for_all_acked(Duration(seconds=seconds))
+        for publisher in self._of.values():
+            publisher.wait_for_all_acked(Duration(seconds=seconds))
 
     def geometry_of(self, frame: RawFrame) -> Intrinsics | None:
         """Return what camera_info states of a frame, None where nothing fits its size."""

@@ -31,9 +31,9 @@ def markers(
     Hidden people are pale. ``trail`` [s]: length of the line.
     """
     result = MarkerArray()
-    for one in people:
-        result.markers += [_body(one, ground, head), _number(one, ground, head)]
-        result.markers.append(_trail(one, ground, head, trail))
+    for person in people:
+        result.markers += [_body(person, ground, head), _number(person, ground, head)]
+        result.markers.append(_trail(person, ground, head, trail))
     for identity in gone:
         for space in (BODY, NUMBER, TRAIL):
             result.markers.append(Marker(header=head, ns=space, id=identity, action=Marker.DELETE))
@@ -45,10 +45,12 @@ def cleared() -> MarkerArray:
     return MarkerArray(markers=[Marker(action=Marker.DELETEALL)])
 
 
-def _marker(one: Track, space: str, kind: int, head: Header) -> Marker:
-    red, green, blue = colorsys.hsv_to_rgb(one.identity * _GOLDEN % 1.0, 0.8, 1.0)
-    result = Marker(header=head, ns=space, id=one.identity, type=kind, action=Marker.ADD, lifetime=_LIFETIME)
-    result.color = ColorRGBA(r=red, g=green, b=blue, a=0.3 if one.hidden else 0.8)
+def _marker(person: Track, space: str, kind: int, head: Header) -> Marker:
+    red, green, blue = colorsys.hsv_to_rgb(person.identity * _GOLDEN % 1.0, 0.8, 1.0)
+    result = Marker(
+        header=head, ns=space, id=person.identity, type=kind, action=Marker.ADD, lifetime=_LIFETIME
+    )
+    result.color = ColorRGBA(r=red, g=green, b=blue, a=0.3 if person.hidden else 0.8)
     result.pose.orientation.w = 1.0
     return result
 
@@ -58,28 +60,30 @@ def _point(ground: Ground, x: float, y: float, z: float) -> Point:
     return Point(x=float(x), y=float(y), z=float(z))
 
 
-def _body(one: Track, ground: Ground, head: Header) -> Marker:
-    result = _marker(one, BODY, Marker.CYLINDER, head)
-    x, y = (float(value) for value in one.position)
-    result.pose.position = _point(ground, x, y, one.top / 2)
+def _body(person: Track, ground: Ground, head: Header) -> Marker:
+    result = _marker(person, BODY, Marker.CYLINDER, head)
+    x, y = (float(value) for value in person.position)
+    result.pose.position = _point(ground, x, y, person.top / 2)
     turn = result.pose.orientation
     turn.x, turn.y, turn.z, turn.w = (float(q) for q in ground.rotation.inv().as_quat())
     result.scale.x = result.scale.y = _DIAMETER
-    result.scale.z = one.top
+    result.scale.z = person.top
     return result
 
 
-def _number(one: Track, ground: Ground, head: Header) -> Marker:
-    result = _marker(one, NUMBER, Marker.TEXT_VIEW_FACING, head)
-    x, y = (float(value) for value in one.position)
-    result.pose.position = _point(ground, x, y, one.top + _LETTERS)
+def _number(person: Track, ground: Ground, head: Header) -> Marker:
+    result = _marker(person, NUMBER, Marker.TEXT_VIEW_FACING, head)
+    x, y = (float(value) for value in person.position)
+    result.pose.position = _point(ground, x, y, person.top + _LETTERS)
     result.scale.z = _LETTERS
-    result.text = str(one.identity)
+    result.text = str(person.identity)
     return result
 
 
-def _trail(one: Track, ground: Ground, head: Header, seconds: float) -> Marker:
-    result = _marker(one, TRAIL, Marker.LINE_STRIP, head)
+def _trail(person: Track, ground: Ground, head: Header, seconds: float) -> Marker:
+    result = _marker(person, TRAIL, Marker.LINE_STRIP, head)
     result.scale.x = _LINE
-    result.points = [_point(ground, x, y, 0.0) for time, x, y in one.trail if time >= one.time - seconds]
+    result.points = [
+        _point(ground, x, y, 0.0) for time, x, y in person.trail if time >= person.time - seconds
+    ]
     return result

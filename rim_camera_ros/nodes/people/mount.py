@@ -81,8 +81,8 @@ class MountOf:
             self._changed()
 
 
-def _differ(one: Ground, other: Ground) -> bool:
+def _differ(ground: Ground, other: Ground) -> bool:
     return (
-        abs(one.height - other.height) > _SAME_HEIGHT
-        or max(abs(one.roll - other.roll), abs(one.pitch - other.pitch)) > _SAME_ANGLE
+        abs(ground.height - other.height) > _SAME_HEIGHT
+        or max(abs(ground.roll - other.roll), abs(ground.pitch - other.pitch)) > _SAME_ANGLE
     )

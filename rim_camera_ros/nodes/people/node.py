@@ -111,8 +111,8 @@ class PeopleNode:
         """Take no more frames and take the markers away."""
         if self._clouds is not None:
             self._clouds.end()
-        for one in self._from.values():
-            self.node.destroy_subscription(one)
+        for subscription in self._from.values():
+            self.node.destroy_subscription(subscription)
         self._from.clear()
         self._shown.clear()
         if self._to is not None:
@@ -161,7 +161,7 @@ class PeopleNode:
         begun = time.monotonic()
         self._mount.seen_from(head.frame_id)
         people = self._tracker.take(points, sigma, stamp=stamp)
-        here = {one.identity for one in people}
+        here = {person.identity for person in people}
         gone = sorted(self._shown - here)
         self._shown = here
         if self._to is not None and (people or gone):
@@ -172,7 +172,9 @@ class PeopleNode:
     def _look_at_frames(self) -> Any:
         self._status.phase = self.node.phase
         silent = [
-            one.topic_name for one in self._from.values() if self.node.count_publishers(one.topic_name) == 0
+            subscription.topic_name
+            for subscription in self._from.values()
+            if self.node.count_publishers(subscription.topic_name) == 0
         ]
         dropped = self._pairing.dropped if self._clouds is None else self._clouds.dropped
         return self._status.frames(dropped, " and ".join(silent))

@@ -61,7 +61,7 @@ class PeopleStatus:
         people = tracker.people
         finding.values = {
             "people": str(len(people)),
-            "hidden": str(sum(one.hidden for one in people)),
+            "hidden": str(sum(person.hidden for person in people)),
             "moving_share": f"{tracker.moving:.4f}",
             "missing_background_frames": str(tracker.missing_frames),
         }

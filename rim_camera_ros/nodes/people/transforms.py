@@ -32,8 +32,8 @@ class Transforms:
         if wanted == bool(self._from):
             return
         if not wanted:
-            for one in self._from:
-                self._node.destroy_subscription(one)
+            for subscription in self._from:
+                self._node.destroy_subscription(subscription)
             self._from, self.tree = [], TransformTree()
             return
         message = transform_message()
@@ -49,11 +49,11 @@ class Transforms:
             self._from.append(self._node.create_subscription(message, topic, self._take, profile))
 
     def _take(self, message: Any) -> None:
-        for one in message.transforms:
-            move, turn = one.transform.translation, one.transform.rotation
+        for transform in message.transforms:
+            move, turn = transform.transform.translation, transform.transform.rotation
             self.tree.add(
-                one.header.frame_id,
-                one.child_frame_id,
+                transform.header.frame_id,
+                transform.child_frame_id,
                 position=(move.x, move.y, move.z),
                 quaternion=(turn.x, turn.y, turn.z, turn.w),
             )

@@ -24,11 +24,11 @@ _GAIN = (
 )
 
 
-def _with_share(one: Ranked) -> str:
-    label = words.label_of(one.effect)
-    if one.identifiability is None or one.identifiability > _PLAIN:
+def _with_share(rival: Ranked) -> str:
+    label = words.label_of(rival.effect)
+    if rival.identifiability is None or rival.identifiability > _PLAIN:
         return label
-    return f"{label} ({one.identifiability:.1%})"
+    return f"{label} ({rival.identifiability:.1%})"
 
 
 def ranking(result: Diagnosis) -> list[Part]:
@@ -39,10 +39,10 @@ def ranking(result: Diagnosis) -> list[Part]:
     from rim_camera_ros.reports.diagnosis import figures
 
     step = result.final
-    found = {one.effect for one in result.found}
+    found = {finding.effect for finding in result.found}
     rows: list[Row] = [
-        (f"{words.label_of(one.effect)}: named {_order(i)}", one.gain, None, "named")
-        for i, one in enumerate(result.found)
+        (f"{words.label_of(finding.effect)}: named {_order(i)}", finding.gain, None, "named")
+        for i, finding in enumerate(result.found)
     ]
     rest: list[Row] = [
         (words.label_of(effect), float(step.gains[k]), float(step.thresholds[k]), "other")
@@ -92,13 +92,13 @@ def _alone(result: Diagnosis) -> list[Part]:
 
     step = result.baseline
     own = {effect: float(step.thresholds[k]) for effect, k in step.best().items() if step.thresholds.size}
-    named = {one.effect for one in result.missing}
+    named = {effect.effect for effect in result.missing}
     rows: list[Row] = [
-        (_with_share(one), one.gain, own.get(one.effect), "named" if one.effect in named else "other")
-        for one in result.ranking
+        (_with_share(rival), rival.gain, own.get(rival.effect), "named" if rival.effect in named else "other")
+        for rival in result.ranking
     ]
     smooth = _smooth(step)
-    dependent = {c for one in result.missing if one.effect == UNKNOWN for c in one.covariates}
+    dependent = {c for effect in result.missing if effect.effect == UNKNOWN for c in effect.covariates}
     for gain, variant, threshold in smooth:
         kind = "named" if dependent and set(variant.split(",")) <= dependent else "smooth"
         rows.append((_smooth_label(variant), gain, threshold, kind))

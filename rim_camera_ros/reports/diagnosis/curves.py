@@ -115,7 +115,7 @@ def _drawn(
 def _closed_form(
     result: Diagnosis, bins: Bins, reach: Array, factor: float
 ) -> tuple[tuple[str, Array, Array], ...]:
-    formula = next((one.formula for one in result.missing if one.formula), None)
+    formula = next((effect.formula for effect in result.missing if effect.formula), None)
     if formula is None:
         return ()
     x = np.linspace(reach.min(), reach.max(), 200)

@@ -137,11 +137,11 @@ def evidence(result: Diagnosis) -> Evidence:
     pairs = zip(before.predictions(), predictions, strict=True) if moved else ((p, p) for p in predictions)
     # a station keeps its images in single precision: all of them are in memory
     for old, new in pairs:
-        one = _compared(old, new, fitted, named, start)
-        pixels = np.flatnonzero(np.isfinite(one.after).ravel())
+        comparison = _compared(old, new, fitted, named, start)
+        pixels = np.flatnonzero(np.isfinite(comparison.after).ravel())
         drawn.append(rng.choice(pixels, min(_SAMPLE, pixels.size), replace=False))
         _collect(new, drawn[-1], covariates)
-        stations.append(one)
+        stations.append(comparison)
         kept.append(new.station)
         if result.verdict == "inconsistent_setup":
             pictures.append(_as_set_up(new))
@@ -150,21 +150,21 @@ def evidence(result: Diagnosis) -> Evidence:
         known = {name: full_covariate(name, x, result.step) for name, x in samples.covariates.items()}
         samples = replace(samples, covariates=known)
     _centre(stations, shape)
-    after = np.stack([one.after / one.sigma for one in stations])
-    without = np.stack([(one.after + one.change) / one.sigma for one in stations])
+    after = np.stack([station.after / station.sigma for station in stations])
+    without = np.stack([(station.after + station.change) / station.sigma for station in stations])
     return Evidence(
-        times=np.array([one.time for one in kept]),
-        poses=np.array([one.pose for one in kept]),
-        placements=[(one.recording, one.placed) for one in kept],
+        times=np.array([station.time for station in kept]),
+        poses=np.array([station.pose for station in kept]),
+        placements=[(station.recording, station.placed) for station in kept],
         chi_before=_chi(without) if moved else None,
         chi_after=_chi(after),
         strength=_strength(stations) if moved else None,
         rms_before=_rms(without) if moved else None,
         rms_after=_rms(after),
-        brightness_before=_mean([one.brightness + one.brightness_part for one in stations])
+        brightness_before=_mean([station.brightness + station.brightness_part for station in stations])
         if moved
         else None,
-        brightness_after=_mean([one.brightness for one in stations]),
+        brightness_after=_mean([station.brightness for station in stations]),
         samples=samples,
         changed=named,
         image=_image(stations, kept) if moved else None,
@@ -197,8 +197,8 @@ def better_fit(result: Diagnosis) -> Fit:
 def changed_effects(result: Diagnosis) -> tuple[str, ...]:
     """Return the effects whose contribution is shown, by their names in the improved camera."""
     present = set(result.model.effects) | set(OPTICS) | OF_SURFACES
-    missing = [CovariateTable.name if one.modelled else one.effect for one in result.missing]
-    names = missing or [one.effect for one in result.adjusted]
+    missing = [CovariateTable.name if effect.modelled else effect.effect for effect in result.missing]
+    names = missing or [term.effect for term in result.adjusted]
     return tuple(name for name in names if name in present)
 
 
@@ -252,21 +252,21 @@ def _centre(stations: list[_Compared], shape: tuple[int, int]) -> None:
 
     def mean(of: Callable[[_Compared], Array]) -> Array:
         total, norm = np.zeros(shape), np.zeros(shape)
-        for one in stations:
-            values = of(one)
+        for station in stations:
+            values = of(station)
             valid = np.isfinite(values)
-            weight = 1.0 / one.sigma[valid].astype(float) ** 2
+            weight = 1.0 / station.sigma[valid].astype(float) ** 2
             total[valid] += weight * values[valid]
             norm[valid] += weight
         return np.divide(total, norm, out=np.zeros(shape), where=norm > 0).astype(np.float32)
 
     names = stations[0].parts if stations else {}
-    change = mean(lambda one: one.change)
+    change = mean(lambda comparison: comparison.change)
     parts = {name: mean(lambda one, name=name: one.parts[name]) for name in names}  # type: ignore[misc]
-    for one in stations:
-        one.change -= change
+    for station in stations:
+        station.change -= change
         for name in names:
-            one.parts[name] = one.parts[name] - parts[name]
+            station.parts[name] = station.parts[name] - parts[name]
 
 
 def _chi(z: Array) -> Array:
@@ -288,15 +288,17 @@ def _mean(images: Sequence[Array]) -> Array:
     return np.asarray(np.nansum(stack, axis=0) / np.where(count >= max(2, len(stack) // 8), count, np.nan))
 
 
-def _found(one: _Compared) -> Array:
+def _found(comparison: _Compared) -> Array:
     """Return what the effects add to distances [m]; by way of amplitudes alone, all that changed."""
-    return np.asarray(np.sum(list(one.parts.values()), axis=0)) if one.parts else one.change
+    return (
+        np.asarray(np.sum(list(comparison.parts.values()), axis=0)) if comparison.parts else comparison.change
+    )
 
 
 def _strength(stations: Sequence[_Compared]) -> Array:
     result = []
-    for one in stations:
-        values = _found(one)
+    for station in stations:
+        values = _found(station)
         known = values[np.isfinite(values)]
         result.append(float(np.sqrt(np.mean(known**2))) if known.size else np.nan)
     return np.array(result)
@@ -309,25 +311,25 @@ def _samples(
     covariates: Mapping[str, Sequence[Array]],
 ) -> Samples:
     def together(of: Callable[[_Compared], Array]) -> Array:
-        parts = [of(one).ravel()[pixels] for one, pixels in zip(stations, drawn, strict=True)]
+        parts = [of(station).ravel()[pixels] for station, pixels in zip(stations, drawn, strict=True)]
         return np.concatenate(parts).astype(float) if parts else np.zeros(0)
 
     sizes = [len(pixels) for pixels in drawn]
-    settings = [one.settings.integration_time for one in kept]
+    settings = [station.settings.integration_time for station in kept]
     names = stations[0].parts if stations else {}
-    weight = together(lambda one: one.sigma) ** -2
+    weight = together(lambda comparison: comparison.sigma) ** -2
 
     def centred(values: Array) -> Array:
         return np.asarray(values - np.average(values, weights=weight)) if values.size else values
 
     return Samples(
         station=np.repeat(np.arange(len(sizes)), sizes),
-        setting=np.repeat([np.nan if one is None else one for one in settings], sizes),
+        setting=np.repeat([np.nan if setting is None else setting for setting in settings], sizes),
         weight=weight,
-        after=together(lambda one: one.after),
+        after=together(lambda comparison: comparison.after),
         parts={name: centred(together(lambda one, name=name: one.parts[name])) for name in names},  # type: ignore[misc]
-        brightness=together(lambda one: one.brightness),
-        brightness_part=together(lambda one: one.brightness_part),
+        brightness=together(lambda comparison: comparison.brightness),
+        brightness_part=together(lambda comparison: comparison.brightness_part),
         covariates={name: np.concatenate(parts) for name, parts in covariates.items()},
     )
 
@@ -335,8 +337,8 @@ def _samples(
 def _image(stations: Sequence[_Compared], kept: Sequence[Station]) -> PoseImage | None:
     """Return the station at which the effects stand out most from pixel to pixel."""
     best: tuple[float, int] | None = None
-    for number, one in enumerate(stations):
-        z = _found(one) / one.sigma
+    for number, comparison in enumerate(stations):
+        z = _found(comparison) / comparison.sigma
         known = z[np.isfinite(z)]
         if known.size > 0.2 * z.size:
             energy = float(np.var(known) * known.size)
@@ -344,10 +346,10 @@ def _image(stations: Sequence[_Compared], kept: Sequence[Station]) -> PoseImage 
                 best = (energy, number)
     if best is None:
         return None
-    one, station = stations[best[1]], kept[best[1]]
-    part = _found(one)
+    comparison, station = stations[best[1]], kept[best[1]]
+    part = _found(comparison)
     amplitude = np.where(station.count > 0, station.amplitude, np.nan)
-    without, after = (one.after + part) / one.sigma, one.after / one.sigma
+    without, after = (comparison.after + part) / comparison.sigma, comparison.after / comparison.sigma
     return PoseImage(station.pose, station.time, amplitude, without, after, part)
 
 

@@ -195,8 +195,8 @@ def telling(items: Sequence[Telling]) -> bytes:
     def draw(figure: Any) -> None:
         axes = np.ravel(figure.subplots(rows, columns, squeeze=False))
         handles: dict[str, Any] = {}
-        for axis, one in zip(axes, items, strict=False):
-            _draw_telling(axis, one)
+        for axis, experiment in zip(axes, items, strict=False):
+            _draw_telling(axis, experiment)
             for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
                 handles.setdefault(label, handle)
         for axis in axes[len(items) :]:
@@ -206,33 +206,33 @@ def telling(items: Sequence[Telling]) -> bytes:
     return svg((width * columns, 0.35 + (2.9 if columns < 3 else 2.6) * rows), draw)
 
 
-def _draw_telling(axis: Any, one: Telling) -> None:
-    without, after, effect = one.bins.means
-    width = 1.96 * one.bins.errors[1]
-    if one.band:
+def _draw_telling(axis: Any, experiment: Telling) -> None:
+    without, after, effect = experiment.bins.means
+    width = 1.96 * experiment.bins.errors[1]
+    if experiment.band:
         axis.fill_between(
-            one.bins.x, effect - width, effect + width, color=GREY, alpha=0.25, lw=0, label="95 %"
+            experiment.bins.x, effect - width, effect + width, color=GREY, alpha=0.25, lw=0, label="95 %"
         )
     axis.axhline(0.0, color="#9aa5b1", lw=0.8)
-    dashes = {"ls": "none", "marker": "_", "ms": 14, "mew": 2} if one.discrete else {"lw": 1.6}
-    if one.diagonal:
-        reach = [float(one.bins.x.min()), float(one.bins.x.max())]
+    dashes = {"ls": "none", "marker": "_", "ms": 14, "mew": 2} if experiment.discrete else {"lw": 1.6}
+    if experiment.diagonal:
+        reach = [float(experiment.bins.x.min()), float(experiment.bins.x.max())]
         axis.plot(reach, reach, color=INK, lw=1.6, label="the effect as modelled")
     else:
-        axis.plot(*one.effect, color=INK, label="the effect as modelled", **dashes)
-    for label, x, y in one.lines:
+        axis.plot(*experiment.effect, color=INK, label="the effect as modelled", **dashes)
+    for label, x, y in experiment.lines:
         axis.plot(x, y, color="#7a4f9a", lw=1.2, ls=(0, (5, 2)), label=label)
     # what the effect adds is known: both means are as uncertain as the residual
     bars = {"yerr": width, "fmt": "o", "ms": 3.6, "lw": 1.1, "capsize": 0}
-    axis.errorbar(one.bins.x, without, color=BEFORE, label="recording - simulation without it", **bars)
-    axis.errorbar(one.bins.x, after, color=AFTER, label="with it", **bars)
-    axis.set(title=textwrap.fill(one.title, 42), xlabel=one.x, ylabel=one.y)
-    if one.log:
+    axis.errorbar(experiment.bins.x, without, color=BEFORE, label="recording - simulation without it", **bars)
+    axis.errorbar(experiment.bins.x, after, color=AFTER, label="with it", **bars)
+    axis.set(title=textwrap.fill(experiment.title, 42), xlabel=experiment.x, ylabel=experiment.y)
+    if experiment.log:
         _logarithmic(axis)
-    if one.discrete:
-        axis.set_xticks(one.bins.x, [f"{x:g}" for x in one.bins.x])
-        span = max(float(np.ptp(one.bins.x)), 1.0)
-        axis.set_xlim(one.bins.x.min() - 0.15 * span, one.bins.x.max() + 0.15 * span)
+    if experiment.discrete:
+        axis.set_xticks(experiment.bins.x, [f"{x:g}" for x in experiment.bins.x])
+        span = max(float(np.ptp(experiment.bins.x)), 1.0)
+        axis.set_xlim(experiment.bins.x.min() - 0.15 * span, experiment.bins.x.max() + 0.15 * span)
 
 
 def _logarithmic(axis: Any) -> None:
@@ -306,9 +306,17 @@ def variance(result: Diagnosis) -> bytes:
     def draw(figure: Any) -> None:
         axis = figure.subplots()
         axis.axhline(1.0, color=GREY, lw=0.9, ls=(0, (4, 3)))
-        x = [one.amplitude for one in bins]
-        y = [one.ratio for one in bins]
-        axis.errorbar(x, y, yerr=[1.96 * one.sigma for one in bins], fmt="o", ms=4, lw=1.2, color=BEFORE)
+        x = [variance_bin.amplitude for variance_bin in bins]
+        y = [variance_bin.ratio for variance_bin in bins]
+        axis.errorbar(
+            x,
+            y,
+            yerr=[1.96 * variance_bin.sigma for variance_bin in bins],
+            fmt="o",
+            ms=4,
+            lw=1.2,
+            color=BEFORE,
+        )
         _logarithmic(axis)
         reach = max(0.1, 1.25 * max(abs(v - 1) for v in y))
         axis.set_ylim(1 - reach, 1 + reach)

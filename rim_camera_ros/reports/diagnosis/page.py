@@ -62,8 +62,8 @@ def page(result: Diagnosis, *, recording: str, camera: str, scene: str) -> str:
         named=bool(result.missing),
         moved=found.chi_before is not None,
         missing=[
-            *(part for one in result.missing for part in _missing(one, result)),
-            *([Text(_OF_INTERVALS)] if any(one.distance_sigma for one in result.missing) else []),
+            *(part for effect in result.missing for part in _missing(effect, result)),
+            *([Text(_OF_INTERVALS)] if any(effect.distance_sigma for effect in result.missing) else []),
         ],
         further=_further(result),
         better=_improved(result) and not result.accuracy.got_worse,
@@ -101,12 +101,12 @@ def _cards(result: Diagnosis) -> list[Card]:
     beside = "beside what is smooth in each pose; " if smooth else ""
     cards = [Card(rms, label), Card(left, f"unexplained at {whose} ({beside}{before})", mood)]
     sizes = [
-        one.magnitude
-        for one in result.missing
-        if one.magnitude is not None and _shows_in(one.effect) != "amplitude"
+        effect.magnitude
+        for effect in result.missing
+        if effect.magnitude is not None and _shows_in(effect.effect) != "amplitude"
     ]
     if sizes:
-        unknown = any(one.effect == UNKNOWN for one in result.missing)
+        unknown = any(effect.effect == UNKNOWN for effect in result.missing)
         sign = "±" if unknown else "up to "
         rest = "" if unknown else " (99 % of the pixel values are moved less)"
         cards.append(Card(sign + millimetres(max(sizes)), f"size of what is missing{rest}"))
@@ -131,16 +131,15 @@ def _shows_in(effect: str) -> str | None:
     return None if known is None else known.shows_in
 
 
-def _evidence_words(one: Missing, result: Diagnosis) -> str:
+def _evidence_words(effect: Missing, result: Diagnosis) -> str:
     """Return how sure an effect is: the first by its probability, further ones by their gain beside it."""
     order = [found.effect for found in result.found]
-    if _shows_in(one.effect) in ("noise", "frames") and one.effect not in order:
+    if _shows_in(effect.effect) in ("noise", "frames") and effect.effect not in order:
         return "This follows from repeated frames."
-    number = order.index(one.effect) if one.effect in order else 0
+    number = order.index(effect.effect) if effect.effect in order else 0
     if number == 0:
-        return (
-            f"Probability {words.probability(one.probability)}, among the effects of the vocabulary and none."
-        )
+        probability = words.probability(effect.probability)
+        return f"Probability {probability}, among the effects of the vocabulary and none."
     gain, before = result.found[number].gain, joined(order[:number])
     if gain == result.found[number - 1].gain:
         other = result.found[number - 1].effect
@@ -148,13 +147,13 @@ def _evidence_words(one: Missing, result: Diagnosis) -> str:
     return f"Found after {before}: it gains {gain:,.0f} nats more on held-out poses."
 
 
-def _missing(one: Missing, result: Diagnosis) -> list[Part]:
-    heading = Heading(words.label_of(one.effect))
-    if one.effect == UNKNOWN:
-        return [heading, *_unknown(one, result)]
-    sentence = one.sentence[:1].upper() + one.sentence[1:]
-    parts: list[Part] = [heading, Text(f"{sentence}. {_evidence_words(one, result)}")]
-    rows = words.parameter_rows(one, result.camera)
+def _missing(effect: Missing, result: Diagnosis) -> list[Part]:
+    heading = Heading(words.label_of(effect.effect))
+    if effect.effect == UNKNOWN:
+        return [heading, *_unknown(effect, result)]
+    sentence = effect.sentence[:1].upper() + effect.sentence[1:]
+    parts: list[Part] = [heading, Text(f"{sentence}. {_evidence_words(effect, result)}")]
+    rows = words.parameter_rows(effect, result.camera)
     if rows:
         headings = ["parameter", "value", "95 % from", "to", "unit", "meaning"]
         parts.append(Table(headings, rows, numbers=(1, 2, 3)))
@@ -188,18 +187,18 @@ def _further(result: Diagnosis) -> list[Part]:
     return parts
 
 
-def _unknown(one: Missing, result: Diagnosis) -> list[Part]:
-    sentence = one.sentence.partition("; described by")[0]
+def _unknown(effect: Missing, result: Diagnosis) -> list[Part]:
+    sentence = effect.sentence.partition("; described by")[0]
     parts: list[Part] = [Text(f"{sentence[:1].upper()}{sentence[1:]}.")]
-    if one.formula:
+    if effect.formula:
         parts.append(
             Text(
-                f"Closed form that describes it best: {words.formula_words(one.formula)}. Its constant "
+                f"Closed form that describes it best: {words.formula_words(effect.formula)}. Its constant "
                 "cannot be told from the fixed pattern."
             )
         )
     known = effect_of(result.camera, CovariateTable)
-    table = known if one.modelled else None
+    table = known if effect.modelled else None
     if table is not None and len(table.covariates) == 2:
         from rim_camera_ros.reports.diagnosis.maps import surface
 

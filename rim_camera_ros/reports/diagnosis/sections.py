@@ -39,7 +39,8 @@ def curves(result: Diagnosis, found: Evidence) -> list[Part]:
         f"Without the effect the differences follow its curve, with it {_left(result)}. Each effect is "
         f"shown with all others in place, less its mean. {_AS_IF}"
     )
-    alt = f"Differences with and without {joined([one.title for one in items])}, over {items[0].x}"
+    titles = joined([experiment.title for experiment in items])
+    alt = f"Differences with and without {titles}, over {items[0].x}"
     return [Figure(telling(items), alt, caption)]
 
 
@@ -69,7 +70,9 @@ def where(result: Diagnosis, found: Evidence) -> list[Part]:
             listed = joined([f"{words.plain_name(n)} ({percent(s)})" for n, s in result.where.covariates])
             caption += f"; of its variance follow {listed}"
         caption += ". "
-        if any(vocabulary()[one.effect].at_edges for one in result.missing if one.effect in vocabulary()):
+        if any(
+            vocabulary()[effect.effect].at_edges for effect in result.missing if effect.effect in vocabulary()
+        ):
             caption += "Mixed pixels count as they measure, between the surfaces beside them. "
     caption += (
         "Differences of distances between recording and simulation: RMS over the poses in standard "

@@ -87,20 +87,20 @@ def verdict(result: Diagnosis) -> str:
             reason = (result.reason or "the recording contradicts the scene").rstrip(".")
             return f"Recording, scene and camera file do not belong together: {reason}."
         case "wrong_parameters":
-            names = joined([label_of(one.effect) for one in result.adjusted]) or "known effects"
+            names = joined([label_of(term.effect) for term in result.adjusted]) or "known effects"
             return f"No physics is missing, but the camera file has wrong parameters: {names}."
         case "unknown_physics":
-            found = [one for one in result.missing if one.effect == UNKNOWN]
-            names = joined([plain_name(c) for one in found for c in one.covariates])
+            found = [effect for effect in result.missing if effect.effect == UNKNOWN]
+            names = joined([plain_name(c) for effect in found for c in effect.covariates])
             if not names:
                 return "This recording differs from its simulation in a way that no known effect explains."
             return f"Distances depend on {names} in a way that no known effect explains."
     tied = {name for names in result.indistinguishable for name in names}
-    sure = [label_of(one.effect) for one in result.missing if one.effect not in tied]
+    sure = [label_of(effect.effect) for effect in result.missing if effect.effect not in tied]
     unsure = [
         f"one of {joined([label_of(n) for n in names], 'or')} (this recording cannot tell which)"
         for names in result.indistinguishable
-        if any(one.effect in names for one in result.missing)
+        if any(effect.effect in names for effect in result.missing)
     ]
     return f"The simulation lacks {joined([*sure, *unsure])}."
 
@@ -145,15 +145,15 @@ def chi(value: float) -> str:
     return f"{value:.3f}" if value < 100 else f"{value:,.0f}"
 
 
-def parameter_rows(one: Missing, camera: Camera) -> list[list[str]]:
+def parameter_rows(effect: Missing, camera: Camera) -> list[list[str]]:
     """Return rows of parameter, value, lower and upper end of the 95 % interval, unit, meaning."""
     rows = []
-    for path, value in one.parameters.items():
-        unit, meaning = described(camera, one.effect, path)
-        interval = one.interval.get(path)
+    for path, value in effect.parameters.items():
+        unit, meaning = described(camera, effect.effect, path)
+        interval = effect.interval.get(path)
         factor, unit = (1e3, "mm") if unit == "m" else (1.0, unit)
         if interval is None:
-            kept = _said(meaning, "not fitted") if one.interval else meaning
+            kept = _said(meaning, "not fitted") if effect.interval else meaning
             rows.append([path, rounded(value * factor), "-", "-", unit, kept])
             continue
         low, high = interval[0] * factor, interval[1] * factor
@@ -204,7 +204,7 @@ def described(camera: Camera, owner: str, path: str) -> tuple[str, str]:
         part = parts.pop(0)
         if is_dataclass(value):
             metadata: Mapping[str, Any] = next(
-                (one.metadata for one in fields(value) if one.name == part), {}
+                (field.metadata for field in fields(value) if field.name == part), {}
             )
             unit, meaning = metadata.get("unit", ""), metadata.get("doc", "")
             value = getattr(value, part, None)
@@ -234,12 +234,12 @@ def _member(text: str, number: int, count: int) -> str:
 def adjusted_rows(result: Diagnosis) -> list[list[str]]:
     """Return rows of known terms that moved: parameter, before, after, unit; effects as headings."""
     rows: list[list[str]] = []
-    for one in result.adjusted:
-        rows.append([label_of(one.effect)])
-        for path, before in one.before.items():
-            unit, _ = described(result.camera, one.effect, path)
+    for term in result.adjusted:
+        rows.append([label_of(term.effect)])
+        for path, before in term.before.items():
+            unit, _ = described(result.camera, term.effect, path)
             factor, unit = (1e3, "mm") if unit == "m" else (1.0, unit)
-            after = one.after.get(path, before)
+            after = term.after.get(path, before)
             # rows of settings that the recording does not have
             if abs(after - before) <= 1e-6 * abs(before):
                 continue
