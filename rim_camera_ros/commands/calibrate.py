@@ -29,7 +29,13 @@ from rim_camera_ros.commands.common import (
     scene_of,
     topics_of,
 )
-from rim_camera_ros.commands.from_images import board_as_remedy, posed_recordings
+from rim_camera_ros.commands.from_images import (
+    add_known,
+    board_as_remedy,
+    declared,
+    posed_recordings,
+    require_board,
+)
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera, find_scene
 from rim_camera_ros.fit.data import Dataset
@@ -79,6 +85,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="BOARD",
         help="in the place of --scene: scene file of a board (rim board) whose poses are found in the images",
     )
+    add_known(parser, of_board=True)
     parser.add_argument("--out", required=True, type=Path, metavar="CAMERA2", help="camera file to write")
     parser.add_argument(
         "--effects",
@@ -113,10 +120,17 @@ def run(given: argparse.Namespace) -> int:
     with ExitStack() as stack:
         if given.board is not None:
             board = scene_of(given.board)
-            posed = posed_recordings(given, request.recordings, board, request.camera, topics_of(given))
-            found = stack.enter_context(posed)
-            request = replace(request, recordings=found.recordings, originals=found.originals, topics=None)
-            named = found.named
+            posed = stack.enter_context(
+                posed_recordings(given, request.recordings, board, request.camera, topics_of(given))
+            )
+            request = replace(
+                request,
+                recordings=posed.recordings,
+                originals=posed.originals,
+                scene=(posed.scene,),
+                topics=None,
+            )
+            named = posed.named
         elif given.scene is not None and len(given.scene) == 1:
             stack.enter_context(board_as_remedy(scene_of(given.scene[0]), given.scene[0]))
         return _calibrated(given, request, report, named)
@@ -198,6 +212,7 @@ def _checked(given: argparse.Namespace) -> tuple[Request, Path | None]:
         )
     if given.board is not None and given.scene:
         raise InputError("--board is the scene", place="--scene", remedy="give one of the two")
+    require_board(given)
     source = find_camera(given.camera)
     check_file(given.out, force=given.force)
     same = given.out.exists() and given.out.resolve() == source.resolve()
@@ -249,6 +264,7 @@ def _command_line(given: argparse.Namespace) -> list[str]:
         value = getattr(given, name)
         if value is not None:
             words += [f"--{name}", str(value)]
+    words += [word for name, value in declared(given).items() for word in (name, f"{value:g}")]
     words += ["--geometry"] * given.geometry
     words += ["--force-result"] * given.force_result
     words += ["--seed", str(given.seed)] if given.seed else []

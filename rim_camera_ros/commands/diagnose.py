@@ -27,7 +27,12 @@ from rim_camera_ros.commands.common import (
     scene_of,
     topics_of,
 )
-from rim_camera_ros.commands.from_images import board_as_remedy, posed_recordings
+from rim_camera_ros.commands.from_images import (
+    add_known,
+    board_as_remedy,
+    posed_recordings,
+    require_board,
+)
 from rim_camera_ros.commands.output_folder import OutputFolder
 from rim_camera_ros.diagnose.files import MODEL, PAGE, REPORT, WHERE
 from rim_camera_ros.errors import InputError
@@ -68,6 +73,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="BOARD",
         help="in the place of --scene: scene file of a board (rim board) whose poses are found in the images",
     )
+    add_known(parser, of_board=True)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     parser.add_argument(
         "--against",
@@ -99,6 +105,7 @@ def run(given: argparse.Namespace) -> int:
         raise InputError(
             "give --scene or --board", place="--scene", remedy="one of the two: what was recorded"
         )
+    require_board(given)
     given.scene = given.scene if given.board is None else given.board
     if given.against is not None and given.against.resolve() == given.bag.resolve():
         raise InputError(
@@ -130,7 +137,7 @@ def run(given: argparse.Namespace) -> int:
         named: Callable[[str], str] = str
         if given.board is not None:
             posed = stack.enter_context(posed_recordings(given, (given.bag,), scene, camera, topics))
-            (bag,), topics, named = posed.recordings, Topics(), posed.named
+            (bag,), scene, topics, named = posed.recordings, posed.scene, Topics(), posed.named
         else:
             stack.enter_context(board_as_remedy(scene, given.scene))
         stages = stack.enter_context(Stages(quiet=given.quiet))

@@ -38,42 +38,62 @@ def _sigma(text: str) -> float:
     return value
 
 
-def add_known(parser: argparse.ArgumentParser) -> None:
-    """Add the options that declare what is known of optics and board."""
-    parser.add_argument(
-        "--estimate",
-        metavar="fx,cx,...",
-        help="parameters of the optics to adjust with the poses: fx fy cx cy k1 k2 p1 p2 k3, or all "
-        "(default: none, those of the camera file hold)",
-    )
+def add_known(parser: argparse.ArgumentParser, *, of_board: bool = False) -> None:
+    """Add the options that declare what is known of optics and board.
+
+    ``of_board``: for commands in which ``--board`` asks for poses from the images, and the optics are held.
+    """
+    also = "with --board: " if of_board else ""
+    if not of_board:
+        parser.add_argument(
+            "--estimate",
+            metavar="fx,cx,...",
+            help="parameters of the optics to adjust with the poses: fx fy cx cy k1 k2 p1 p2 k3, or all "
+            "(default: none, those of the camera file hold)",
+        )
     parser.add_argument(
         "--board-sigma",
         type=_sigma,
-        default=DEFAULT_BOARD_SIGMA,
         metavar="REL",
-        help=f"relative 1-sigma of the size of the board ({DEFAULT_BOARD_SIGMA:g}: 0.1 mm in 200 mm)",
+        help=f"{also}relative 1-sigma of the size of the board ({DEFAULT_BOARD_SIGMA:g}: 0.1 mm in 200 mm)",
     )
     parser.add_argument(
         "--focal-sigma",
         type=_sigma,
         metavar="REL",
-        help="relative 1-sigma of a focal length that is held (default: the camera file's covariance, else "
-        f"{DEFAULT_FOCAL_SIGMA:g})",
+        help=f"{also}relative 1-sigma of a focal length that is held (default: the camera file's covariance, "
+        f"else {DEFAULT_FOCAL_SIGMA:g})",
     )
     parser.add_argument(
         "--centre-sigma",
         type=_sigma,
         metavar="PX",
-        help="1-sigma of a principal point that is held (default: the camera file's covariance, else "
+        help=f"{also}1-sigma of a principal point that is held (default: the camera file's covariance, else "
         f"{DEFAULT_CENTRE_SIGMA:g})",
     )
 
 
+def declared(given: argparse.Namespace) -> dict[str, float]:
+    """Return what the options of `add_known` declare, by their names."""
+    found = {f"--{name}-sigma": getattr(given, f"{name}_sigma") for name in ("board", "focal", "centre")}
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def require_board(given: argparse.Namespace) -> None:
+    """Raise `InputError` where something is declared of poses from the images without ``--board``."""
+    if given.board is None:
+        for name in declared(given):
+            raise InputError(
+                "poses are those of the recording",
+                place=name,
+                remedy="it belongs to --board; errors of recorded poses are pose_sigma in the scene file",
+            )
+
+
 def known_of(given: argparse.Namespace) -> Known:
     """Return what the options declare known."""
-    return Known(
-        focal_sigma=given.focal_sigma, centre_sigma=given.centre_sigma, board_sigma=given.board_sigma
-    )
+    board = DEFAULT_BOARD_SIGMA if given.board_sigma is None else given.board_sigma
+    return Known(focal_sigma=given.focal_sigma, centre_sigma=given.centre_sigma, board_sigma=board)
 
 
 def estimated(given: argparse.Namespace) -> tuple[str, ...]:
@@ -113,10 +133,14 @@ def board_as_remedy(scene: Scene, name: str) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Posed:
-    """Recordings with poses that were made of ``originals``, in their order."""
+    """Recordings with poses of a board that were made of ``originals``, in their order.
+
+    ``scene``: the board, with what the poses have in common.
+    """
 
     recordings: tuple[Path, ...]
     originals: tuple[Path, ...]
+    scene: Scene
 
     def named(self, text: str) -> str:
         """Return a text that names the originals in the place of the recordings."""
@@ -134,21 +158,27 @@ def posed_recordings(
     """Recordings with the poses of a board found in their images, for as long as the context lasts.
 
     Says what was found. They are in a folder that is removed, by the next run where this one is killed.
-    Errors name the originals.
+    Errors name the originals. The share of the poses' variance that is the same in all of a recording, the
+    mean over several of them, takes the place of ``pose_common`` in the scene file.
     """
+    known = known_of(given)
     with closing(temporary_folder(Path(tempfile.gettempdir()), _FOLDER)) as folder:
         made: list[Path] = []
+        shares: list[float] = []
         for number, bag in enumerate(bags):
             with Recording(bag, topics=topics) as recording:
                 total = recording.frame_count
             with Progress("searched", total, quiet=given.quiet) as progress:
-                found = poses_of_recording(bag, board, camera, topics=topics, progress=progress.over)
+                found = poses_of_recording(
+                    bag, board, camera, topics=topics, known=known, progress=progress.over
+                )
             made.append(folder.path / str(number))
             write_poses(bag, found, made[-1], topics=topics)
-            say(given, [*found.notes, found.scale_words(DEFAULT_BOARD_SIGMA)])
+            say(given, [*found.notes, found.scale_words(known.board_sigma)])
             if not given.quiet:
                 print("\n".join(found.words()))
-        posed = Posed(tuple(made), bags)
+            shares.append(found.poses.common_share)
+        posed = Posed(tuple(made), bags, found.scene_of(board, sum(shares) / len(shares)))
         try:
             yield posed
         except RimError as error:

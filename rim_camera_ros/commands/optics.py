@@ -73,6 +73,7 @@ def run(given: argparse.Namespace) -> int:
         check_file(path, force=given.force)
     if given.start is not None:
         camera = _started(camera, given.start)
+    known = known_of(given)
     estimate = estimated(given) if given.estimate else ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
     with Recording(given.bag, topics=topics_of(given)) as bag:
         total = bag.frame_count
@@ -82,7 +83,7 @@ def run(given: argparse.Namespace) -> int:
             scene,
             camera,
             topics=topics_of(given),
-            known=known_of(given),
+            known=known,
             estimate=estimate,
             progress=progress.over,
         )
@@ -90,7 +91,7 @@ def run(given: argparse.Namespace) -> int:
     write_camera_info(given.out, found.optics, shape=camera.shape, name=camera.device)
     if given.camera_out is not None:
         save_camera(with_optics(camera, found.optics, found.covariance), given.camera_out)
-    say(given, [*found.notes, found.scale_words(given.board_sigma)])
+    say(given, [*found.notes, found.scale_words(known.board_sigma)])
     if not given.quiet:
         print(found.report.text())
         also = f", {given.camera_out}" if given.camera_out is not None else ""

@@ -118,6 +118,14 @@ class ImagePoses:
             lines.append(f"optics: {', '.join(values)}; residuals {self.report.residual_rms:.2g} px")
         return lines
 
+    def scene_of(self, board: Scene, share: float) -> Scene:
+        """Return the scene with a share of the variance of the board's poses that is the same in all."""
+        surfaces = [
+            replace(surface, pose_common=share) if surface.name == self.surface.name else surface
+            for surface in board.surfaces
+        ]
+        return replace(board, surfaces=tuple(surfaces))
+
     def scale_words(self, board_sigma: float) -> str:
         """Return what cannot be told apart: scale of distances, focal length, size of the board."""
         return (
@@ -125,7 +133,8 @@ class ImagePoses:
             f"to the board are known to {100 * self.poses.scale_sigma:.2g} % together (focal length and "
             "principal point, size of the board "
             f"{100 * board_sigma:.2g} %): a distance_scale within that tells nothing of the camera; "
-            f"{100 * self.poses.common_share:.0f} % of the variance of the poses is the same at all stations"
+            f"{100 * self.poses.common_share:.0f} % of the variance of the poses is the same at all stations "
+            f"(pose_common: {self.poses.common_share:.2f} of the scene file)"
         )
 
 
