@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.camera import Camera, Covariance
+from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.effects.candidate import Facts
+from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit import normal_equations
 from rim_camera_ros.fit.design import common_pose_block, known_optics, reflectivity_block
@@ -63,6 +65,39 @@ def test_reflectivities_are_found_tile_by_tile(tmp_path: Path) -> None:
     assert bright.sum() == 5
     assert np.abs(rest[bright]).max() < 0.03
     assert np.std(true) > 0.05
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        (),
+        pytest.param(
+            (Scattering((Kernel(0.16, (8.0, 8.0)),)),),
+            marks=pytest.mark.xfail(
+                strict=True, reason="all light of a pixel counts as its own tile's: fits take many steps"
+            ),
+        ),
+    ],
+)
+def test_derivatives_by_reflectivities_are_finite_differences(
+    tmp_path: Path, effects: tuple[Effect, ...]
+) -> None:
+    """Of the darkest tile of a board, at the pixels that see it."""
+    told, board = camera(tmp_path, *effects), scene(tmp_path)
+    factors = np.ones((3, 3))
+    factors[0, 0] = 1.001
+    data = record(told, board, poses=1, seed=2)
+    (before,), (after,) = (
+        list(Forward(data, surfaces, told).predictions())
+        for surfaces in (board, with_reflectivities(board, factors))
+    )
+    column = reflectivity_block(board).columns(before)[0]
+    assert column is not None
+    assert column[1] is not None
+    mine = (before.view.geometry.tile == 0) & before.amplitude_used
+    assert mine.sum() > 20
+    found = (after.amplitude - before.amplitude)[mine] / np.log(1.001)
+    assert np.median(np.abs(found / column[1][mine] - 1)) < 0.02
 
 
 def test_gains_of_pixels_are_found(tmp_path: Path) -> None:
