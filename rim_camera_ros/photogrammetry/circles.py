@@ -34,6 +34,8 @@ _LEAST_CONTRAST = 0.15
 #: Least ratio of the axes: a circle seen at 78 deg.
 _LEAST_ROUNDNESS = 0.2
 _STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-4, 1e-5, 1e-5])
+#: Greatest size of the logarithm of an axis in px.
+_MOST_LOG = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +233,8 @@ def _edge(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
     Exact for a circle.
     """
     u, v, log1, l2, log3 = (parameters[:, i, None] for i in range(5))
-    l1, l3 = np.exp(log1), np.exp(log3)
+    # trial steps may go astray: no image has axes beyond these
+    l1, l3 = (np.exp(np.clip(value, -_MOST_LOG, _MOST_LOG)) for value in (log1, log3))
     first = (x - u) / l1
     second = (y - v - l2 * first) / l3
     radius = np.sqrt(first**2 + second**2)

@@ -63,7 +63,7 @@ def test_errors_of_poses_are_as_large_as_is_stated(kind: str, pixels: str, tmp_p
     A part of what corners err by is estimated from the images, with its own share of error: 0.4 to 2.
     """
     (tmp_path / "camera.yaml").write_text(CAMERA.replace("{blur: 0.3, footprint: 1.0}", pixels))
-    assert main(["board", kind, "--out", str(tmp_path / "board"), "--quiet"]) == 0
+    assert main(["board", kind, "--square", "0.03", "--out", str(tmp_path / "board"), "--quiet"]) == 0
     camera, scene = load_camera(tmp_path / "camera.yaml"), load_scene(tmp_path / "board.yaml")
     true = board_poses()
     found = estimate_poses(observe(frames_of(camera, scene, true), camera, scene), optics=camera.optics)
