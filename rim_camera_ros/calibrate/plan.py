@@ -112,7 +112,7 @@ def narrowing(regressors: Sequence[Regressor], gram: Array) -> dict[str, float]:
     owners = [regressor.owner for regressor in regressors]
     known = vocabulary()
     result = {}
-    for name in (fromkey for fromkey in dict.fromkeys(owners) if fromkey in known and known[fromkey].planned):
+    for name in (owner for owner in dict.fromkeys(owners) if owner in known and known[owner].planned):
         own = [i for i, owner in enumerate(owners) if owner == name]
         log_det = np.linalg.slogdet(covariance[np.ix_(own, own)])[1]
         result[name] = float(np.exp(-0.5 * log_det / len(own)))

@@ -372,7 +372,7 @@ def _stream(process: AcquisitionProcess, ready: Mapping[str, Any]) -> _Stream:
     fitting = [model for model in supported if (model.columns, model.rows) == (columns, rows)]
     if not fitting:
         names = " or ".join(
-            f"{fromkey.name} has {fromkey.columns} x {fromkey.rows}" for fromkey in dict.fromkeys(supported)
+            f"{model.name} has {model.columns} x {model.rows}" for model in dict.fromkeys(supported)
         )
         problem = f"libmesasr delivers {columns} x {rows} pixels, an {names}"
         raise DeviceError(problem, remedy="check which camera is connected")

@@ -21,7 +21,7 @@ from rim_camera_ros.measurement.single_photon import SinglePhoton
 
 #: Types by their name in a camera file; each a frozen dataclass of the keys of the group ``measurement``.
 TYPES: dict[str, type[Measurement]] = {
-    severalfrequency.type: severalfrequency for severalfrequency in (SeveralFrequencies, SinglePhoton, Gated)
+    measurement.type: measurement for measurement in (SeveralFrequencies, SinglePhoton, Gated)
 }
 
 _ORDINARY = OneFrequency()

@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rim_camera_ros.bags import messages
-from rim_camera_ros.bags.topics import CAMERA_INFO
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera, with_effects
 from rim_camera_ros.cli import main
@@ -22,8 +20,7 @@ from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.frame import Pose, RawFrame, Settings
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
 from rim_camera_ros.scene import load_scene
-from test.helpers_bags import Line
-from test.imports.drivers import METADATA, Own, compressed_depth, image, json_text, own_line, write_driver_bag
+from test.imports.drivers import femto_lines, write_driver_bag
 
 ROOT = Path(__file__).resolve().parents[2]
 STATIONS, FRAMES = 8, 3
@@ -108,18 +105,5 @@ def recorded(truth: Camera, scene: Path, poses: dict[int, Pose]) -> Iterator[Raw
 
 
 def write_as_a_femto(path: Path, camera: Camera, frames: list[RawFrame]) -> None:
-    """Write depth along z in whole millimetres, the infrared image 9 ms later, and the exposure."""
-    kind = Own("orbbec_camera_msgs/msg/Metadata", METADATA)
-    lines: list[Line] = []
-    own = []
-    for frame in frames:
-        z = frame.distance * camera.sensor.lsb * camera.rays[..., 2]
-        info = messages.camera_info_message(camera.intrinsics, frame.stamp, "optical")
-        lines += [
-            compressed_depth(np.rint(z * 1e3).astype(np.uint16), "/camera/depth/image_raw", frame.stamp),
-            image(frame.amplitude, "/camera/ir/image_raw", frame.stamp + 9_000_000, "mono16"),
-            Line("/camera/depth/camera_info", CAMERA_INFO, frame.stamp, info),
-        ]
-        exposure = json_text(exposure=int(frame.settings.integration_time or 0))
-        own.append(own_line(kind, "/camera/depth/metadata", frame.stamp, json_data=exposure))
-    write_driver_bag(path, lines, own, ros1=False)
+    """Write what a Femto publishes of frames."""
+    write_driver_bag(path, *femto_lines(frames, camera), ros1=False)

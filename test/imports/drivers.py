@@ -17,7 +17,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from rim_camera_ros.bags import messages
 from rim_camera_ros.bags.topics import CAMERA_INFO, IMAGE
-from rim_camera_ros.frame import Intrinsics
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.frame import Intrinsics, RawFrame
 from rim_camera_ros.imports.images import COMPRESSED_IMAGE
 from test.helpers_bags import JAZZY, Line, to_ros1
 
@@ -120,6 +121,32 @@ def own_line(own: Own, topic: str, stamp: int, **fields: Any) -> tuple[str, Own,
 
 def json_text(**values: int) -> str:
     return json.dumps(values, indent=2)
+
+
+def femto_lines(
+    frames: Iterable[RawFrame], camera: Camera, *, distortion: Any = None
+) -> tuple[list[Line], list[tuple[str, Own, int, dict[str, Any]]]]:
+    """Return what a Femto publishes of frames, and its own messages.
+
+    Depth along z in whole millimetres, compressed, the infrared image 9 ms later, and the exposure.
+    ``distortion`` takes the place of the coefficients in the camera_info.
+    """
+    kind = Own("orbbec_camera_msgs/msg/Metadata", METADATA)
+    lines: list[Line] = []
+    own = []
+    for frame in frames:
+        z = frame.distance * camera.sensor.lsb * camera.rays[..., 2]
+        facts = messages.camera_info_message(camera.intrinsics, frame.stamp, "optical")
+        if distortion is not None:
+            facts.d = distortion
+        lines += [
+            compressed_depth(np.rint(z * 1e3).astype(np.uint16), "/camera/depth/image_raw", frame.stamp),
+            image(frame.amplitude, "/camera/ir/image_raw", frame.stamp + 9_000_000, "mono16"),
+            Line("/camera/depth/camera_info", CAMERA_INFO, frame.stamp, facts),
+        ]
+        exposure = json_text(exposure=int(frame.settings.integration_time or 0))
+        own.append(own_line(kind, "/camera/depth/metadata", frame.stamp, json_data=exposure))
+    return lines, own
 
 
 def write_driver_bag(

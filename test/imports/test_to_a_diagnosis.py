@@ -11,23 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rim_camera_ros.bags import messages
-from rim_camera_ros.bags.topics import CAMERA_INFO
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from test.calibrate import helpers
 from test.calibrate.bags import frames
-from test.helpers_bags import Line, pose
+from test.helpers_bags import pose
 from test.helpers_cli import run
-from test.imports.drivers import (
-    METADATA,
-    Own,
-    compressed_depth,
-    image,
-    json_text,
-    own_line,
-    write_driver_bag,
-)
+from test.imports.drivers import femto_lines, write_driver_bag
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -49,22 +39,11 @@ def test_from_a_femto_to_the_missing_effect(
         tmp_path / "truth", CyclicError(harmonics=(Harmonic(order=4, amplitude=0.03, phase=0.6),))
     )
     board = helpers.scene(tmp_path)
-    kind = Own("orbbec_camera_msgs/msg/Metadata", METADATA)
-    lines: list[Line] = []
-    own = []
-    for frame in frames(truth, board):
-        z = frame.distance * truth.sensor.lsb * truth.rays[..., 2]
-        info = messages.camera_info_message(truth.intrinsics, frame.stamp, "optical")
-        info.d = np.zeros(8)
-        lines += [
-            compressed_depth(np.rint(z * 1e3).astype(np.uint16), "/camera/depth/image_raw", frame.stamp),
-            image(frame.amplitude, "/camera/ir/image_raw", frame.stamp + 9_000_000, "mono16"),
-            Line("/camera/depth/camera_info", CAMERA_INFO, frame.stamp, info),
-        ]
-        exposure = json_text(exposure=int(frame.settings.integration_time or 0))
-        own.append(own_line(kind, "/camera/depth/metadata", frame.stamp, json_data=exposure))
+    recorded = list(frames(truth, board))
+    lines, own = femto_lines(recorded, truth, distortion=np.zeros(8))
+    for frame in recorded:
         told = pose(frame.pose_stamps["board"], frame.truth["board"])
-        if not any(one.topic == told.topic and one.time == told.time for one in lines):
+        if not any(line.topic == told.topic and line.time == told.time for line in lines):
             lines.append(told)
     write_driver_bag(tmp_path / "my_bag", lines, own, ros1=False)
     (tmp_path / "scene.yaml").rename(tmp_path / "board.yaml")

@@ -26,6 +26,8 @@ def beyond(name: str, figures: Figures, *, load: float) -> list[str]:
     without limits of their own (damaged files) assert what they find.
     """
     found = _LIMITS[name](figures, load) if name in _LIMITS else []
+    if not figures.get("running", True):
+        found.append("a node has ended")
     if figures.get("tracebacks"):
         found.append(f"{figures['tracebacks']} tracebacks")
     return found
@@ -82,6 +84,16 @@ def _clock_jumps(figures: Figures, load: float) -> list[str]:
     return [f"{lost} frames lost"] if lost else []
 
 
+def _full_disk(figures: Figures, load: float) -> list[str]:
+    found = [f"{name} is left over" for name in figures["left_over"]]
+    wanted = {
+        "refused": "saving on a full disk was not refused",
+        "file_whole": "the old file is damaged",
+        "written_later": "nothing is written once there is room",
+    }
+    return found + [sentence for key, sentence in wanted.items() if not figures[key]]
+
+
 def _playback(figures: Figures, load: float) -> list[str]:
     found = [f"{figures[key]} clouds {key}" for key in ("missing", "others") if figures[key]]
     found += [] if figures["in_order"] else ["clouds out of order"]
@@ -111,6 +123,7 @@ _LIMITS: Mapping[str, Callable[[Figures, float], list[str]]] = {
     "latency": _latency,
     "overload": _overload,
     "clock_jumps": _clock_jumps,
+    "full_disk": _full_disk,
     "playback": _playback,
     "reconfiguration": _reconfiguration,
 }

@@ -26,6 +26,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "latency": {"one process": {"median": 5.0, "p99": 12.0}, "two": {"median": 9.0, "p99": 20.0}},
     "overload": {"older": 0},
     "clock_jumps": {"frames": 100, "corrected": 100},
+    "full_disk": {"refused": True, "file_whole": True, "written_later": True, "left_over": []},
     "playback": {"missing": 0, "others": 0, "in_order": True, "memory_mb": {"driver": [138.2, 143.2]}},
     "reconfiguration": {
         "correction": {"dropped_frames": 0, "not corrected": 0},
@@ -53,6 +54,9 @@ def test_figures_at_their_limits_pass(name: str) -> None:
         ("latency", {"one process": {"median": 4.0, "p99": 12.5}}, r"p99 12\.5 ms, more than 12 ms"),
         ("overload", {"older": 2}, "2 clouds older than maximum_age"),
         ("clock_jumps", {"corrected": 99}, "1 frames lost"),
+        ("overload", {"running": False}, "a node has ended"),
+        ("full_disk", {"file_whole": False}, "the old file is damaged"),
+        ("full_disk", {"left_over": ["kept.yaml.tmp"]}, r"kept\.yaml\.tmp is left over"),
         ("playback", {"in_order": False}, "clouds out of order"),
         (
             "reconfiguration",
