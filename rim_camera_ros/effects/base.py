@@ -325,6 +325,11 @@ def solve_terms(
 class ComplexEffect(Effect):
     """A linear effect on the complex image S = A exp(i 2 pi d / L)."""
 
+    @property
+    def direct(self) -> float:
+        """Share of the light of a pixel that arrives in it or beside it."""
+        return 1.0
+
     @abstractmethod
     def apply(self, phasor: Image, context: Context) -> Image:
         """Return the complex image with the effect."""

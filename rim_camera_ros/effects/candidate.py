@@ -68,17 +68,42 @@ def priors_of(regressors: Sequence[Regressor]) -> Array:
 
 
 @dataclass(frozen=True)
+class Groups:
+    """Columns of regressors k of which each pixel has at most one by itself: its ``number`` (H, W), -1: none.
+
+    They are ``own`` in the pixels of that number, 0 elsewhere, plus ``share[k]`` times ``common``, which is
+    the same for all of them (None: nothing is).
+    """
+
+    number: Array
+    own: tuple[Array, Array]
+    share: Array
+    common: tuple[Array, Array] | None = None
+
+    def columns(self) -> list[Column]:
+        """Return them one by one."""
+        result: list[Column] = []
+        for number, share in enumerate(self.share.tolist()):
+            mine = self.number == number
+            distance, amplitude = (image * mine for image in self.own)
+            if self.common is not None:
+                distance = distance + share * self.common[0]
+                amplitude = amplitude + share * self.common[1]
+            result.append((distance, amplitude))
+        return result
+
+
+@dataclass(frozen=True)
 class Block:
     """Regressors whose columns are computed together; ``in_order`` where they need the stations in order.
 
-    ``grouped``, where each pixel has one of them at most: its number (-1: none), and the derivatives of
-    distance and amplitude by it, (H, W) each.
+    ``grouped``, where each pixel has at most one of them by itself.
     """
 
     regressors: tuple[Regressor, ...]
     columns: Callable[[Any], Sequence[Column]]
     in_order: bool = False
-    grouped: Callable[[Any], tuple[Array, Array, Array]] | None = None
+    grouped: Callable[[Any], Groups] | None = None
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,10 @@ class Scattering(ComplexEffect):
         """Share of the light that does not arrive where it belongs."""
         return sum(k.weight for k in self.kernels) + (self.ghost.weight if self.ghost else 0.0)
 
+    @property
+    def direct(self) -> float:
+        return 1.0 - self.total_weight
+
     def lean(self) -> Scattering:
         """Return the same without halos that spread no light, but for the last one."""
         kernels = tuple(kernel for kernel in self.kernels if kernel.weight > 0)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.candidate import Block, Column, Regressor, effect_block
+from rim_camera_ros.effects.candidate import Block, Column, Groups, Regressor, effect_block
 from rim_camera_ros.effects.light_curves import FALLOFF, LOBE, tile_labels
 from rim_camera_ros.effects.sections import light_block, optics_columns
 from rim_camera_ros.fit.prediction import Prediction
@@ -159,22 +159,13 @@ def reflectivity_block(scene: Scene) -> Block:
                 numbers.append(number)
         first += surface.tiles
 
-    def columns(prediction: Prediction) -> list[Column]:
-        tile = prediction.view.geometry.tile
-        by_distance, by_amplitude = prediction.gain_column()
-        result = []
-        for number in numbers:
-            mine = tile == number
-            result.append((by_distance * mine, by_amplitude * mine))
-        return result
-
     places = np.full(first + 1, -1)
     places[numbers] = np.arange(len(numbers))
 
-    def grouped(prediction: Prediction) -> tuple[Array, Array, Array]:
-        return (places[prediction.view.geometry.tile], *prediction.gain_column())
+    def grouped(prediction: Prediction) -> Groups:
+        return prediction.groups_change(places[prediction.view.geometry.tile], len(numbers))
 
-    return Block(tuple(regressors), columns, grouped=grouped)
+    return Block(tuple(regressors), lambda prediction: grouped(prediction).columns(), grouped=grouped)
 
 
 def common_pose_block(scene: Scene) -> Block:

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
-from rim_camera_ros.effects.candidate import Column
+from rim_camera_ros.effects.candidate import Column, Groups
+from rim_camera_ros.fit.channels import Channel, Products, channel_of
+from rim_camera_ros.fit.pixel_sums import PixelSums
 from rim_camera_ros.fit.prediction import Prediction, random_effects
 from rim_camera_ros.fit.residuals import beyond_limit
 
@@ -60,74 +61,6 @@ class Fold:
         return {name: float(e) for (name, *_), e in zip(self.nuisances, found, strict=True)}
 
 
-def _rows(images: Sequence[Array], pixels: Array) -> Array:
-    """Return the chosen pixels of images (H, W) as rows (len(images), N), 0 where not finite."""
-    rows = np.empty((len(images), pixels.size))
-    for row, image in zip(rows, images, strict=True):
-        np.take(image, pixels, out=row, mode="clip")
-    if not np.isfinite(rows.sum()):
-        np.nan_to_num(rows, copy=False, posinf=0.0, neginf=0.0)
-    return rows
-
-
-@dataclass(frozen=True)
-class Grouped:
-    """Regressors of which each pixel has one at most: its number (H, W), from ``first`` on, and its column.
-
-    ``number`` is -1 where a pixel has none.
-    """
-
-    first: int
-    count: int
-    number: Array
-    distance: Array
-    amplitude: Array
-
-
-@dataclass(frozen=True)
-class _Channel:
-    """The weighted design of one channel at its pixels: dense rows, and one grouped column for each pixel.
-
-    ``index`` (K,) numbers the ``dense`` rows (K, N) among all; ``group`` (N,) the grouped regressor of each
-    pixel, -1 for none, with its ``value`` (N,). All are in units of the noise, its inverse is ``root`` (N,).
-    """
-
-    pixels: Array
-    root: Array
-    index: Array
-    dense: Array
-    group: Array
-    value: Array
-
-    def add_to(self, gram: Array, grouped: Grouped | None) -> None:
-        """Add the products of all columns with each other to the normal matrix."""
-        gram[np.ix_(self.index, self.index)] += self.dense @ self.dense.T
-        mine = np.flatnonzero(self.group >= 0)
-        if grouped is None or not mine.size:
-            return
-        place = self.group[mine] - grouped.first
-        shape = (mine.size, grouped.count)
-        sparse = csr_matrix((self.value[mine], (np.arange(mine.size), place)), shape)
-        rows = self.dense if mine.size == self.group.size else self.dense[:, mine]
-        cross = np.asarray((sparse.T @ rows.T).T)
-        own = np.arange(grouped.first, grouped.first + grouped.count)
-        gram[np.ix_(self.index, own)] += cross
-        gram[np.ix_(own, self.index)] += cross.T
-        gram[own, own] += np.bincount(place, self.value[mine] ** 2, minlength=grouped.count)
-
-    def times(self, factor: Array) -> _Products:
-        """Return the products of all columns with one that is ``factor`` (N,) at each pixel."""
-        return _Products(self, factor * self.root)
-
-
-@dataclass(frozen=True)
-class _Products:
-    """Products of the columns of a ``channel`` with one of each pixel's own: they times ``factor`` (N,)."""
-
-    channel: _Channel
-    factor: Array
-
-
 @dataclass(frozen=True)
 class Share:
     """What one station adds to the sums of its fold.
@@ -139,7 +72,7 @@ class Share:
 
     nuisances: list[tuple[str, float, float]]
     gram: Array
-    offsets: _Products
+    offsets: Products
     weight: Array
     pixels: Array
     rows: int
@@ -156,10 +89,10 @@ class GainShare:
     ``weight`` (N,) and ``light_weight`` (N',) of the gain itself, ``cross`` (N,) of gain and offset.
     """
 
-    distance: _Products
+    distance: Products
     weight: Array
     cross: Array
-    light: _Products
+    light: Products
     light_weight: Array
 
 
@@ -171,7 +104,7 @@ def share_of(
     stray_light: float,
     factors: tuple[Array, Array] | None,
     gains: bool = False,
-    grouped: Grouped | None = None,
+    groups: tuple[int, Groups] | None = None,
 ) -> Share:
     """Return the share of a station, whose regressors have the ``columns`` (None: those that are grouped).
 
@@ -199,11 +132,11 @@ def share_of(
     of_light = [(i, amplitude) for i, _, amplitude in own if amplitude is not None]
     of_distance.append((size - 1, prediction.residual))
     of_light.append((size - 1, prediction.amplitude_residual))
-    distances = _channel(pixels, weight, of_distance, grouped, light=False)
-    light = _channel(lit, weight_a, of_light, grouped, light=True)
+    distances = channel_of(pixels, weight, of_distance, groups, light=False)
+    light = channel_of(lit, weight_a, of_light, groups, light=True)
     gram = np.zeros((size, size))
     for channel in (distances, light):
-        channel.add_to(gram, grouped)
+        channel.add_to(gram)
     return Share(
         nuisances=[(name, prior, at) for name, prior, at, _, _ in nuisances],
         gram=gram,
@@ -218,27 +151,7 @@ def share_of(
     )
 
 
-def _channel(
-    pixels: Array,
-    weight: Array,
-    columns: Sequence[tuple[int, Array]],
-    grouped: Grouped | None,
-    *,
-    light: bool,
-) -> _Channel:
-    root = np.sqrt(weight)
-    dense = _rows([one for _, one in columns], pixels)
-    dense *= root
-    index = np.array([i for i, _ in columns])
-    if grouped is None:
-        return _Channel(pixels, root, index, dense, np.full(pixels.size, -1), np.zeros(pixels.size))
-    number = np.take(grouped.number, pixels)
-    value = np.take(grouped.amplitude if light else grouped.distance, pixels)
-    group = np.where(number >= 0, number + grouped.first, -1)
-    return _Channel(pixels, root, index, dense, group, np.nan_to_num(value) * root)
-
-
-def _gain_share(prediction: Prediction, distances: _Channel, light: _Channel) -> GainShare:
+def _gain_share(prediction: Prediction, distances: Channel, light: Channel) -> GainShare:
     by_distance, by_amplitude = prediction.pixel_gain_column()
     slope = np.nan_to_num(np.take(by_distance, distances.pixels))
     factor = np.nan_to_num(np.take(by_amplitude, light.pixels))
@@ -276,9 +189,9 @@ class FoldSums:
         self._square = 0.0
         self._rows, self._expected = 0, 0.0
         self._log_sigma = self._robust = 0.0
-        self._pixel = _PixelSums(count, pixels, rows) if pattern else None
+        self._pixel = PixelSums(count, pixels, rows) if pattern else None
         self._weight: Array = np.zeros(pixels if pattern else 1)
-        self._gain = _PixelSums(count, pixels, rows) if pattern and gains else None
+        self._gain = PixelSums(count, pixels, rows) if pattern and gains else None
         self._gain_weight: Array = np.zeros(pixels)
         self._gain_cross: Array = np.zeros(pixels)
         # of each nuisance: products with the regressors, and with y
@@ -356,45 +269,3 @@ class FoldSums:
             fold.gain = self._gain.all(size)
             fold.gain_weight, fold.cross = self._gain_weight, self._gain_cross
         return fold
-
-
-class _PixelSums:
-    """Sums per pixel of the products of all columns with one of the pixel's own.
-
-    They are the largest arrays of an adjustment: room is made for about all of them at once, of which what is
-    never written takes no memory. Where it does not suffice, what was written is copied.
-    """
-
-    def __init__(self, count: int, pixels: int, rows: Array) -> None:
-        self._rows_of = rows
-        self._sums: Array = np.zeros((count, pixels))
-        self._y: Array = np.zeros(pixels)
-        self._written = count
-
-    def make_room(self, size: int) -> None:
-        """Make room for so many rows."""
-        if size > len(self._sums):
-            room = np.zeros((size, self._sums.shape[1]))
-            room[: self._written] = self._sums[: self._written]
-            self._sums = room
-
-    def add(self, part: _Products, places: Sequence[int]) -> None:
-        """Add products; ``places`` are the rows here of all columns but the last, the observations."""
-        size = max(places, default=-1) + 1
-        self.make_room(size)
-        self._written = max(self._written, size)
-        channel = part.channel
-        rows = self._rows_of[channel.pixels]
-        buffer = np.empty(rows.size)
-        for number, row in zip(channel.index.tolist(), channel.dense, strict=True):
-            target = self._sums[places[number]] if number < len(places) else self._y
-            target[rows] += np.multiply(row, part.factor, out=buffer)
-        mine = np.flatnonzero(channel.group >= 0)
-        # a pixel has one of them: no place is named twice
-        self._sums[channel.group[mine], rows[mine]] += channel.value[mine] * part.factor[mine]
-
-    def all(self, size: int) -> Array:
-        """Return the sums (P, ``size``), the observations last; column by column, as they were summed."""
-        self.make_room(size)
-        self._sums[size - 1] = self._y
-        return self._sums[:size].T

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rim_camera_ros.effects.candidate import Block, Column, Regressor, priors_of
+from rim_camera_ros.effects.candidate import Block, Column, Groups, Regressor, priors_of
 from rim_camera_ros.fit.data import pixels_seen
-from rim_camera_ros.fit.fold_sums import Fold, FoldSums, Grouped, Share, share_of
+from rim_camera_ros.fit.fold_sums import Fold, FoldSums, Share, share_of
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.pixel_elimination import (
     PATTERN_PRIOR,
@@ -214,10 +214,10 @@ def accumulate(
     def share(one: tuple[Prediction, list[Sequence[Column]]]) -> tuple[int, Share]:
         prediction, remembered = one[0], iter(one[1])
         columns: list[Column | None] = []
-        grouped = None
+        groups: tuple[int, Groups] | None = None
         for block in blocks:
-            if block.grouped is not None and grouped is None:
-                grouped = Grouped(len(columns), len(block.regressors), *block.grouped(prediction))
+            if block.grouped is not None and groups is None:
+                groups = len(columns), block.grouped(prediction)
                 columns += [None] * len(block.regressors)
             else:
                 columns += next(remembered) if block.in_order else block.columns(prediction)
@@ -228,7 +228,7 @@ def accumulate(
             stray_light=stray_light,
             factors=None if weigh is None else weigh(prediction),
             gains=gain_prior > 0,
-            grouped=grouped,
+            groups=groups,
         )
         key = (prediction.station.recording, prediction.station.pose)
         return 0 if fold_of is None else fold_of[key], found
