@@ -37,6 +37,8 @@ _SAME_LIGHT = 0.01
 #: Sigma of one frame by which pixels that are compared are brighter than the amplitude below which nothing
 #: is measured: noise takes next to none of their frames below it.
 _ABOVE_THRESHOLD = 3.0
+#: Relative step of a difference quotient over the amplitude: its own error is as small.
+_SMALL = 1e-4
 
 
 class Forward:
@@ -274,7 +276,7 @@ class Forward:
         # gains of pixels are those of readings: a response of another power would else make all of them less
         before_response = np.where(lit, light.amplitude, 1.0)
         safe = before_response * pixel_gain
-        latent, follows = self._latent(station, safe, n, model, pixel_gain)
+        latent, follows, by_measured = self._latent(station, safe, n, model, pixel_gain)
         delivered = Signal(light.distance, np.where(lit, latent, 0.0))
         terms = self._chain.evaluated(delivered.distance, latent, context, slopes=slopes)
         distance = delivered.distance + terms.total
@@ -283,8 +285,12 @@ class Forward:
             residual = wrap_residual(residual, context.ambiguity)
         response, model_reading = self._chain.response, self._chain.published(before_response)
         slope_published: Any = 1.0 if response is None else response.slope(latent / pixel_gain)
+        model_slope: Any = before_response
+        if response is not None:
+            model_slope = before_response * response.slope(before_response)
         if response is not None and self.light_curves is not None:
-            model_reading = model_reading * self.light_curves.response(before_response)
+            free = self.light_curves.response(before_response)
+            model_reading, model_slope = model_reading * free, model_slope * free
             slope_published = slope_published * self.light_curves.response(latent / pixel_gain)
         model_reading = model_reading * pixel_gain
         variance, amplitude_variance = self._variances(
@@ -332,9 +338,11 @@ class Forward:
             pose_columns=[*view.pose_columns, *self._correlated_columns(view)],
             model_amplitude=safe,
             model_reading=model_reading,
+            model_slope=np.where(lit, model_slope * pixel_gain, 0.0),
             gain=gain,
             pixel_gain=pixel_gain,
             amplitude_follows=np.where(nameless, 0.0, follows),
+            amplitude_measured=np.where(nameless, 1.0, by_measured),
             spread=[effect for effect in self._chain.light if effect.spreads],
             light_curves=self.light_curves,
             linear=self.linear,
@@ -367,19 +375,25 @@ class Forward:
         n: Array,
         model: AmplitudeModel,
         pixel_gain: Array | float,
-    ) -> tuple[Array, Array | float]:
+    ) -> tuple[Array, Array | float, Array | float]:
         """Weigh the predicted amplitude against the measured one by their variances.
 
         A measured amplitude carries noise that would bias coefficients (errors in variables); a predicted
         one carries the error of reflectivities. With ``tau`` -> 0 it is the prediction, with a large one
-        the measurement. Returned with the share of a relative change of the prediction that it follows.
+        the measurement. Returned with the shares of relative changes that it follows: of the prediction, by
+        which the weights change as well, and of the measurement.
         """
         if model.tau == 0.0:
-            return predicted, 1.0
-        sigma = self.camera.sigma_distance(predicted)
-        noise = 2 * np.pi / self.camera.noise_range * sigma / np.sqrt(n)
-        share = model.tau**2 / (model.tau**2 + noise**2)
+            return predicted, 1.0, 0.0
+
+        def share_at(amplitude: Array) -> Array:
+            noise = 2 * np.pi / self.camera.noise_range * self.camera.sigma_distance(amplitude) / np.sqrt(n)
+            return np.asarray(model.tau**2 / (model.tau**2 + noise**2))
+
+        share = share_at(predicted)
+        by_light = (share_at(predicted * (1 + _SMALL)) - share) / _SMALL
         measured = self._expanded(station.amplitude / pixel_gain) * pixel_gain
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.log(np.where(measured > 0, measured / predicted, 1.0))
-        return predicted * np.exp(share * np.clip(ratio, -3.0, 3.0)), 1.0 - share
+        ratio = np.clip(ratio, -3.0, 3.0)
+        return predicted * np.exp(share * ratio), 1.0 - share + by_light * ratio, share

@@ -39,7 +39,9 @@ class Prediction:
     well, which neighbours share: a pixel counts as ``amplitude_share`` of an observation, and its chi-square
     is expected to be ``amplitude_freedom``, what its own noise makes of it. ``amplitude`` is
     the latent amplitude [counts]: what the terms see; it follows a relative change of the predicted light by
-    the share ``amplitude_follows``, as the rest of it is what was measured.
+    the share ``amplitude_follows``, and one of the measured light by ``amplitude_measured``. ``model_slope``
+    [counts] is the derivative of the predicted published amplitude by the logarithm of the predicted light:
+    that of the latent one would have the noise of what it is compared with.
     """
 
     station: Station
@@ -65,9 +67,11 @@ class Prediction:
     pose_columns: list[PoseColumn]
     model_amplitude: Array
     model_reading: Array
+    model_slope: Array
     gain: float
     pixel_gain: Array | float = 1.0
     amplitude_follows: Array | float = 1.0
+    amplitude_measured: Array | float = 0.0
     spread: list[Effect] = field(default_factory=list)
     light_curves: LightCurves | None = None
     variance_of_other: Array | float = 0.0
@@ -138,9 +142,8 @@ class Prediction:
     def reading_change(self, by_distance: Array | float, relative: Array | float) -> tuple[Array, Array]:
         """Return the changes of the readings for changes of delivered distance [m] and log amplitude."""
         if self._by_light is None:
-            light = self.delivered.amplitude
-            slopes = (self.amplitude_follows * self.slope_amplitude, self.slope_published)
-            self._by_light = (light * slopes[0], light * slopes[1])
+            by_latent = self.delivered.amplitude * self.slope_amplitude
+            self._by_light = (self.amplitude_follows * by_latent, self.model_slope)
         measured, published = (relative * one for one in self._by_light)
         if isinstance(by_distance, np.ndarray) or by_distance:
             measured = by_distance * self.slope_distance + measured
@@ -152,9 +155,9 @@ class Prediction:
         The effect need not be one of the camera's: a candidate stands at its place in the order.
         """
         name = effect.name
-        signal = self.before_effect(name)
         if isinstance(effect, ResponseEffect):
-            return self._of_response(effect, signal)
+            return self._of_response(effect)
+        signal = self.before_effect(name)
         columns = effect.columns(signal, self.context)
         if effect.remembers_geometry and name in self.context.memory:
             self.view.memory[name] = self.context.memory[name]
@@ -170,11 +173,20 @@ class Prediction:
             result[path] = self.light_change(name, change)
         return result
 
-    def _of_response(self, effect: ResponseEffect, signal: Signal) -> dict[str, tuple[Array, Array]]:
-        light = Signal(signal.distance, signal.amplitude / self.pixel_gain)
-        zero = np.zeros(self.distance.shape)
+    def _of_response(self, effect: ResponseEffect) -> dict[str, tuple[Array, Array]]:
+        light = Signal(self.delivered.distance, self.model_amplitude / self.pixel_gain)
         columns = effect.columns(light, self.context)
-        return {path: (zero + d, zero + a * self.pixel_gain) for path, (d, a) in columns.items()}
+        return {path: self._response_change(a * self.pixel_gain) for path, (_, a) in columns.items()}
+
+    def _response_change(self, published: Array | float) -> tuple[Array, Array]:
+        """Return the derivatives of the readings by what changes ``published`` amplitudes of the same light.
+
+        Terms see the light that the measured amplitude stands for: less of it where more is published.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            relative = np.where(self.model_slope > 0, published / self.model_slope, 0.0)
+        by_latent = self.amplitude_measured * self.delivered.amplitude * self.slope_amplitude
+        return np.asarray(-relative * by_latent), np.asarray(published + np.zeros(self.distance.shape))
 
     def before_effect(self, name: str) -> Signal:
         """Return the light just before an effect, which need not be one of the camera's."""
@@ -200,9 +212,8 @@ class Prediction:
         """Return the derivatives by curves of the light, in the order of their labels."""
         curves = self.light_curves or LightCurves()
         if labels[0] in RESPONSE:
-            zero = np.zeros(self.distance.shape)
             changes = curves.response_columns(self.model_amplitude / self.pixel_gain)
-            return [(zero, self.model_reading * change) for change in changes]
+            return [self._response_change(self.model_reading * change) for change in changes]
         changes = curves.columns(self.view.geometry, self.context.ambiguity, labels)
         if not self.spread:
             return [self.reading_change(0.0, change) for change in changes]
