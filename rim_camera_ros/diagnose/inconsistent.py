@@ -10,7 +10,7 @@ from rim_camera_ros.diagnose.accuracy import accuracy
 from rim_camera_ros.diagnose.hypotheses import AS_GIVEN, LEAST_GAIN, Hypothesis
 from rim_camera_ros.diagnose.nuisances import offset_beyond
 from rim_camera_ros.diagnose.result import Diagnosis
-from rim_camera_ros.diagnose.setup import check_setup
+from rim_camera_ros.diagnose.setup import check_setup, few_of
 from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.diagnose.where import of_residuals
 from rim_camera_ros.errors import InputError
@@ -18,6 +18,7 @@ from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.evidence import folds_of
 from rim_camera_ros.select.exploration import explore
+from rim_camera_ros.select.moved_poses import moved_beside_physics
 
 
 def with_setups(diagnosis: Diagnosis, setups: list[Hypothesis]) -> Diagnosis:
@@ -88,7 +89,8 @@ def hopeless(
     frozen = replace(problem, effects=(), gain=False, robust=False)
     folds = folds_of(problem.dataset)
     step = explore(frozen, camera, [], folds, replicates=0, iterations=0, seed=seed)
-    setup = check_setup(step.fit)
+    moved = moved_beside_physics(step, few_of(problem.dataset.poses))
+    setup = check_setup(step.fit, moved=moved)
     reason = (
         reason
         or setup.reason

@@ -118,12 +118,16 @@ def conditional_on_physics(result: Result) -> Fit:
     those of a surface together. What a large effect leaves whose form is not quite the true one is alike in a
     pose, or in all; poses that were moved err by as much beside it.
     """
-    step = result.explorations[-1]
-    disputed = next((refused.effect for refused in result.refused if refused.why == NOT_IN_ALL_POSES), None)
-    number = None if disputed is None else step.best().get(disputed)
-    if number is None and not step.forms:
+    step, disputed = result.explorations[-1], disputed_effect(result)
+    if disputed is None and not step.forms:
         return step.fit
-    return step.conditional_fit(result.problem, [] if number is None else [number])
+    return step.conditional_fit(result.problem, [] if disputed is None else [disputed])
+
+
+def disputed_effect(result: Result) -> int | None:
+    """Return the candidate of the last exploration about which poses disagree that gains most, if any."""
+    effect = next((refused.effect for refused in result.refused if refused.why == NOT_IN_ALL_POSES), None)
+    return None if effect is None else result.explorations[-1].best().get(effect)
 
 
 def poses_beyond(fitted: Fit, camera: Camera, errors: Mapping[tuple[int, int], float]) -> str | None:

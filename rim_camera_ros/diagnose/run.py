@@ -20,7 +20,7 @@ from rim_camera_ros.diagnose.hypotheses import (
     best_setup,
     by_gain,
     leaving_nothing,
-    moved_poses,
+    poses_elsewhere,
 )
 from rim_camera_ros.diagnose.inconsistent import (
     hopeless,
@@ -32,6 +32,7 @@ from rim_camera_ros.diagnose.noise_verdict import only_background, only_noise, o
 from rim_camera_ros.diagnose.nuisances import (
     common_pose_beyond,
     conditional_on_physics,
+    disputed_effect,
     nuisances_of,
     optics_beyond,
     poses_beyond,
@@ -39,7 +40,7 @@ from rim_camera_ros.diagnose.nuisances import (
 )
 from rim_camera_ros.diagnose.pixel_gains import spread_of_gains
 from rim_camera_ros.diagnose.result import Diagnosis
-from rim_camera_ros.diagnose.setup import VERY_FEW, Setup, check_setup, errors_of_poses
+from rim_camera_ros.diagnose.setup import VERY_FEW, Setup, check_setup, errors_of_poses, few_of
 from rim_camera_ros.diagnose.smooth import axes_of, gradient_terms, single_terms
 from rim_camera_ros.diagnose.under_setup import left_by_chance
 from rim_camera_ros.diagnose.variance import examine_variance, moving
@@ -60,6 +61,7 @@ from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.variance_components import likely_correlated_error
 from rim_camera_ros.scene import Scene
+from rim_camera_ros.select.moved_poses import moved_beside_physics, total_gain
 from rim_camera_ros.select.search import MOST_EFFECTS, search
 from rim_camera_ros.select.trials import Workers
 
@@ -178,6 +180,8 @@ def _diagnose(
         smooth = []
     elif dataset.poses < _FEW_POSES:
         dataset = replace(dataset, notes=[*dataset.notes, _OF_FEW_POSES.format(dataset.poses)])
+    compared_with_poses = against is None and not alone
+    may_have_moved = few_of(dataset.poses if compared_with_poses else 0)
     try:
         result = search(
             problem,
@@ -186,6 +190,7 @@ def _diagnose(
             effects=effects,
             most=most,
             further=smooth,
+            may_have_moved=may_have_moved,
             seed=seed,
             views=forward.views,
             workers=workers,
@@ -195,7 +200,7 @@ def _diagnose(
         return with_setups(without_search(setups, problem, camera, variance, seed), setups)
     baseline, final = result.explorations[0], result.explorations[-1]
     # physics that is missing moves the optics too: they are held against the file beside what was found
-    beyond_stated = _other_lens(final.fit, camera)
+    beyond_stated = None if result.moved else _other_lens(final.fit, camera)
     if beyond_stated is not None:
         assert camera.covariance is not None
         result.forget()
@@ -208,7 +213,7 @@ def _diagnose(
     if alone:
         dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
     say("looking for what no named effect explains")
-    unknown = None if alone or one_pose else best_rest(result, samples, seed)
+    unknown = None if alone or one_pose or result.moved else best_rest(result, samples, seed)
     responds = response_of(final.fit.camera) is not None and response_of(camera) is None
     variance = examine_variance(final.fit.forward)
     if responds and variance.noise_is_wrong:
@@ -235,11 +240,17 @@ def _diagnose(
                 return with_setups(hopeless(problem, camera, variance, seed), setups)
     best_fit = final.fit if described is None else described.fit
     conditional = conditional_on_physics(result) if described is None else best_fit
+    moved = result.moved
+    if not moved and described is None:
+        disputed = disputed_effect(result)
+        extra = [] if disputed is None else final.spans[disputed]
+        moved = moved_beside_physics(final, may_have_moved, extra=extra)
     setup = check_setup(
         conditional,
         explained=explained,
         physics=[finding.effect for finding in result.found] if described is None else [CovariateTable.name],
         before=baseline.fit,
+        moved=moved,
     )
     reason, winner = setup.reason, None
     if any(hypothesis.is_better for hypothesis in setups):
@@ -267,11 +278,10 @@ def _diagnose(
         of_surface = common_pose_beyond(conditional, camera)
         reason = of_board or of_surface or poses_beyond(conditional, camera, astray)
         if reason is not None and not of_board and not of_surface:
-            setups = by_gain([*setups, moved_poses(astray)])
-    elif setup.bad:
-        setups = by_gain(
-            [*setups, moved_poses({pose.key: pose.error for pose in setup.poses if pose.key in setup.bad})]
-        )
+            costs = 0.5 * sum(error**2 for error in astray.values())
+            setups = by_gain([*setups, poses_elsewhere(costs, len(astray))])
+    elif setup.bad and moved:
+        setups = by_gain([*setups, poses_elsewhere(total_gain(moved), len(setup.bad))])
     reason = None if variance.pixels_vary_together or codes is not None else reason
     spare = max(1, int(VERY_FEW * dataset.poses)) if spare is None else spare
     if reason is not None and 0 < len(setup.bad) <= spare and against is None:

@@ -16,11 +16,10 @@ from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.variance_components import WILD
 from rim_camera_ros.select.effect_sizes import change_by
+from rim_camera_ros.select.moved_poses import MayHaveMoved, MovedPose
 
 Array = NDArray[Any]
 
-#: A pose error beyond this many sigma of its instrument is none: elsewhere it gains what a set-up must.
-FAR = float(np.sqrt(2 * LEAST_GAIN))
 #: Chi-square per value of a pose that stands out.
 LARGE = 10.0
 #: A pose is wrong by itself only where it stands out by this factor from four fifths of the others, ...
@@ -29,9 +28,11 @@ AGAINST_OTHERS = 4.0
 FEW = 0.15
 #: Poses below which none stands out from the others.
 _LEAST_POSES = 4
+#: Poses that a sentence names.
+_NAMED = 5
 #: Share of the poses that may be left out altogether, or one: the others are diagnosed by themselves.
 VERY_FEW = 0.05
-#: Factor on these limits where physics was found whose form may be wrong.
+#: Factor on the limits of chi-square where physics was found whose form may be wrong.
 _STRAINED = 3.0
 #: Share of what did not agree before physics was found, from which on that is no explanation of it.
 _HALF = 0.5
@@ -51,7 +52,7 @@ LEAST_OVERLAP = 0.15
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """One pose: chi-square per value, its greatest error in sigmas, its median residual [m] and name.
+    """One pose: chi-square per value beside its errors, its median residual [m] and its time [s].
 
     ``acted_on`` is the chi-square per value that the physics found makes there, ``where_acted_on`` the share
     of the pose's own chi-square that lies in the pixels it acts on, where those are few.
@@ -59,8 +60,6 @@ class PoseCheck:
 
     key: tuple[int, int]
     chi_square: float
-    error: float
-    error_of: str
     median: float
     time: float
     acted_on: float = 0.0
@@ -72,8 +71,6 @@ class _Sums:
     """Over the stations of one pose."""
 
     time: float
-    error: float
-    error_of: str
     count: int = 0
     square: float = 0.0
     moved: float = 0.0
@@ -107,9 +104,8 @@ class Setup:
 def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:
     """Return how well each pose agrees with a fit, after the errors of poses and the fixed pattern.
 
-    ``physics`` are effects of the camera that were found. Poses stated with the same values share an error.
+    ``physics`` are effects of the camera that were found.
     """
-    worst = errors_of_placements(standard_errors(fitted))
     found: dict[tuple[int, int], _Sums] = {}
     for prediction in fitted.forward.predictions():
         station = prediction.station
@@ -125,10 +121,7 @@ def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:
             (station.saturated > 0).any()
         )
         few = bleeding or acting.mean() < _FEW_PIXELS
-        sums = found.setdefault(
-            (station.recording, station.pose),
-            _Sums(station.time, *worst.get((station.recording, station.placed), (0.0, ""))),
-        )
+        sums = found.setdefault((station.recording, station.pose), _Sums(station.time))
         sums.count += z.size
         sums.square += float(np.sum(z**2))
         sums.moved += float(np.sum(moved**2))
@@ -138,8 +131,6 @@ def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:
         PoseCheck(
             key,
             one.square / one.count,
-            one.error,
-            one.error_of,
             max(one.medians, key=abs),
             one.time,
             one.moved / one.count,
@@ -192,17 +183,22 @@ def overlap(fitted: Fit) -> float:
 
 
 def check_setup(
-    fitted: Fit, *, explained: float = 0.0, physics: Sequence[str] = (), before: Fit | None = None
+    fitted: Fit,
+    *,
+    explained: float = 0.0,
+    physics: Sequence[str] = (),
+    before: Fit | None = None,
+    moved: Sequence[MovedPose] = (),
 ) -> Setup:
     """Say whether scene, poses and camera belong to the recording.
 
     ``fitted`` has the residuals and errors to be judged: where physics was found they are conditional on what
-    its forms may do otherwise (`nuisances.conditional_on_physics`).
+    its forms may do otherwise (`nuisances.conditional_on_physics`); ``moved`` surfaces stand elsewhere.
     ``explained`` is the share of the excess chi-square that the physics found explains: what it explains is
     no fault of the setup. Where ``physics`` was found at all, effects of the camera, its form may be wrong
-    enough to strain a few poses: then they must stand out by far more, or already in the fit ``before`` and
-    half as far still. They must not be those that it acts on: in which it moves distances by about as much as
-    is left, or most of what is left lies where it acts, or which lost half of their chi-square since then.
+    enough to strain a few poses: what is no error of a pose must stand out by far more then. These must not
+    be poses that it acts on: in which it moves distances by about as much as is left, or most of what is left
+    lies where it acts, or which lost half of their chi-square since the fit ``before``.
     """
     poses = check_poses(fitted, physics)
     if not poses:
@@ -210,34 +206,36 @@ def check_setup(
     gross = _gross(fitted, poses)
     if gross is not None:
         return Setup(tuple(poses), None if gross.may_be_physics and explained > 0.5 else gross.fault)
-    strained = _STRAINED if physics else 1.0
-    bad = _few(poses, strained)
-    if physics and before is not None:
-        first = {pose.key: pose for pose in check_poses(before)}
-        already = {pose_check.key: pose_check.error for pose_check in _few([*first.values()], 1.0)}
-        # what was found may strain the others, so that these do not stand out any more
-        least = {key: max(_STRAINED * FAR, _HALF * error) for key, error in already.items()}
-        left = [pose for pose in poses if pose not in bad and pose.error > least.get(pose.key, np.inf)]
-        # what many poses show is physics
-        bad += left if len(bad) + len(left) <= _most_few(poses) else []
-        before_of = {key: pose_check.chi_square for key, pose_check in first.items()}
-        bad = [
-            pose_check
-            for pose_check in bad
-            if pose_check.chi_square > _HALF * before_of.get(pose_check.key, 0.0)
-        ]
-        bad = [
-            pose_check for pose_check in bad if pose_check.error > _STRAINED * FAR or not _by_form(pose_check)
-        ]
+    elsewhere = {pose.placement for pose in moved}
+    stations = fitted.forward.dataset.stations
+    keys = {(one.recording, one.pose) for one in stations if (one.recording, one.placed) in elsewhere}
+    before_of = {pose.key: pose.chi_square for pose in check_poses(before)} if physics and before else {}
+    uneven = [
+        pose
+        for pose in _few(poses, _STRAINED if physics else 1.0)
+        if pose.key not in keys and not (physics and _by_form(pose))
+        if pose.chi_square > _HALF * before_of.get(pose.key, 0.0)
+    ]
+    if len(keys) + len(uneven) > _most_few(len(poses)):
+        uneven = []
+    bad = tuple(sorted({*keys, *(pose.key for pose in uneven)}))
     if not bad:
         return Setup(tuple(poses), None)
-    numbers = ",".join(
-        str(pose_check.key[1]) for pose_check in sorted(bad, key=lambda pose_check: pose_check.key)
-    )
+    numbers = ",".join(str(number) for _, number in bad)
+    worst = max(moved, key=lambda pose: pose.gain, default=None)
+    if worst is None:
+        first = max(uneven, key=lambda pose: pose.chi_square)
+        detail = f"pose {first.key[1]} at {first.time:.1f} s: chi-square per value {first.chi_square:.1f}"
+    else:
+        number, time = next(
+            (one.pose, one.time) for one in stations if (one.recording, one.placed) == worst.placement
+        )
+        detail = f"pose {number} at {time:.1f} s: {worst.sentence}"
+    names = ", ".join(numbers.split(",")[:_NAMED])
     return Setup(
         tuple(poses),
-        _of_few(bad, len(poses), strained),
-        tuple(pose_check.key for pose_check in bad),
+        f"{len(bad)} of {len(poses)} poses do not agree with the rest ({names}); {detail}",
+        bad,
         f"--without-poses {numbers} leaves them out",
     )
 
@@ -282,36 +280,25 @@ def _gross(fitted: Fit, poses: list[PoseCheck]) -> _Gross | None:
 
 
 def _few(poses: list[PoseCheck], factor: float) -> list[PoseCheck]:
-    """Return the poses that do not agree where the most of them do, else none."""
+    """Return the poses whose chi-square stands out where the most of them agree, else none."""
     if len(poses) < _LEAST_POSES:
         return []
     bad = []
     for i, pose in enumerate(poses):
         others = [*poses[:i], *poses[i + 1 :]]
-        error = float(np.quantile([other.error for other in others], 0.8))
         typical = float(np.quantile([other.chi_square for other in others], 0.8))
-        if (pose.error > factor * FAR and pose.error > factor * AGAINST_OTHERS * error) or (
-            pose.chi_square > factor * LARGE and pose.chi_square > factor * AGAINST_OTHERS * typical
-        ):
+        if pose.chi_square > factor * LARGE and pose.chi_square > factor * AGAINST_OTHERS * typical:
             bad.append(pose)
-    return bad if len(bad) <= _most_few(poses) else []
+    return bad if len(bad) <= _most_few(len(poses)) else []
 
 
-def _most_few(poses: Sequence[PoseCheck]) -> float:
-    return max(1.0, FEW * len(poses))
+def few_of(poses: int) -> MayHaveMoved:
+    """Return how many of some poses may stand elsewhere, none where there are too few to tell."""
+    return MayHaveMoved(_most_few(poses), LEAST_GAIN)
 
 
-def _of_few(bad: list[PoseCheck], count: int, factor: float) -> str:
-    worst = sorted(bad, key=lambda pose_check: -max(pose_check.error, pose_check.chi_square))[:5]
-    names = ", ".join(str(pose_check.key[1]) for pose_check in worst)
-    first = worst[0]
-    detail = (
-        f"pose {first.key[1]} at {first.time:.1f} s: {first.error_of.removeprefix('pose.')} is off by "
-        f"{first.error:.0f} sigma of its instrument"
-        if first.error > factor * FAR
-        else f"pose {first.key[1]} at {first.time:.1f} s: chi-square per value {first.chi_square:.1f}"
-    )
-    return f"{len(bad)} of {count} poses do not agree with the rest ({names}); {detail}"
+def _most_few(poses: int) -> int:
+    return max(1, int(FEW * poses)) if poses >= _LEAST_POSES else 0
 
 
 def standard_errors(fitted: Fit) -> Mapping[str, float]:

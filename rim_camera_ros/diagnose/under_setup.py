@@ -6,12 +6,13 @@ import numpy as np
 
 from rim_camera_ros.diagnose.hypotheses import Files
 from rim_camera_ros.diagnose.nuisances import common_pose_beyond, optics_beyond, reflectivities_beyond
-from rim_camera_ros.diagnose.setup import check_setup
+from rim_camera_ros.diagnose.setup import check_setup, few_of
 from rim_camera_ros.diagnose.smooth import axes_of, gradient_terms, single_terms
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.select.moved_poses import moved_beside_physics
 from rim_camera_ros.select.search import search
 
 
@@ -37,7 +38,7 @@ def left_by_chance(files: Files, *, seed: int, threads: int) -> float | None:
             views=forward.views,
         ).explorations[0]
         beyond = (
-            check_setup(step.fit).reason
+            check_setup(step.fit, moved=moved_beside_physics(step, few_of(dataset.poses))).reason
             or reflectivities_beyond(step.fit, scene)
             or common_pose_beyond(step.fit, camera)
             or (None if camera.covariance is None else optics_beyond(step.fit))

@@ -18,6 +18,7 @@ from rim_camera_ros.effects.candidate import Candidate
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.select.effect_sizes import effect_size
 from rim_camera_ros.select.exploration import Exploration
+from rim_camera_ros.select.moved_poses import MovedPose
 from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
 
 #: Paired standard errors over poses that an effect must gain beside those found before it. The null
@@ -87,6 +88,7 @@ NOT_IN_ALL_POSES = "as the poses do not agree that it gains"
 NOT_IN_QUIET_PIXELS = "as it gains only where what was found acts"
 ONCE_FITTED = "as it gains or moves too little once it is fitted"
 NOT_IN_TIME = "as it follows the time of the poses no better than chance does"
+SAME_PHYSICS = "as it is what was found, of another form: its own parameters have no other physics there"
 
 
 @dataclass(frozen=True)
@@ -240,6 +242,12 @@ class Trial:
     likelihood: float
 
 
+def is_form_of_another(trial: Trial, found: Sequence[str]) -> bool:
+    """Return whether an effect has become one ``found`` before it, in a limit of its own parameters."""
+    effects = trial.fitted.fit.camera.effects
+    return any(effects[name].limit in found for name in trial.effects if name in effects)
+
+
 def as_good(alone: Mapping[str, Trial], best: Trial) -> list[str]:
     """Return the effects, of those fitted ``alone``, of which poses do not agree that the best is better.
 
@@ -263,7 +271,8 @@ class Result:
     """The search's end: the camera with all that was found, its last fit, and every exploration.
 
     ``refused`` are effects that would have gained beside those found; explorations from number
-    ``beside_edges`` on take in pixels beside edges.
+    ``beside_edges`` on take in pixels beside edges. ``moved`` are surfaces that stand elsewhere in a few
+    poses, where nothing else explains as much.
     """
 
     camera: Camera
@@ -275,6 +284,7 @@ class Result:
     folds: Mapping[tuple[int, int], int]
     refused: list[Refused] = field(default_factory=list)
     beside_edges: int | None = None
+    moved: list[MovedPose] = field(default_factory=list)
 
     @property
     def fit(self) -> Fit:

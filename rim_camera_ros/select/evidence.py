@@ -148,6 +148,10 @@ class Scores:
         result.prior, result._bases = prior, {}
         return result
 
+    def likeliest(self, extra: Iterable[int] = ()) -> Scores:
+        """Return the scores with priors of the likeliest sizes: these, as none is a hyperparameter."""
+        return self
+
     def columns(self, extra: Iterable[int]) -> Array:
         """Return the indices of base and extra regressors that are not held."""
         return np.array(sorted({*self.base.tolist(), *extra} - self._held), int)

@@ -55,18 +55,19 @@ class ConditionalOnForms(Scores):
         every = [float(size.held_out()) for size in self._of_sizes]
         return float(logsumexp(every) - np.log(len(SIZES)))
 
-    def _likeliest(self, extra: Iterable[int]) -> Scores:
+    def likeliest(self, extra: Iterable[int] = ()) -> Scores:
+        """Return the scores with the priors of the likeliest size."""
         extra = list(extra)
         return max(self._of_sizes, key=lambda scores: float(scores.held_out(extra)))
 
     def values(self, extra: Iterable[int] = (), *, leave_out: int | None = None) -> dict[str, float]:
         """Return the coefficients of base and extra by label, those of the likeliest size."""
-        return self._likeliest(extra).values(extra, leave_out=leave_out)
+        return self.likeliest(extra).values(extra, leave_out=leave_out)
 
     def covariance(self, columns: Array) -> Array:
         """Return the posterior covariance (K, K) of some regressors together, by the likeliest size."""
-        return self._likeliest(columns.tolist()).covariance(columns)
+        return self.likeliest(columns.tolist()).covariance(columns)
 
     def errors_and_offsets(self, extra: Iterable[int] = ()) -> tuple[dict[str, float], Array]:
         """Return the errors of poses and powers and the offsets of pixels [m], by the likeliest size."""
-        return self._likeliest(extra).errors_and_offsets(extra)
+        return self.likeliest(extra).errors_and_offsets(extra)

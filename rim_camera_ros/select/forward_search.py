@@ -20,10 +20,12 @@ from rim_camera_ros.select.compare import (
     NOT_IN_QUIET_PIXELS,
     NOT_IN_TIME,
     ONCE_FITTED,
+    SAME_PHYSICS,
     Found,
     Trial,
     discrepancy,
     entry_gain,
+    is_form_of_another,
     leaders,
     leading_variants,
     tied,
@@ -283,6 +285,8 @@ class Search:
             return ONCE_FITTED
         if gain <= need:
             return NOT_IN_ALL_POSES
+        if is_form_of_another(trial, [finding.effect for finding in self.found]):
+            return SAME_PHYSICS
         drifts = [name for name in trial.effects if vocabulary()[name].in_time] if self.found else []
         return None if all(self._follows_time(trial, name) for name in drifts) else NOT_IN_TIME
 

@@ -21,6 +21,7 @@ from rim_camera_ros.select.compare import Result, leading_variants, refused, smo
 from rim_camera_ros.select.evidence import folds_of
 from rim_camera_ros.select.exploration import explore
 from rim_camera_ros.select.forward_search import Search
+from rim_camera_ros.select.moved_poses import MayHaveMoved, moved_before_physics
 from rim_camera_ros.select.trials import Workers, silent
 
 MOST_EFFECTS = 4
@@ -36,6 +37,7 @@ def search(
     most: int = MOST_EFFECTS,
     further: Sequence[Candidate] = (),
     begin: Result | None = None,
+    may_have_moved: MayHaveMoved | None = None,
     views: Views | None = None,
     workers: Workers = map,
     progress: Callable[[str], None] | None = None,
@@ -46,7 +48,8 @@ def search(
     (smooth terms); where one of them explains far more than any effects, none joins. The search goes on from
     what one of fewer stations found, ``begin``: its effects count among the ``most`` that may join, and are
     needed still once others did. ``views`` are those of the same scene by the same rays, if there are any.
-    ``workers`` fit candidates, as `cluster.on_workers` does.
+    Where surfaces that stand elsewhere in a few poses, as many as ``may_have_moved``, explain more than any
+    effect does, none joins either. ``workers`` fit candidates, as `cluster.on_workers` does.
     """
     say = progress if progress is not None else silent
     folds = folds_of(problem.dataset)
@@ -102,7 +105,8 @@ def search(
 
     may_look = problem.masks is None
     state = begun(problem, again=False)
-    if smooth_says_more(state.step):
+    moved = [] if may_have_moved is None else moved_before_physics(state.step, may_have_moved)
+    if moved or smooth_says_more(state.step):
         most = 0
     state.add(most)
     if state.narrowed is not None:
@@ -132,4 +136,5 @@ def search(
         folds=folds,
         refused=[one for one in left_out if one.effect not in names],
         beside_edges=state.beside_edges,
+        moved=moved,
     )

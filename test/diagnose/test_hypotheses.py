@@ -14,7 +14,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.diagnose import compare_setups as setups
 from rim_camera_ros.diagnose.compare_setups import against_physics, compare_setups
-from rim_camera_ros.diagnose.hypotheses import Hypothesis, best_setup, moved_poses
+from rim_camera_ros.diagnose.hypotheses import Hypothesis, best_setup, poses_elsewhere
 from rim_camera_ros.diagnose.inconsistent import with_setups
 from rim_camera_ros.diagnose.nuisances import common_pose_beyond
 from rim_camera_ros.diagnose.run import diagnose
@@ -311,8 +311,8 @@ def test_poses_of_a_surface_that_err_alike_are_a_fault(tmp_path: Path) -> None:
     assert alone.endswith("whose distances may have an offset or a scale that its file lacks (rim calibrate)")
 
 
-def test_what_poses_that_stand_elsewhere_cost() -> None:
-    """Half the sum of the squares of their errors in stated 1-sigma: (16 + 400) / 2."""
-    astray = moved_poses({(0, 3): 4.0, (0, 5): 20.0})
-    assert (astray.hypothesis, astray.gain, astray.value) == ("pose", pytest.approx(208.0), 2)
+def test_poses_that_stand_elsewhere_are_a_set_up() -> None:
+    astray = poses_elsewhere(208.0, 2)
+    assert (astray.hypothesis, astray.gain, astray.value) == ("pose", 208.0, 2)
+    assert astray.is_better
     assert astray.sentence == "2 poses that stand elsewhere"

@@ -65,7 +65,8 @@ def test_what_the_true_files_leave(tmp_path: Path) -> None:
     data = record(given, board, poses=12, seed=3)
     left = left_by_chance((data, board, given), seed=0, threads=1)
     assert left is not None
-    assert 8.0 <= left < 40.0
+    # one parameter of so many candidates must gain 4.5 nats, curves of several more (docs/decision.md)
+    assert 4.5 <= left < 40.0
 
 
 def test_files_that_lack_physics_leave_more(tmp_path: Path) -> None:

@@ -32,6 +32,7 @@ from rim_camera_ros.select.compare import (
     NOT_IN_ALL_POSES,
     NOT_IN_TIME,
     ONCE_FITTED,
+    SAME_PHYSICS,
     Found,
     Refused,
     Trial,
@@ -404,7 +405,10 @@ def test_a_drift_beside_other_effects_must_follow_time(
     state = Search(nothing, nothing, [nothing], {}, found=[Found("cyclic_error", 900.0)])
 
     def why_not(*effects: str) -> str | None:
-        trial: Any = SimpleNamespace(effects=effects, fitted=SimpleNamespace(fit=None))
+        model = SimpleNamespace(effects={})
+        trial: Any = SimpleNamespace(
+            effects=effects, fitted=SimpleNamespace(fit=SimpleNamespace(camera=model))
+        )
         return state._why_not(trial, 100.0, 20.0, 30.0)
 
     refusal = None if follows else NOT_IN_TIME
@@ -413,6 +417,28 @@ def test_a_drift_beside_other_effects_must_follow_time(
     assert why_not("integration_time_offset") is None
     state.found.clear()
     assert why_not("warm_up_drift") is None
+
+
+@pytest.mark.parametrize(
+    ("found", "sigma", "refusal"),
+    [
+        ("mixed_pixels", 0.9, SAME_PHYSICS),
+        ("mixed_pixels", 3.0, None),
+        ("cyclic_error", 0.9, None),
+    ],
+)
+def test_a_halo_within_the_neighbours_is_the_form_of_the_mixed_pixels_that_were_found(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, found: str, sigma: float, refusal: str | None
+) -> None:
+    """Alone it becomes mixed pixels; beside them there is nothing that it could become."""
+    monkeypatch.setattr("rim_camera_ros.select.forward_search.effect_size", lambda *_: 0.01)
+    nothing: Any = None
+    state = Search(nothing, nothing, [nothing], {}, found=[Found(found, 900.0)])
+    fitted = camera(tmp_path, Scattering((Kernel(0.7, (sigma, sigma)),)))
+    trial: Any = SimpleNamespace(
+        effects=["scattering"], fitted=SimpleNamespace(fit=SimpleNamespace(camera=fitted))
+    )
+    assert state._why_not(trial, 100.0, 20.0, 30.0) == refusal
 
 
 def test_rays_that_make_what_was_found_impossible_are_no_start(
