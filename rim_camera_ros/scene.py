@@ -112,6 +112,14 @@ class Surface:
         minimum=0.0,
         maximum=1.0,
     )
+    pose_scale_sigma: float = quantity(
+        "-",
+        "relative 1-sigma of the positions of all poses together, as of a board that is found in images: "
+        "focal length and size of the board",
+        default=0.0,
+        minimum=0.0,
+        maximum=0.5,
+    )
 
     def __post_init__(self) -> None:
         if not self.name.strip() or "/" in self.name or not self.name.isprintable() or len(self.name) > 100:

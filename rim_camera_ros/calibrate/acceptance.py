@@ -83,6 +83,10 @@ def _widened(fitted: Fit, stated: Scene) -> list[str]:
     return result
 
 
+#: Units of a thousandth of what poses err by in common, which else are tilts.
+_THOUSANDTHS = {"offset": "mm", "scale": "mm/m"}
+
+
 def _err_alike(fitted: Fit, stated: Scene) -> list[str]:
     """Return which surfaces' poses all err alike by far more than stated: poses that are alike allow that."""
     sizes = {regressor.label: regressor.prior for regressor in common_pose_block(stated).regressors}
@@ -90,7 +94,7 @@ def _err_alike(fitted: Fit, stated: Scene) -> list[str]:
     for label, value in fitted.parameters.items():
         if label in sizes:
             surface, _, kind = label.removeprefix(COMMON_POSE).rpartition(".")
-            size = f"{abs(value) * 1e3:.2g} {'mm' if kind == 'offset' else 'mrad'}"
+            size = f"{abs(value) * 1e3:.2g} {_THOUSANDTHS.get(kind, 'mrad')}"
             worst[surface] = max(worst.get(surface, (0.0, "")), (abs(value) / sizes[label], size))
     return [
         f"it takes all poses of '{surface}' to err alike, by {size}, {ratio:.0f} times as much as stated: "

@@ -159,12 +159,14 @@ def posed_recordings(
 
     Says what was found. They are in a folder that is removed, by the next run where this one is killed.
     Errors name the originals. The share of the poses' variance that is the same in all of a recording, the
-    mean over several of them, takes the place of ``pose_common`` in the scene file.
+    mean over several of them, takes the place of ``pose_common`` in the scene file, and the scale of all
+    that of ``pose_scale_sigma``.
     """
     known = known_of(given)
     with closing(temporary_folder(Path(tempfile.gettempdir()), _FOLDER)) as folder:
         made: list[Path] = []
         shares: list[float] = []
+        scales: list[float] = []
         for number, bag in enumerate(bags):
             with Recording(bag, topics=topics) as recording:
                 total = recording.frame_count
@@ -178,7 +180,10 @@ def posed_recordings(
             if not given.quiet:
                 print("\n".join(found.words()))
             shares.append(found.poses.common_share)
-        posed = Posed(tuple(made), bags, found.scene_of(board, sum(shares) / len(shares)))
+            scales.append(found.poses.scale_sigma)
+        # one camera and one board: what scales one recording scales all
+        there = found.scene_of(board, share=sum(shares) / len(shares), scale=max(scales))
+        posed = Posed(tuple(made), bags, there)
         try:
             yield posed
         except RimError as error:

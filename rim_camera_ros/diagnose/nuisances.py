@@ -44,6 +44,7 @@ _KINDS = (
     ("lobe", LOBE_PREFIX, "-"),
     ("common_pose_offset", COMMON_POSE, "m"),
     ("common_pose_tilt", COMMON_POSE, "rad"),
+    ("common_pose_scale", COMMON_POSE, "-"),
     ("optics", OPTICS, "px"),
     ("sensor_lag", SENSOR, "s"),
 )
@@ -60,7 +61,7 @@ def nuisances_of(fitted: Fit, camera: Camera, gains: GainSpread | None = None) -
             if parameter.startswith(beginning) and parameter in priors
         ]
         if beginning == COMMON_POSE:
-            labels = [one for one in labels if one.endswith("offset") == (unit == "m")]
+            labels = [label for label in labels if _unit_of(label) == unit]
         if labels:
             result.append(_of(name, [(fitted.parameters[one], priors[one]) for one in labels], unit))
     pairs: dict[str, list[tuple[float, float]]] = {}
@@ -83,6 +84,11 @@ def nuisances_of(fitted: Fit, camera: Camera, gains: GainSpread | None = None) -
     if gains is not None:
         result.append(Nuisance("pixel_gain", gains.found, gains.stated))
     return result
+
+
+def _unit_of(label: str) -> str:
+    """Return the unit of what poses err by in common."""
+    return {"offset": "m", "scale": "-"}.get(label.rpartition(".")[2], "rad")
 
 
 def optics_beyond(fitted: Fit) -> str | None:
@@ -168,11 +174,10 @@ def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
     for nuisance in nuisances_of(fitted, camera):
         if nuisance.name in _COMMON and nuisance.gain > LEAST_GAIN:
             size = f"{nuisance.found * 1e3:.2g} {'mm' if nuisance.unit == 'm' else 'mrad'}"
-            offset = nuisance.unit == "m"
             own = {
                 label: abs(value)
                 for label, value in fitted.parameters.items()
-                if label.startswith(COMMON_POSE) and label.endswith("offset") == offset
+                if label.startswith(COMMON_POSE) and _unit_of(label) == nuisance.unit
             }
             surface = max(own, key=lambda label: own[label]).removeprefix(COMMON_POSE).rpartition(".")[0]
             return (

@@ -20,6 +20,7 @@ from rim_camera_ros.effects.candidate import Block, Column, Groups, Regressor, e
 from rim_camera_ros.effects.light_curves import FALLOFF, LOBE, tile_labels
 from rim_camera_ros.effects.sections import light_block, optics_columns
 from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.views import PoseColumn, by_shift
 from rim_camera_ros.scene import Scene
 
 #: Label of the radiometric gain.
@@ -90,6 +91,8 @@ _POWERS = ((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))
 #: 1-sigma of each part of the field [m]: unknown.
 _FIELD_SIGMA = 5.0
 _DIRECTIONS = ("offset", "tilt_x", "tilt_y")
+#: End of the label of the scale that all positions of a surface share.
+POSE_SCALE = ".scale"
 
 
 def imperfection_blocks(
@@ -169,11 +172,21 @@ def reflectivity_block(scene: Scene) -> Block:
 
 
 def common_pose_block(scene: Scene) -> Block:
-    """Return the errors of the reference instrument that are the same in all poses of a surface."""
+    """Return the errors of the reference instrument that are the same in all poses of a surface.
+
+    An offset and two tilts, and the scale of all its positions where one is stated.
+    """
     regressors: list[Regressor] = []
-    for surface in scene.surfaces:
+    scaled: dict[str, tuple[int, str]] = {}
+    for number, surface in enumerate(scene.surfaces):
         share = float(np.sqrt(surface.pose_common))
-        if surface.pose != "truth" or share == 0:
+        if surface.pose != "truth":
+            continue
+        if surface.pose_scale_sigma > 0:
+            label = f"{COMMON_POSE}{surface.name}{POSE_SCALE}"
+            regressors.append(Regressor(label, "pose", surface.pose_scale_sigma))
+            scaled[label] = (number, surface.name)
+        if share == 0:
             continue
         offset, tilt = surface.pose_sigma
         tilt = 0.0 if surface.type == "sphere" else tilt
@@ -187,11 +200,24 @@ def common_pose_block(scene: Scene) -> Block:
         nothing = np.zeros(prediction.distance.shape)
         result: list[Column] = []
         for regressor in regressors:
-            column = found.get("pose." + regressor.label.removeprefix(COMMON_POSE))
+            if regressor.label in scaled:
+                column = _scale_column(prediction, regressor, *scaled[regressor.label])
+            else:
+                column = found.get("pose." + regressor.label.removeprefix(COMMON_POSE))
             result.append((nothing, nothing) if column is None else prediction.pose_change(column))
         return result
 
     return Block(tuple(regressors), columns)
+
+
+def _scale_column(prediction: Prediction, scale: Regressor, number: int, surface: str) -> PoseColumn | None:
+    """Return what a relative change of all positions of a surface does to a station's distances."""
+    view = prediction.view
+    mine = view.geometry.surface == number
+    if not mine.any():
+        return None
+    shift = np.array(view.poses[surface].position)
+    return PoseColumn(scale.label, scale.prior, *by_shift(shift, view, mine, prediction.context.camera.rays))
 
 
 def known_optics(camera: Camera) -> Block:

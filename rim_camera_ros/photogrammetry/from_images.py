@@ -118,10 +118,15 @@ class ImagePoses:
             lines.append(f"optics: {', '.join(values)}; residuals {self.report.residual_rms:.2g} px")
         return lines
 
-    def scene_of(self, board: Scene, share: float) -> Scene:
-        """Return the scene with a share of the variance of the board's poses that is the same in all."""
+    def scene_of(self, board: Scene, *, share: float, scale: float) -> Scene:
+        """Return the scene with what the board's poses err by in common.
+
+        A ``share`` of their variance that is the same in all, and the relative 1-sigma of their ``scale``.
+        """
         surfaces = [
-            replace(surface, pose_common=share) if surface.name == self.surface.name else surface
+            replace(surface, pose_common=share, pose_scale_sigma=scale)
+            if surface.name == self.surface.name
+            else surface
             for surface in board.surfaces
         ]
         return replace(board, surfaces=tuple(surfaces))
@@ -134,7 +139,8 @@ class ImagePoses:
             "principal point, size of the board "
             f"{100 * board_sigma:.2g} %): a distance_scale within that tells nothing of the camera; "
             f"{100 * self.poses.common_share:.0f} % of the variance of the poses is the same at all stations "
-            f"(pose_common: {self.poses.common_share:.2f} of the scene file)"
+            f"(pose_common: {self.poses.common_share:.2f}, pose_scale_sigma: {self.poses.scale_sigma:.2g} of "
+            "the scene file)"
         )
 
 

@@ -11,6 +11,7 @@ import pytest
 from rim_camera_ros.camera import Camera, Covariance
 from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.effects.candidate import Facts
+from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.light_curves import LOBE
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.effects.sections import light_block
@@ -23,6 +24,7 @@ from rim_camera_ros.fit.normal_equations import reduce_folds
 from rim_camera_ros.fit.pixel_elimination import PixelPriors
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit
+from rim_camera_ros.frame import Pose
 from rim_camera_ros.optics import pixel_rays
 from rim_camera_ros.parameters import ArrayFile, NestedList
 from rim_camera_ros.pipeline.simulate import Simulation
@@ -236,6 +238,50 @@ def test_poses_share_the_stated_part_of_their_errors(tmp_path: Path) -> None:
     ]
     assert [one.prior for one in block.regressors] == pytest.approx([0.0015, 0.00035, 0.00035])
     assert common_pose_block(Scene((replace(surface, pose_common=0.0),))).regressors == ()
+
+
+def test_positions_that_share_a_scale_are_moved_by_it(tmp_path: Path) -> None:
+    """Against the predictions for a board that stands 0.1 % farther away at every pose."""
+    told, board = camera(tmp_path), scene(tmp_path)
+    surface = replace(board.surfaces[0], pose_scale_sigma=0.002, pose_common=0.0, reflectivity_sigma=0.0)
+    block = common_pose_block(Scene((surface,)))
+    ((label, prior),) = [(regressor.label, regressor.prior) for regressor in block.regressors]
+    assert (label, prior) == ("common_pose.board.scale", 0.002)
+    data = record(told, board, poses=3, seed=4)
+
+    def farther(pose: Pose) -> Pose:
+        x, y, z = (1.001 * value for value in pose.position)
+        return replace(pose, position=(x, y, z))
+
+    moved = replace(
+        data,
+        stations=[
+            replace(one, truth={name: farther(pose) for name, pose in one.truth.items()})
+            for one in data.stations
+        ],
+    )
+    before, after = (list(Forward(one, Scene((surface,)), told).predictions()) for one in (data, moved))
+    for one, other in zip(before, after, strict=True):
+        column, _ = block.columns(one)[0]
+        used = one.used & other.used
+        assert used.sum() > 50
+        expected = (other.distance - one.distance)[used] / 0.001
+        assert column[used] == pytest.approx(expected, rel=2e-3)
+        assert expected.min() > 0.4
+
+
+def test_a_scale_of_the_camera_is_no_better_known_than_that_of_the_poses(tmp_path: Path) -> None:
+    told, board = camera(tmp_path, DistanceScale(0.0)), scene(tmp_path)
+    data = record(told, board, poses=24, seed=6)
+    (prior,) = DistanceScale(0.0).priors().values()
+    variances = []
+    for scale in (0.0, 0.001):
+        surface = replace(board.surfaces[0], pose_scale_sigma=scale)
+        found = fit(Problem(data, Scene((surface,))), told)
+        variances.append(1 / (found.sigma["effects.distance_scale.scale"] ** -2 - prior**-2))
+    # what the recording alone tells of it
+    assert variances[1] == pytest.approx(variances[0] + 0.001**2, rel=0.02)
+    assert variances[0] < 0.0005**2
 
 
 def test_what_is_exactly_known_is_no_nuisance(tmp_path: Path) -> None:
