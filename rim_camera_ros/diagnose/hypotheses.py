@@ -86,11 +86,16 @@ class Hypothesis:
         """The set-up in words."""
         if self.hypothesis == AS_GIVEN:
             return "scene, poses and camera as the files say"
-        if self.hypothesis == POSE and not self.surface:
+        if self.is_of_poses:
             return f"{self.value:.0f} poses that stand elsewhere"
         value, side = self.value, "farther away" if self.value > 0 else "nearer"
         value = abs(value) if self.hypothesis == DEPTH else value
         return _WORDS[self.hypothesis].format(self.surface or "the scene", value, side)
+
+    @property
+    def is_of_poses(self) -> bool:
+        """Whether it is that some poses stand elsewhere, each in its own way."""
+        return self.hypothesis == POSE and not self.surface
 
     @property
     def reason(self) -> str:

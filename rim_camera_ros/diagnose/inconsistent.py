@@ -39,8 +39,9 @@ def with_setups(diagnosis: Diagnosis, setups: list[Hypothesis]) -> Diagnosis:
         and best is not None
         and best.is_better
         and not reason.startswith(f"{best.hypothesis}:")
+        and not best.is_of_poses
     ):
-        reason = f"{reason}; of the set-ups tried {best.hypothesis} fits best: {best.sentence}"
+        reason = f"{reason}; of the set-ups tried this fits best: {best.sentence}"
     return replace(diagnosis, setups=setups, reason=reason)
 
 

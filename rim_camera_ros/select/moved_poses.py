@@ -48,7 +48,7 @@ class MovedPose:
         parts = [
             f"{abs(value) * 1e3:.1f} mm {'farther' if value > 0 else 'nearer'} along its normal"
             if direction == "offset"
-            else f"tilted by {abs(value) * 1e3:.1f} mrad ({direction.removeprefix('tilt_')})"
+            else f"tilted by {abs(value) * 1e3:.1f} mrad about {direction.removeprefix('tilt_')}"
             for direction, value in self.errors
         ]
         return f"'{self.surface}' stands {', '.join(parts)}"

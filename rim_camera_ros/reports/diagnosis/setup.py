@@ -23,7 +23,7 @@ _HYPOTHESES = {
     "other_board": "another board",
     "scale": "of another size",
     "depth": "nearer or farther",
-    "pose": "at another pose",
+    "pose": "poses with another sign of an angle",
     "units": "given in other units",
     "z_distance": "distances along the axis, not along the rays",
     "other_lens": "seen through another lens",
@@ -54,7 +54,7 @@ def hypotheses(report: Mapping[str, Any]) -> list[Part]:
     ranked = list(report.get("setup") or [])
     rows = [
         [
-            _HYPOTHESES.get(one["hypothesis"], str(one["hypothesis"]).replace("_", " ")),
+            _words_of(one),
             str(one.get("surface") or "-"),
             f"{round(float(one['gain'] or 0.0)):,}",
         ]
@@ -64,6 +64,13 @@ def hypotheses(report: Mapping[str, Any]) -> list[Part]:
         return []
     best: dict[int, Mood] = {0: "warn"} if ranked[0]["hypothesis"] != "as_given" else {0: "good"}
     return [Table(["the scene", "surface", "gain [nats]"], rows, numbers=(2,), moods=best)]
+
+
+def _words_of(hypothesis: Mapping[str, Any]) -> str:
+    name = str(hypothesis["hypothesis"])
+    if name == "pose" and not hypothesis.get("surface"):
+        return "some poses elsewhere"
+    return _HYPOTHESES.get(name, name.replace("_", " "))
 
 
 def imperfections(report: Mapping[str, Any]) -> list[Part]:
