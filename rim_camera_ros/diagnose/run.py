@@ -61,6 +61,7 @@ from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.variance_components import likely_correlated_error
 from rim_camera_ros.scene import Scene
+from rim_camera_ros.select.candidates import SHARE
 from rim_camera_ros.select.moved_poses import moved_beside_physics, total_gain
 from rim_camera_ros.select.search import MOST_EFFECTS, search
 from rim_camera_ros.select.trials import Workers
@@ -240,17 +241,19 @@ def _diagnose(
                 return with_setups(hopeless(problem, camera, variance, seed), setups)
     best_fit = final.fit if described is None else described.fit
     conditional = conditional_on_physics(result) if described is None else best_fit
-    moved = result.moved
+    moved, form_size = result.moved, SHARE
     if not moved and described is None:
         disputed = disputed_effect(result)
         extra = [] if disputed is None else final.spans[disputed]
         moved = moved_beside_physics(final, may_have_moved, extra=extra)
+        form_size = SHARE * final.conditional.relative_size(extra)
     setup = check_setup(
         conditional,
         explained=explained,
         physics=[finding.effect for finding in result.found] if described is None else [CovariateTable.name],
         before=baseline.fit,
         moved=moved,
+        form_size=form_size,
     )
     reason, winner = setup.reason, None
     if any(hypothesis.is_better for hypothesis in setups):

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.diagnose.hypotheses import LEAST_GAIN
 from rim_camera_ros.effects import registry
+from rim_camera_ros.fit.data import Station
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.variance_components import WILD
+from rim_camera_ros.select.candidates import SHARE
 from rim_camera_ros.select.effect_sizes import change_by
 from rim_camera_ros.select.moved_poses import MayHaveMoved, MovedPose
 
@@ -55,7 +57,8 @@ class PoseCheck:
     """One pose: chi-square per value beside its errors, its median residual [m] and its time [s].
 
     ``acted_on`` is the chi-square per value that the physics found makes there, ``where_acted_on`` the share
-    of the pose's own chi-square that lies in the pixels it acts on, where those are few.
+    of the pose's own chi-square that lies in the pixels it acts on, where those are few; ``values`` are its
+    distances.
     """
 
     key: tuple[int, int]
@@ -64,6 +67,7 @@ class PoseCheck:
     time: float
     acted_on: float = 0.0
     where_acted_on: float = 0.0
+    values: int = 0
 
 
 @dataclass
@@ -135,6 +139,7 @@ def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:
             one.time,
             one.moved / one.count,
             one.acting / max(one.square, 1e-300),
+            one.count,
         )
         for key, one in found.items()
     ]
@@ -189,11 +194,13 @@ def check_setup(
     physics: Sequence[str] = (),
     before: Fit | None = None,
     moved: Sequence[MovedPose] = (),
+    form_size: float = SHARE,
 ) -> Setup:
     """Say whether scene, poses and camera belong to the recording.
 
     ``fitted`` has the residuals and errors to be judged: where physics was found they are conditional on what
-    its forms may do otherwise (`nuisances.conditional_on_physics`); ``moved`` surfaces stand elsewhere.
+    its forms may do otherwise (`nuisances.conditional_on_physics`); ``moved`` surfaces stand elsewhere, where
+    they gain more than that physics does there by a change of its form of ``form_size``, as a share of it.
     ``explained`` is the share of the excess chi-square that the physics found explains: what it explains is
     no fault of the setup. Where ``physics`` was found at all, effects of the camera, its form may be wrong
     enough to strain a few poses: what is no error of a pose must stand out by far more then. These must not
@@ -206,8 +213,9 @@ def check_setup(
     gross = _gross(fitted, poses)
     if gross is not None:
         return Setup(tuple(poses), None if gross.may_be_physics and explained > 0.5 else gross.fault)
-    elsewhere = {pose.placement for pose in moved}
     stations = fitted.forward.dataset.stations
+    moved = _not_by_form(moved, poses, stations, form_size)
+    elsewhere = {pose.placement for pose in moved}
     keys = {(one.recording, one.pose) for one in stations if (one.recording, one.placed) in elsewhere}
     before_of = {pose.key: pose.chi_square for pose in check_poses(before)} if physics and before else {}
     uneven = [
@@ -238,6 +246,21 @@ def check_setup(
         bad,
         f"--without-poses {numbers} leaves them out",
     )
+
+
+def _not_by_form(
+    moved: Sequence[MovedPose], poses: Sequence[PoseCheck], stations: Sequence[Station], size: float
+) -> list[MovedPose]:
+    """Return the poses that gain more than what a form that is wrong by its ``size`` leaves in them.
+
+    Half the chi-square of that, as changes of the form are known to be of that size only: those that are
+    part of the fit are smooth.
+    """
+    acted = {pose.key: pose.acted_on * pose.values for pose in poses}
+    by_placement: dict[tuple[int, int], float] = {}
+    for placement, key in {((one.recording, one.placed), (one.recording, one.pose)) for one in stations}:
+        by_placement[placement] = by_placement.get(placement, 0.0) + acted.get(key, 0.0)
+    return [pose for pose in moved if pose.gain > 0.5 * size**2 * by_placement.get(pose.placement, 0.0)]
 
 
 def _by_form(pose: PoseCheck) -> bool:

@@ -152,6 +152,10 @@ class Scores:
         """Return the scores with priors of the likeliest sizes: these, as none is a hyperparameter."""
         return self
 
+    def relative_size(self, extra: Iterable[int] = ()) -> float:
+        """Return the likeliest size of what is a hyperparameter, in that of its prior: 1, as nothing is."""
+        return 1.0
+
     def columns(self, extra: Iterable[int]) -> Array:
         """Return the indices of base and extra regressors that are not held."""
         return np.array(sorted({*self.base.tolist(), *extra} - self._held), int)

@@ -60,6 +60,10 @@ class ConditionalOnForms(Scores):
         extra = list(extra)
         return max(self._of_sizes, key=lambda scores: float(scores.held_out(extra)))
 
+    def relative_size(self, extra: Iterable[int] = ()) -> float:
+        """Return the likeliest size of the changes, in that of their priors."""
+        return float(np.min(self.likeliest(extra).prior / self.prior))
+
     def values(self, extra: Iterable[int] = (), *, leave_out: int | None = None) -> dict[str, float]:
         """Return the coefficients of base and extra by label, those of the likeliest size."""
         return self.likeliest(extra).values(extra, leave_out=leave_out)

@@ -30,6 +30,7 @@ from rim_camera_ros.effects.incidence_angle import IncidenceAngle
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.noise import Noise
 from rim_camera_ros.select.compare import NOT_IN_ALL_POSES, NOT_IN_QUIET_PIXELS, Found, Refused
+from rim_camera_ros.select.moved_poses import MovedPose
 
 from ..calibrate.helpers import camera
 
@@ -133,6 +134,29 @@ def test_a_pose_on_which_named_physics_acts_is_no_bad_setup(
     assert (found.reason or "").startswith(reason or "")
     assert (found.reason is None) == (reason is None)
     assert found.chi_square == pytest.approx((19 + 150) / 20)
+
+
+@pytest.mark.parametrize(
+    ("acted_on", "size", "bad"),
+    [
+        (0.0, 0.3, ((0, 7), (0, 9))),
+        (40.0, 0.3, ((0, 9),)),  # half of 0.09 x 40 x 500 is 900 nats
+        (40.0, 0.01, ((0, 7), (0, 9))),  # as the form is known to 1 %, which leaves 1 nat
+        (4000.0, 0.3, ((0, 9),)),  # it does not act in the other one
+    ],
+)
+def test_a_pose_in_which_the_form_of_physics_may_do_as_much_stands_where_it_is_said(
+    monkeypatch: pytest.MonkeyPatch, acted_on: float, size: float, bad: tuple[Any, ...]
+) -> None:
+    poses = [PoseCheck((0, k), 1.0, 0.0, float(k), acted_on if k == 7 else 0.0, 0.0, 500) for k in range(20)]
+    monkeypatch.setattr(setup, "check_poses", lambda fitted, physics=(): poses)
+    monkeypatch.setattr(setup, "_gross", lambda fitted, found: None)
+    # placements have numbers of their own
+    stations = [SimpleNamespace(recording=0, pose=k, placed=100 + k, time=9.0) for k in range(20)]
+    after: Any = SimpleNamespace(forward=SimpleNamespace(dataset=SimpleNamespace(stations=stations)))
+    moved = [MovedPose((0, 100 + k), "board", 300.0, (("offset", 0.02),), 20.0) for k in (7, 9)]
+    found = setup.check_setup(after, physics=["motion"], moved=moved, form_size=size)
+    assert found.bad == bad
 
 
 @pytest.mark.parametrize(
