@@ -90,7 +90,7 @@ def hopeless(
     frozen = replace(problem, effects=(), gain=False, robust=False)
     folds = folds_of(problem.dataset)
     step = explore(frozen, camera, [], folds, replicates=0, iterations=0, seed=seed)
-    moved = moved_beside_physics(step, few_of(problem.dataset.poses))
+    moved = moved_beside_physics(step, few_of(problem.dataset))
     setup = check_setup(step.fit, moved=moved)
     reason = (
         reason

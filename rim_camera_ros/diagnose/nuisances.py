@@ -19,7 +19,7 @@ from rim_camera_ros.select.compare import NOT_IN_ALL_POSES, Result
 from rim_camera_ros.select.thresholds import ALARM_RATE
 
 #: Poses that a sentence names.
-_MOST_NAMED = 5
+MOST_NAMED = 5
 #: Share of its stated sigma by which a parameter of the optics moves where the recording says nothing of it.
 _LEAST_MOVE = 0.1
 
@@ -144,7 +144,7 @@ def poses_beyond(fitted: Fit, camera: Camera, errors: Mapping[tuple[int, int], f
     for nuisance in nuisances_of(fitted, camera):
         if nuisance.name in ("pose_offset", "pose_tilt") and nuisance.found > BEYOND * nuisance.stated:
             size = f"{nuisance.found * 1e3:.2g} {'mm' if nuisance.unit == 'm' else 'mrad'}"
-            worst = sorted(errors, key=lambda key: -errors[key])[:_MOST_NAMED]
+            worst = sorted(errors, key=lambda key: -errors[key])[:MOST_NAMED]
             which = f", most of all {', '.join(str(pose) for _, pose in worst)}" if worst else ""
             return (
                 f"pose: poses err by {size} (RMS), {nuisance.found / nuisance.stated:.1f} times what is "

@@ -62,7 +62,7 @@ from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.variance_components import likely_correlated_error
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.candidates import SHARE
-from rim_camera_ros.select.moved_poses import moved_beside_physics, total_gain
+from rim_camera_ros.select.moved_poses import NONE_MOVED, moved_beside_physics, total_gain
 from rim_camera_ros.select.search import MOST_EFFECTS, search
 from rim_camera_ros.select.trials import Workers
 
@@ -181,8 +181,8 @@ def _diagnose(
         smooth = []
     elif dataset.poses < _FEW_POSES:
         dataset = replace(dataset, notes=[*dataset.notes, _OF_FEW_POSES.format(dataset.poses)])
-    compared_with_poses = against is None and not alone
-    may_have_moved = few_of(dataset.poses if compared_with_poses else 0)
+    # another simulation has the same poses, and the light of a second camera looks like anything
+    may_have_moved = NONE_MOVED if alone or against is not None else few_of(dataset)
     try:
         result = search(
             problem,

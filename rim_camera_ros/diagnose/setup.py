@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.diagnose.hypotheses import LEAST_GAIN
+from rim_camera_ros.diagnose.nuisances import MOST_NAMED
 from rim_camera_ros.effects import registry
-from rim_camera_ros.fit.data import Station
+from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.residuals import after_nuisances
@@ -30,8 +31,6 @@ AGAINST_OTHERS = 4.0
 FEW = 0.15
 #: Poses below which none stands out from the others.
 _LEAST_POSES = 4
-#: Poses that a sentence names.
-_NAMED = 5
 #: Share of the poses that may be left out altogether, or one: the others are diagnosed by themselves.
 VERY_FEW = 0.05
 #: Factor on the limits of chi-square where physics was found whose form may be wrong.
@@ -239,7 +238,7 @@ def check_setup(
             (one.pose, one.time) for one in stations if (one.recording, one.placed) == worst.placement
         )
         detail = f"pose {number} at {time:.1f} s: {worst.sentence}"
-    names = ", ".join(numbers.split(",")[:_NAMED])
+    names = ", ".join(numbers.split(",")[:MOST_NAMED])
     return Setup(
         tuple(poses),
         f"{len(bad)} of {len(poses)} poses do not agree with the rest ({names}); {detail}",
@@ -315,9 +314,9 @@ def _few(poses: list[PoseCheck], factor: float) -> list[PoseCheck]:
     return bad if len(bad) <= _most_few(len(poses)) else []
 
 
-def few_of(poses: int) -> MayHaveMoved:
-    """Return how many of some poses may stand elsewhere, none where there are too few to tell."""
-    return MayHaveMoved(_most_few(poses), LEAST_GAIN)
+def few_of(dataset: Dataset) -> MayHaveMoved:
+    """Return in how many placements a surface may stand elsewhere, none where there are too few to tell."""
+    return MayHaveMoved(_most_few(dataset.placements), LEAST_GAIN)
 
 
 def _most_few(poses: int) -> int:

@@ -38,7 +38,7 @@ def left_by_chance(files: Files, *, seed: int, threads: int) -> float | None:
             views=forward.views,
         ).explorations[0]
         beyond = (
-            check_setup(step.fit, moved=moved_beside_physics(step, few_of(dataset.poses))).reason
+            check_setup(step.fit, moved=moved_beside_physics(step, few_of(dataset))).reason
             or reflectivities_beyond(step.fit, scene)
             or common_pose_beyond(step.fit, camera)
             or (None if camera.covariance is None else optics_beyond(step.fit))

@@ -89,6 +89,11 @@ class Dataset:
         """Number of different poses over all recordings."""
         return len({(station.recording, station.pose) for station in self.stations})
 
+    @property
+    def placements(self) -> int:
+        """Number of times that surfaces were placed anew: poses stated alike one after the other are one."""
+        return len({(station.recording, station.placed) for station in self.stations})
+
     def with_poses(self, scene: Scene, path: str | PathLike[str] | None = None) -> None:
         """Leave out stations before the first pose of a surface with ``pose: truth``, which is noted.
 

@@ -128,7 +128,7 @@ def reduce_further(folds: Sequence[Fold], priors: Array, sums: WithoutPixels) ->
     else:
         solved = cross
         reduced = full[np.ix_(keep, keep)]
-    gram, directions = _determined((reduced[:-1, :-1] + reduced[:-1, :-1].T) / 2, unit)
+    gram, directions = determined((reduced[:-1, :-1] + reduced[:-1, :-1].T) / 2, unit)
 
     # the sums per pixel are put together anew when they are asked for: kept, they would fill the memory
     def recover(values: Array) -> tuple[dict[str, float], Array, Array | None]:
@@ -155,7 +155,7 @@ def reduce_further(folds: Sequence[Fold], priors: Array, sums: WithoutPixels) ->
     )
 
 
-def _determined(gram: Array, unit: Array) -> tuple[Array, Callable[[Array], Array]]:
+def determined(gram: Array, unit: Array) -> tuple[Array, Callable[[Array], Array]]:
     """Return a reduced normal matrix (K, K) without what is but rounding, and the same for right sides.
 
     ``unit`` (K,) are the roots of its diagonal before anything was eliminated, the priors' included.

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from rim_camera_ros.fit.normal_equations import determined
 from rim_camera_ros.fit.pixel_elimination import stacked, without_pixels
 from rim_camera_ros.select.evidence import Scores
 from rim_camera_ros.select.exploration import Exploration
@@ -32,7 +33,8 @@ FREEDOM = 100.0
 class MovedPose:
     """A surface in one placement of a recording that stands elsewhere: what it ``gain``s [nats].
 
-    ``errors`` by direction (``offset`` along the normal [m], ``tilt_x``, ``tilt_y`` [rad]); ``sigmas`` is the
+    ``errors`` by direction (``offset`` along the normal, away from the camera [m], ``tilt_x``, ``tilt_y``
+    [rad]), each without what goes with those before it by a covariance that is stated; ``sigmas`` is the
     greatest of them in stated sigmas.
     """
 
@@ -69,8 +71,9 @@ def moved_poses(
     chosen = np.r_[columns, count + np.arange(len(nuisances))]
     prior = np.r_[scores.prior[columns], [sigma for _, sigma, _ in nuisances]]
     away = np.r_[scores.away[columns], [at for _, _, at in nuisances]]
-    gram = sums.gram[np.ix_(chosen, chosen)] / scores.temper
-    right = sums.gram[chosen, -1] / scores.temper - away / prior**2
+    unit = np.hypot(np.sqrt(sums.diagonal[chosen] / scores.temper), 1.0 / prior)
+    gram, directions = determined(sums.gram[np.ix_(chosen, chosen)] / scores.temper, unit)
+    right = directions(sums.gram[chosen, -1] / scores.temper) - away / prior**2
     groups: dict[tuple[Key, str], list[int]] = {}
     for number, (name, _, _) in enumerate(nuisances, len(columns)):
         recording, placed, kind, *rest = name.split(".")
@@ -109,6 +112,10 @@ class MayHaveMoved:
 
     most: int
     least_gain: float
+
+
+#: No surface is to blame.
+NONE_MOVED = MayHaveMoved(0, np.inf)
 
 
 def moved_before_physics(step: Exploration, may: MayHaveMoved) -> list[MovedPose]:

@@ -93,6 +93,16 @@ def record(
     return Dataset(stations, ["simulated"], [], len(recorded))
 
 
+def told_wrongly(data: Dataset, number: int, by: float) -> Dataset:
+    """The dataset with the pose of one station told so far off along the axis [m]."""
+    one = data.stations[number]
+    x, y, z = one.truth["board"].position
+    moved = Pose((x, y, z + by), one.truth["board"].orientation)
+    stations = [*data.stations]
+    stations[number] = replace(one, truth={"board": moved})
+    return replace(data, stations=stations)
+
+
 def _poses(rng: np.random.Generator, wrong: float, roll: float) -> tuple[Pose, Pose]:
     """A pose as told, and as it is."""
     turn = np.radians(rng.uniform(-35, 35, 2))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,18 +26,8 @@ from rim_camera_ros.select.evidence import Scores, folds_of
 from rim_camera_ros.select.exploration import Exploration
 from rim_camera_ros.select.moved_poses import moved_poses
 
-from ..calibrate.helpers import camera, record, scene
+from ..calibrate.helpers import camera, record, scene, told_wrongly
 from .helpers import CAMERA, run, scene_text
-
-
-def told_wrongly(data: Dataset, number: int, by: float) -> Dataset:
-    """The dataset with the pose of one station told so far off [m]."""
-    one = data.stations[number]
-    x, y, z = one.truth["board"].position
-    moved = Pose((x, y, z + by), one.truth["board"].orientation)
-    stations = [*data.stations]
-    stations[number] = replace(one, truth={"board": moved})
-    return replace(data, stations=stations)
 
 
 def test_the_poses_of_a_placement_that_was_told_wrongly_are_those_to_blame(tmp_path: Path) -> None:
@@ -48,11 +39,13 @@ def test_the_poses_of_a_placement_that_was_told_wrongly_are_those_to_blame(tmp_p
         for k, one in enumerate(data.stations)
         for j in range(3)
     ]
-    fitted = fit(Problem(replace(data, stations=again), board), truth)
+    data = replace(data, stations=again)
+    fitted = fit(Problem(data, board), truth)
     assert check_setup(fitted).bad == ()
     scores = Scores(fitted.equations, range(len(fitted.parameters)))
-    moved = moved_poses(scores, least_gain=20.0, most=few_of(48).most)
+    moved = moved_poses(scores, least_gain=20.0, most=few_of(data).most)
     assert [pose.placement for pose in moved] == [(0, 5)]
+    assert (data.poses, data.placements, few_of(data).most) == (48, 16, 2)
     found = check_setup(fitted, moved=moved)
     assert found.bad == ((0, 15), (0, 16), (0, 17))
     said = str(found.reason)
@@ -98,7 +91,8 @@ def test_a_pose_stands_out_from_the_others(count: int, found: int) -> None:
     poses = [PoseCheck((0, k), 1.0, 0.0, float(k)) for k in range(count - 1)]
     poses.append(PoseCheck((0, count - 1), 1e4, 0.1, 9.0))
     assert len(setup._few(poses, 1.0)) == found
-    assert few_of(count).most == max(int(0.15 * count), found)
+    stations: Any = [SimpleNamespace(recording=0, placed=k) for k in range(count)]
+    assert few_of(Dataset(stations, [], [], 0)).most == max(int(0.15 * count), found)
 
 
 def test_poses_without_a_pixel_stop_no_fit_whichever_they_are(tmp_path: Path) -> None:

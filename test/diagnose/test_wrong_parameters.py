@@ -23,8 +23,7 @@ from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.parameters import ArrayFile
 from rim_camera_ros.select.search import search
 
-from ..calibrate.helpers import camera, record, scene
-from .test_setup import told_wrongly
+from ..calibrate.helpers import camera, record, scene, told_wrongly
 
 
 def cyclic(amplitude: float) -> CyclicError:

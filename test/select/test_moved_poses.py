@@ -15,7 +15,6 @@ from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.normal_equations import reduce_folds
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.solver import fit
-from rim_camera_ros.frame import Pose
 from rim_camera_ros.select import moved_poses as module
 from rim_camera_ros.select.evidence import Scores
 from rim_camera_ros.select.moved_poses import (
@@ -27,17 +26,7 @@ from rim_camera_ros.select.moved_poses import (
     moved_poses,
 )
 
-from ..calibrate.helpers import camera, record, scene
-
-
-def moved(data: Dataset, number: int, by: float) -> Dataset:
-    """The recording with the board of one station stated farther by so much along the axis [m]."""
-    one = data.stations[number]
-    x, y, z = one.truth["board"].position
-    stated = Pose((x, y, z + by), one.truth["board"].orientation)
-    stations = [*data.stations]
-    stations[number] = replace(one, truth={"board": stated})
-    return replace(data, stations=stations)
+from ..calibrate.helpers import camera, record, scene, told_wrongly
 
 
 def fitted_to(data: Dataset, tmp_path: Path) -> tuple[Fit, Scores]:
@@ -54,7 +43,7 @@ def test_poses_within_their_errors_stand_where_they_are_said_to(tmp_path: Path, 
 def test_those_that_do_not_are_found_with_what_they_are_off_by(tmp_path: Path) -> None:
     data = record(camera(tmp_path), scene(tmp_path), poses=16, seed=3)
     for number, by in ((4, 0.05), (6, -0.03)):
-        data = moved(data, number, by)
+        data = told_wrongly(data, number, by)
     _, scores = fitted_to(data, tmp_path)
     first, second = moved_poses(scores, least_gain=20.0, most=16)
     assert [pose.placement for pose in (first, second)] == [(0, 4), (0, 6)]
@@ -74,7 +63,7 @@ def test_those_that_do_not_are_found_with_what_they_are_off_by(tmp_path: Path) -
 
 def test_the_gain_is_the_ratio_of_marginal_likelihoods(tmp_path: Path) -> None:
     """Against the determinants of the equations reduced anew with wider errors of that pose."""
-    data = moved(record(camera(tmp_path), scene(tmp_path), poses=12, seed=5), 7, 0.012)
+    data = told_wrongly(record(camera(tmp_path), scene(tmp_path), poses=12, seed=5), 7, 0.012)
     found, scores = fitted_to(data, tmp_path)
 
     def evidence(factor: float) -> float:
@@ -97,6 +86,18 @@ def test_the_gain_is_the_ratio_of_marginal_likelihoods(tmp_path: Path) -> None:
     (pose,) = moved_poses(scores, least_gain=5.0, most=12)
     assert pose.placement == (0, 7)
     assert pose.gain == pytest.approx(evidence(FREEDOM) - evidence(1.0), rel=1e-4)
+
+
+def test_poses_that_are_all_alike_are_no_error(tmp_path: Path) -> None:
+    """Offsets of pixels take on all that errors of the only pose do, however large they may be."""
+    one = record(camera(tmp_path), scene(tmp_path), poses=1, seed=3).stations[0]
+    alike = [replace(one, pose=k, placement=k, stamp=one.stamp + k, time=float(k)) for k in range(6)]
+    board = scene(tmp_path)
+    loose = replace(board.surfaces[0], pose_sigma=(100.0, 30.0), pose_common=1.0)
+    data = Dataset(alike, ["simulated"], [], 6)
+    found = fit(Problem(data, replace(board, surfaces=(loose,))), camera(tmp_path))
+    scores = Scores(found.equations, range(len(found.parameters)))
+    assert moved_poses(scores, least_gain=5.0, most=6) == []
 
 
 POSES = [MovedPose((0, k), "board", gain, (("offset", 0.03),), 30.0) for k, gain in ((3, 60.0), (8, 45.0))]
