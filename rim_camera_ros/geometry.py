@@ -21,7 +21,8 @@ class Geometry:
 
     ``distance`` [m] from the projection centre along the ray, ``points`` [m], ``normals`` (towards the
     camera), ``cos_incidence`` = |ray . normal|, ``reflectivity``, ``surface`` index; ``tile`` numbers the
-    tiles of all surfaces, those of the first surface first (-1: nothing).
+    tiles of all surfaces, those of the first surface first (-1: nothing). ``scene`` and ``poses`` are what
+    was looked at, None where that is not known.
     """
 
     surface: NDArray[np.int16]
@@ -31,6 +32,14 @@ class Geometry:
     cos_incidence: Array
     reflectivity: Array
     tile: NDArray[np.int32]
+    scene: Scene | None = None
+    poses: Mapping[str, Pose] | None = None
+
+    def along(self, rays: Array) -> Geometry | None:
+        """Return what other rays (H, W, 3) from the same place meet, None where the scene is not known."""
+        if self.scene is None or self.poses is None:
+            return None
+        return see(self.scene, self.poses, rays)
 
     @property
     def hit(self) -> NDArray[np.bool_]:
@@ -85,6 +94,8 @@ def see(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> Geometry:
         cos_incidence=np.abs(along).reshape(shape),
         reflectivity=reflectivity.reshape(shape),
         tile=tile.reshape(shape),
+        scene=scene,
+        poses=poses,
     )
 
 

@@ -157,6 +157,33 @@ def rays_through(optics: Optics, pixels: Array) -> Array:
     return result
 
 
+@lru_cache(maxsize=20)
+def rays_beyond(
+    optics: Optics, *, width: int, height: int, step: float, widest: float
+) -> tuple[Array, Array]:
+    """Return unit rays (N, 3) that no pixel looks along, and their solid angles (N,) [sr], read-only.
+
+    They are ``step`` [rad] apart, up to ``widest`` [rad] from the optical axis (azimuthal equidistant).
+    """
+    places = np.arange(-np.ceil(widest / step), np.ceil(widest / step) + 1) * step
+    across, down = (axis.ravel() for axis in np.meshgrid(places, places))
+    angle = np.hypot(across, down)
+    sine = np.sinc(angle / np.pi)
+    rays = np.stack([across * sine, down * sine, np.cos(angle)], axis=-1)
+    solid = step**2 * sine
+    array = pixel_rays(optics, width=width, height=height)
+    # a lens model folds back beyond the array: where no pixel looks it is not asked
+    farthest = np.arccos(np.clip(np.nanmin(array[..., 2]), -1.0, 1.0))
+    pixels = project(optics, rays[angle <= farthest])
+    low, high = -0.5, np.array([width, height]) - 0.5
+    seen = angle <= farthest
+    seen[seen] = np.all((pixels >= low) & (pixels <= high), axis=-1)
+    kept = ~seen & (angle <= widest)
+    rays, solid = rays[kept], solid[kept]
+    rays.flags.writeable = solid.flags.writeable = False
+    return rays, solid
+
+
 def ray_derivatives(optics: Optics, rays: Array, paths: Sequence[str]) -> list[Array]:
     """Return the derivatives (..., 3) of unit rays (..., 3) of fixed pixels by numbers of the optics.
 

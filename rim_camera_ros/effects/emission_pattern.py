@@ -49,6 +49,15 @@ class EmissionPattern(ComplexEffect):
         """Return the relative power (H, W)."""
         return self._at(squared_angle(camera))
 
+    def towards(self, rays: Image, camera: Camera) -> Image:
+        """Return the relative power (N,) along rays (N, 3) beyond the array: no more than at its far corner.
+
+        The polynomial holds over the array alone.
+        """
+        q = np.square(np.arccos(np.clip(rays[..., 2], -1.0, 1.0)))
+        at_corner = float(self._at(squared_angle(camera).max()))
+        return np.clip(self._at(q), 0.0, at_corner)
+
     def _at(self, q: Image) -> Image:
         return 1 + q * (self.falloff[0] + q * self.falloff[1])
 

@@ -42,10 +42,11 @@ SURFACES = (*DIFFUSE, *GLOSS)
 #: could not be told from it otherwise.
 _LOGARITHMS = (-2.0, -1.6, -1.2, -0.8, -0.4, 0.0, 0.4, 0.8, 1.2, 1.6, 2.0)
 RESPONSE = tuple(f"{PREFIX}response.{k:+.1f}" for k in _LOGARITHMS if k != 0.0)
-#: A weak lobe that every surface may have beside Lambert's law, at coarser angles, and its 1-sigma.
+#: A weak lobe that every surface may have beside Lambert's law, at coarser angles, and its 1-sigma. At normal
+#: incidence it is as unknown as elsewhere: a camera's gain is that of Lambert's law.
 _LOBE_DEGREES = (0.0, 10.0, 20.0, 35.0, 55.0, 80.0)
 LOBE_SIGMA = 0.03
-LOBE_DIFFUSE = tuple(f"{LOBE_PREFIX}diffuse.{k:.0f}" for k in _LOBE_DEGREES[1:])
+LOBE_DIFFUSE = tuple(f"{LOBE_PREFIX}diffuse.{k:.0f}" for k in _LOBE_DEGREES)
 LOBE_GLOSS = tuple(f"{LOBE_PREFIX}gloss.{k:.0f}" for k in _LOBE_DEGREES)
 #: Emitters are extended and stand beside the lens: light falls off a little otherwise than with 1 / d^2.
 _FALLOFF_DISTANCES = (0.35, 0.7, 1.4, 2.8, 5.6)
@@ -91,7 +92,7 @@ class LightCurves:
         if not self.values.keys().isdisjoint(LOBE):
             angle, ratio = _angle_and_ratio(geometry)
             basis = _weights(_LOBE_DEGREES, angle)
-            diffuse = basis[..., 1:] @ np.array([self.values.get(k, 0.0) for k in LOBE_DIFFUSE])
+            diffuse = basis @ np.array([self.values.get(k, 0.0) for k in LOBE_DIFFUSE])
             gloss = basis @ np.array([self.values.get(k, 0.0) for k in LOBE_GLOSS])
             falloff = np.interp(
                 _log_distance(geometry), _FALLOFF_KNOTS, [self.values.get(k, 0.0) for k in FALLOFF]
@@ -134,7 +135,7 @@ class LightCurves:
             rows = list(np.moveaxis(_weights(_LOBE_DEGREES, angle), -1, 0))
             far = _log_distance(geometry)
             falloff = [np.interp(far, _FALLOFF_KNOTS, row) for row in np.eye(len(_FALLOFF_KNOTS))]
-            return [*rows[1:], *(row * ratio for row in rows), *falloff]
+            return [*rows, *(row * ratio for row in rows), *falloff]
         factor = self.surfaces(geometry)
         weights = list(np.moveaxis(_weights(_DEGREES, angle), -1, 0))
         return [weight / factor for weight in weights[1:]] + [weight * ratio / factor for weight in weights]

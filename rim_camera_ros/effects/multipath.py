@@ -1,4 +1,4 @@
-"""Light by way of another surface: one diffuse bounce between the surfaces in view."""
+"""Light by way of another surface: one diffuse bounce between surfaces that the emitter lights."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import ClassVar
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.effects.base import Effect, Undo
+from rim_camera_ros.effects.base import Effect, Undo, effect_of
 from rim_camera_ros.effects.candidate import Candidate, Facts, linear
 from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn, spread_out
+from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.effects.signal import (
     Column,
     Context,
@@ -22,11 +23,15 @@ from rim_camera_ros.effects.signal import (
     require_geometry,
 )
 from rim_camera_ros.geometry import Geometry
+from rim_camera_ros.optics import rays_beyond
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.phasor import to_phasor
 
 #: Side in pixels of the blocks of pixels that act as senders of the bounced light.
 BLOCK = 4
+#: Angle [rad] between senders beyond the view, and the largest from the axis, to where emitters shine.
+BEYOND_STEP = 0.08
+BEYOND_WIDEST = np.radians(75.0)
 #: Receivers at a time, which bounds the memory.
 _CHUNK = 2048
 #: Relative error [-] and difference of ways [m] that is none.
@@ -107,6 +112,9 @@ class Multipath(Effect):
 
 def _bounce(signal: Signal, geometry: Geometry, context: Context) -> Image:
     senders = _senders(signal, geometry, context.camera)
+    further = _senders_beyond(signal, geometry, context.camera)
+    if further is not None:
+        senders = senders.and_also(further)
     hit = geometry.hit.ravel()
     surface = geometry.surface.ravel()[hit]
     points = geometry.points.reshape(-1, 3)[hit]
@@ -217,6 +225,11 @@ class _Senders:
         """Return some of the senders."""
         return _Senders(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
+    def and_also(self, others: _Senders) -> _Senders:
+        """Return these senders and others."""
+        both = ((getattr(self, field.name), getattr(others, field.name)) for field in fields(self))
+        return _Senders(*(np.concatenate(pair) for pair in both))
+
 
 def _senders(signal: Signal, geometry: Geometry, camera: Camera) -> _Senders:
     """Blocks of pixels on one surface each: mean point, mean amplitude, area on the surface."""
@@ -245,3 +258,41 @@ def _senders(signal: Signal, geometry: Geometry, camera: Camera) -> _Senders:
         outward=mean((2 * signal.distance - geometry.distance)[hit]),
         surface=geometry.surface[hit][first],
     )
+
+
+def _senders_beyond(signal: Signal, geometry: Geometry, camera: Camera) -> _Senders | None:
+    """Return what the emitter lights where no pixel looks, None where there is nothing.
+
+    As bright as Lambert's law, the falloff of the emitter and the mean of what the pixels see make it.
+    """
+    height, width = geometry.distance.shape
+    rays, solid = rays_beyond(
+        camera.optics, width=width, height=height, step=BEYOND_STEP, widest=BEYOND_WIDEST
+    )
+    there = geometry.along(rays[None])
+    pattern = effect_of(camera, EmissionPattern)
+    here = geometry.hit
+    if there is None or not there.hit.any() or not here.any():
+        return None
+    lit = there.hit[0]
+    cosine, distance = there.cos_incidence[0, lit], there.distance[0, lit]
+    area = solid[lit] * distance**2 / np.maximum(cosine, 1e-3)
+    power: Image | float = 1.0 if pattern is None else pattern.towards(rays[lit], camera)
+    power_here: Image | float = 1.0 if pattern is None else pattern.power(camera)[here]
+    ideal = _lambertian(geometry, here) * power_here
+    return _Senders(
+        points=there.points[0, lit],
+        normals=there.normals[0, lit],
+        amplitude=_lambertian(there, there.hit) * power * (signal.amplitude[here].sum() / ideal.sum()),
+        area=area,
+        outward=distance,
+        surface=there.surface[0, lit],
+    )
+
+
+def _lambertian(geometry: Geometry, where: Image) -> Image:
+    """Return the light (N,) that Lambert's law makes of power 1 (Kahlmann 2007, eq. 2.10)."""
+    light: Image = (
+        geometry.reflectivity[where] * geometry.cos_incidence[where] / geometry.distance[where] ** 2
+    )
+    return light

@@ -38,6 +38,7 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.files import find_camera
 from rim_camera_ros.fit.decimation import decimated_camera, full_camera
 from rim_camera_ros.frame import Readings, Settings
+from rim_camera_ros.geometry import see
 from rim_camera_ros.parameters import ArrayFile, NestedList, encode
 from rim_camera_ros.pipeline.correct import Correction
 from rim_camera_ros.pipeline.simulate import Exposure, Simulation
@@ -424,39 +425,55 @@ def _corner() -> Scene:
     )
 
 
-def _bounced_by_pixels(signal: Signal, here: Context) -> np.ndarray:
-    """rho_i sum_j A_j cos_i cos_j dA_j / (pi r^2 + dA_j), half the path by way of j; every pixel sends."""
+def _bounced_by_directions(signal: Signal, here: Context) -> np.ndarray:
+    """rho_i sum_j A_j cos_i cos_j dA_j / (pi r^2 + dA_j), half the path by way of j.
+
+    The senders j are what directions on a sphere (longitude and latitude, 1 degree, up to 75 degrees from the
+    axis) meet, within the view and beyond.
+    """
     geometry = here.geometry
     assert geometry is not None
-    p = geometry.points.reshape(-1, 3)
-    n = geometry.normals.reshape(-1, 3)
-    rho, d, a = geometry.reflectivity.ravel(), signal.distance.ravel(), signal.amplitude.ravel()
-    # the area that a pixel sees: dx dy / (fx fy) on the plane z = 1, projected onto the surface
-    ray = here.camera.rays.reshape(-1, 3)
-    area = d**2 * ray[:, 2] ** 3 / (31.0 * 29.0) / np.abs(np.sum(ray * n, axis=1))
-    expected = np.zeros(len(p), complex)
-    for i in np.flatnonzero(geometry.hit.ravel()):
-        between = p[i] - p
+    assert geometry.scene is not None
+    assert geometry.poses is not None
+    step = np.radians(1.0)
+    longitude, latitude = np.meshgrid(*2 * [np.arange(-75.0, 75.5) * step])
+    ray = np.stack(
+        [
+            np.sin(longitude) * np.cos(latitude),
+            np.sin(latitude),
+            np.cos(longitude) * np.cos(latitude),
+        ],
+        axis=-1,
+    )
+    there = see(geometry.scene, geometry.poses, ray)
+    lit = there.hit & (ray[..., 2] > np.cos(np.radians(75.0)))
+    p, n, d, cosine = there.points[lit], there.normals[lit], there.distance[lit], there.cos_incidence[lit]
+    area = step**2 * np.cos(latitude)[lit] * d**2 / cosine
+    # one power for all: amplitudes are those of Lambert's law
+    hit = geometry.hit
+    lambert = geometry.reflectivity * geometry.cos_incidence / geometry.distance**2
+    power = np.median(signal.amplitude[hit] / lambert[hit])
+    a = power * there.reflectivity[lit] * cosine / d**2
+    expected = np.zeros(hit.shape, complex)
+    for i in zip(*np.nonzero(hit), strict=True):
+        between = geometry.points[i] - p
         r2 = np.maximum((between**2).sum(1), 1e-12)
         cos_j = np.maximum((between * n).sum(1), 0) / np.sqrt(r2)
-        cos_i = np.maximum(-(between * n[i]).sum(1), 0) / np.sqrt(r2)
+        cos_i = np.maximum(-(between * geometry.normals[i]).sum(1), 0) / np.sqrt(r2)
         form = cos_i * cos_j * area / (np.pi * r2 + area)
-        half = (d + np.sqrt(r2) + d[i]) / 2
-        expected[i] = rho[i] * np.nansum(a * form * np.exp(2j * np.pi * half / L))
-    return expected
+        half = (d + np.sqrt(r2) + geometry.distance[i]) / 2
+        expected[i] = geometry.reflectivity[i] * np.sum(a * form * np.exp(2j * np.pi * half / L))
+    return expected.ravel()
 
 
-def test_multipath_against_a_plain_sum_over_pixels() -> None:
-    """One diffuse bounce: rho_i sum_j A_j cos_i cos_j dA_j / (pi r^2 + dA_j), half the path by way of j.
-
-    Every pixel is a sender of its own here; the effect groups them into blocks.
-    """
+def test_multipath_against_a_plain_sum_over_directions() -> None:
+    """One diffuse bounce from all that the emitter lights, within the view and beyond it."""
     camera = replace(CAMERA, optics=replace(CAMERA.optics, d=(0.0,) * 5))
     scene = _corner()
     signal, here = ideal(scene, camera)
     geometry = here.geometry
     assert geometry is not None
-    expected = _bounced_by_pixels(signal, here)
+    expected = _bounced_by_directions(signal, here)
     ray = camera.rays.reshape(-1, 3)
     found = Multipath(1.0).bounced(signal, here).ravel()
     far = np.abs(ray[:, 0] / ray[:, 2]) > 0.12
@@ -484,7 +501,7 @@ def test_a_ball_and_a_wall_light_each_other() -> None:
     assert 0.05 < (~hit).mean() < 0.9
     found = Multipath(1.0).bounced(signal, here).ravel()
     assert not found[~hit].any()
-    expected = _bounced_by_pixels(signal, here)
+    expected = _bounced_by_directions(signal, here)
     for number in (0, 1):
         own = geometry.surface.ravel() == number
         assert own.sum() > 50
