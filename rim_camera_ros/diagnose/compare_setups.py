@@ -7,7 +7,7 @@ are compared by the paired differences of their poses (Vehtari, Gelman & Gabry 2
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +24,7 @@ from rim_camera_ros.diagnose.hypotheses import (
     share_explained,
 )
 from rim_camera_ros.diagnose.setup_likelihood import Difference, SetupPrediction, difference, predicted
-from rim_camera_ros.diagnose.setup_trials import LEAST_LENS, other_boards, refined, trials_of
+from rim_camera_ros.diagnose.setup_trials import LEAST_LENS, of_any_sides, other_boards, refined, trials_of
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.decimation import decimated_camera, decimated_dataset
@@ -53,14 +53,27 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
         if hypothesis.is_better and hypothesis.hypothesis in _OF_PATTERN
     }
     for name in sorted(patterned):
-        found += _compared(other_boards(*files, name), files, given, poses, views)
+        found += _compared(other_boards(files, name), files, given, poses, views)
     best = _best_of_each(found)
+    board = _board_beside(best)
+    if board is not None:
+        other = of_any_sides(files, board, lambda trials: _compared(trials, files, given, poses, views))
+        best = _best_of_each([other, *best])
     leader = best[0].at if best[0].is_better else None
     if leader is not None:
         # sizes and focal lengths may be any, not only those that are tried
         around = refined(leader, best[0], lambda trials: _compared(trials, files, given, poses, views))
         best = _best_of_each([*best, *around])
     return by_gain(_decided(best, dataset, scene, camera))
+
+
+def _board_beside(best: Sequence[Hypothesis]) -> Hypothesis | None:
+    """Return the board of another size in the place of one whose pattern explains too little, or None."""
+    leader = best[0]
+    if not leader.is_better or leader.wins:
+        return None
+    own = (one for one in best if one.sides is not None and one.surface == leader.surface)
+    return next(own, None)
 
 
 def against_physics(
@@ -175,6 +188,7 @@ def _compared(
                 trial.change,
                 fitted=trial.fitted,
                 at=trial.at,
+                sides=trial.sides,
             )
         )
     return found

@@ -33,7 +33,7 @@ _WORDS = {
     "inverted": "the bright and dark tiles of {0} exchanged",
     "turned_90": "the pattern of {0} turned by 90 degrees",
     "other_pattern": "another pattern on {0}: its tiles reflect otherwise than the scene file says",
-    "other_board": "another board for {0}: {1:.3g} times as large, and its tiles reflect otherwise",
+    "other_board": "another board for {0}: {3}, and its tiles reflect otherwise",
     "scale": "{0} {1:.3g} times as large as the scene file says",
     DEPTH: "{0} {1:.0f} mm {2} than its poses say",
     "pose": "poses of {0} with another sign of an angle",
@@ -41,6 +41,8 @@ _WORDS = {
     "z_distance": "distances along the optical axis instead of along the ray",
     "other_lens": "another lens, of {1:.3g} times the focal length",
 }
+#: Relative difference of the sides of a board up to which one number says its size.
+_ALIKE = 0.02
 #: What else of the scene file may be corrected, where its reflectivities may be guesses.
 _GUESSES = dict.fromkeys(
     ("other_pattern", "other_board"),
@@ -60,7 +62,8 @@ class Hypothesis:
     ``standard_error`` [nats] of the gain from its paired differences over poses; ``share`` of what does not
     fit that it explains; ``change`` makes recording, scene and camera of the set-up from those given.
     ``against_physics``: the gain is over the files with the physics that was found; ``fitted``: what it
-    changes is a parameter of the fit, which decides. ``at`` returns the same with another value.
+    changes is a parameter of the fit, which decides. ``at`` returns the same with another value. ``sides``:
+    by which factors a board is wider and higher.
     """
 
     hypothesis: str
@@ -73,13 +76,22 @@ class Hypothesis:
     against_physics: bool = False
     fitted: bool = False
     at: Callable[[float], Trial] | None = None
+    sides: tuple[float, float] | None = None
 
     @property
     def trial(self) -> Trial | None:
         """What is compared; None where nothing is."""
         if self.change is None:
             return None
-        return Trial(self.hypothesis, self.surface, self.value, self.change, fitted=self.fitted, at=self.at)
+        return Trial(
+            self.hypothesis,
+            self.surface,
+            self.value,
+            self.change,
+            fitted=self.fitted,
+            at=self.at,
+            sides=self.sides,
+        )
 
     @property
     def sentence(self) -> str:
@@ -90,7 +102,15 @@ class Hypothesis:
             return f"{self.value:.0f} poses that stand elsewhere"
         value, side = self.value, "farther away" if self.value > 0 else "nearer"
         value = abs(value) if self.hypothesis == DEPTH else value
-        return _WORDS[self.hypothesis].format(self.surface or "the scene", value, side)
+        return _WORDS[self.hypothesis].format(self.surface or "the scene", value, side, self._size)
+
+    @property
+    def _size(self) -> str:
+        """By how much a board is larger, in words."""
+        across, down = self.sides or (self.value, self.value)
+        if abs(across - down) <= _ALIKE * down:
+            return f"{self.value:.3g} times as large"
+        return f"{across:.3g} times as wide and {down:.3g} times as high"
 
     @property
     def is_of_poses(self) -> bool:
@@ -129,7 +149,7 @@ class Trial:
     """A set-up to be compared: its name, the surface, by how much, and what makes its files.
 
     ``fitted``: it is a parameter of the fit too. ``at`` returns the same with another value, where it may
-    have any.
+    have any. ``sides`` as in `Hypothesis`.
     """
 
     hypothesis: str
@@ -138,6 +158,7 @@ class Trial:
     change: Change
     fitted: bool = False
     at: Callable[[float], Trial] | None = None
+    sides: tuple[float, float] | None = None
 
 
 def share_explained(gain: float, short: float) -> float:

@@ -204,6 +204,11 @@ def _diagnose(
     beyond_stated = None if result.moved else _other_lens(final.fit, camera)
     if beyond_stated is not None:
         assert camera.covariance is not None
+        # a board that is another one moves the optics by hundreds of sigmas
+        setups, winner = _against(setups, problem, camera, found=final.fit.camera)
+        if winner is not None:
+            result.forget()
+            return with_setups(of_another_setup(winner, problem, camera, variance, seed), setups)
         result.forget()
         say("once more without the stated covariance of the optics")
         free = replace(camera, covariance=camera.covariance.without(["optics."]))
@@ -255,11 +260,8 @@ def _diagnose(
         moved=moved,
         form_size=form_size,
     )
-    reason, winner = setup.reason, None
-    if any(hypothesis.is_better for hypothesis in setups):
-        setups = against_physics(setups, problem.dataset, scene, camera, found=best_fit.camera)
-        winner = best_setup(setups)
-        reason = reason if winner is None else winner.reason
+    setups, winner = _against(setups, problem, camera, found=best_fit.camera)
+    reason = setup.reason if winner is None else winner.reason
     if reason is None and against is None and not alone and (result.found or unknown is not None):
         try:
             elsewhere = standing_elsewhere(result, best_fit, problem, camera, say=say)
@@ -341,6 +343,16 @@ def _diagnose(
     if diagnosis.accuracy.hopeless:
         diagnosis = hopeless(problem, camera, variance, seed)
     return with_setups(replace(diagnosis, nuisances=nuisances_of(result.fit, camera, gains)), setups)
+
+
+def _against(
+    setups: list[Hypothesis], problem: Problem, camera: Camera, *, found: Camera
+) -> tuple[list[Hypothesis], Hypothesis | None]:
+    """Return the set-ups held against the camera ``found``, and the one that explains more, if any."""
+    if not any(hypothesis.is_better for hypothesis in setups):
+        return setups, None
+    setups = against_physics(setups, problem.dataset, problem.scene, camera, found=found)
+    return setups, best_setup(setups)
 
 
 def _other_lens(fitted: Fit, camera: Camera) -> str | None:

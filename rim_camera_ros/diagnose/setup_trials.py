@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -24,6 +24,8 @@ from rim_camera_ros.rotations import quaternion, rotation_matrix
 from rim_camera_ros.scene import Scene, Surface
 
 Array = NDArray[Any]
+#: What trials gain over the files as given.
+Compared = Callable[[Iterable[Trial]], Sequence[Hypothesis]]
 
 #: Relative 1-sigma of amplitudes in which a camera and its file may differ.
 CAMERA_AMPLITUDE = 0.15
@@ -123,17 +125,89 @@ def _repainted(scene: Scene, number: int, ratios: Mapping[int, Sequence[float]])
     return replace(scene, surfaces=(*scene.surfaces[:number], changed, *scene.surfaces[number + 1 :]))
 
 
-def other_boards(dataset: Dataset, scene: Scene, camera: Camera, name: str) -> Iterator[Trial]:
-    """Yield boards of other sizes whose tiles reflect as the recording shows, in the place of a surface."""
-    number = next(i for i, surface in enumerate(scene.surfaces) if surface.name == name)
+def other_boards(files: Files, name: str) -> Iterator[Trial]:
+    """Yield boards of other sizes whose tiles reflect as the recording shows, in the place of a surface.
+
+    And one of the stated size whose tiles are half as large.
+    """
+    yield from _other_board(files, name, (1.0, 1.0), halved=True)
     for factor in _BOARD_FACTORS:
-        surfaces = list(scene.surfaces)
-        surfaces[number] = _scaled(surfaces[number], factor)
-        scaled = replace(scene, surfaces=tuple(surfaces))
-        forward = coarse_forward(dataset, scaled, camera)
-        changed = _repainted(scaled, number, _ratios(forward))
-        if changed is not None:
-            yield Trial("other_board", name, factor, _to_scene(changed))
+        yield from _other_board(files, name, (factor, factor))
+
+
+def _other_board(
+    files: Files, name: str, sides: tuple[float, float], *, halved: bool = False
+) -> Iterator[Trial]:
+    dataset, scene, camera = files
+    number = next(i for i, surface in enumerate(scene.surfaces) if surface.name == name)
+    surfaces = list(scene.surfaces)
+    board = _scaled(surfaces[number], *sides)
+    surfaces[number] = _with_halved_tiles(board) if halved else board
+    scaled = replace(scene, surfaces=tuple(surfaces))
+    changed = _repainted(scaled, number, _ratios(coarse_forward(dataset, scaled, camera)))
+    if changed is None:
+        return
+    if sides == (1.0, 1.0):
+        yield Trial("other_pattern", name, 0.0, _to_scene(changed))
+    else:
+        size = float(np.sqrt(sides[0] * sides[1]))
+        yield Trial("other_board", name, size, _to_scene(changed), sides=sides)
+
+
+def _with_halved_tiles(surface: Surface) -> Surface:
+    """Return the surface with tiles of half the size and the same reflectivities.
+
+    They cover a surface that ends, where they do not repeat: a board of other tiles can be painted with them.
+    """
+    texture = surface.texture
+    if texture is None:
+        return surface
+    width, height = (side / 2 for side in texture.cell)
+    rows, columns = (2 * count for count in texture.values.values.shape)
+    if surface.size is not None:
+        # even numbers, as tiles begin in the middle
+        columns, rows = (
+            2 * int(np.ceil(side / (2 * tile)))
+            for side, tile in zip(surface.size, (width, height), strict=True)
+        )
+    down, across = np.meshgrid(_places(rows, height), _places(columns, width), indexing="ij")
+    values = NestedList(texture.reflectivity(across, down))
+    return replace(surface, texture=replace(texture, cell=(width, height), values=values))
+
+
+def _places(count: int, side: float) -> Array:
+    """Return the middles (N,) [m] of so many tiles about the origin, the one right of it first."""
+    numbers = np.arange(count)
+    return np.asarray((np.where(numbers < count / 2, numbers, numbers - count) + 0.5) * side)
+
+
+def of_any_sides(files: Files, best: Hypothesis, compared: Compared) -> Hypothesis:
+    """Return the board with which a recording agrees best, of any width and height.
+
+    From the ``best`` of those of the stated shape; one side after the other.
+    """
+    for factors in (_BOARD_FACTORS, ()):
+        for axis in (0, 1):
+            made = partial(_of_side, files, best, axis)
+            coarse = [hypothesis for factor in factors for hypothesis in compared(made(factor))]
+            best = _best([best, *coarse])
+            made = partial(_of_side, files, best, axis)
+            best = _best([best, *_maximised(made, compared, _sides(best)[axis], _BOARD_FACTORS)])
+    return _best([best, *compared(_other_board(files, best.surface, _sides(best), halved=True))])
+
+
+def _of_side(files: Files, board: Hypothesis, axis: int, factor: float) -> Iterator[Trial]:
+    """Yield the ``board`` with another width (axis 0) or height (1)."""
+    across, down = _sides(board)
+    return _other_board(files, board.surface, (factor, down) if axis == 0 else (across, factor))
+
+
+def _sides(board: Hypothesis) -> tuple[float, float]:
+    return board.sides or (board.value, board.value)
+
+
+def _best(found: Iterable[Hypothesis]) -> Hypothesis:
+    return max(found, key=lambda hypothesis: hypothesis.gain)
 
 
 def coarse_forward(dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None) -> Forward:
@@ -159,7 +233,7 @@ def _of_camera() -> Iterator[Trial]:
 
 
 def _other_scale(surface: Surface, with_surface: Callable[[Surface], Scene], factor: float) -> Trial:
-    changed = _to_scene(with_surface(_scaled(surface, factor)))
+    changed = _to_scene(with_surface(_scaled(surface, factor, factor)))
     at = partial(_other_scale, surface, with_surface)
     return Trial("scale", surface.name, factor, changed, at=at)
 
@@ -173,14 +247,18 @@ def _other_lens(factor: float) -> Trial:
 def refined(
     at: Callable[[float], Trial],
     best: Hypothesis,
-    compared: Callable[[Sequence[Trial]], Sequence[Hypothesis]],
+    compared: Compared,
 ) -> list[Hypothesis]:
-    """Return what the set-up ``at`` values between those beside the ``best`` gains, as ``compared`` says.
+    """Return what the set-up ``at`` values between those beside the ``best`` gains, as ``compared`` says."""
+    return _maximised(lambda factor: iter([at(factor)]), compared, best.value, _FACTORS)
 
-    Values are factors; a maximum is sought between the factors tried beside it (Brent 1973).
-    """
-    tried = sorted({1.0, *_FACTORS})
-    number = int(np.argmin(np.abs(np.array(tried) - best.value)))
+
+def _maximised(
+    made: Callable[[float], Iterator[Trial]], compared: Compared, best: float, factors: Sequence[float]
+) -> list[Hypothesis]:
+    """Return what set-ups gain by factors between those beside the ``best`` (Brent 1973)."""
+    tried = sorted({1.0, *factors})
+    number = int(np.argmin(np.abs(np.array(tried) - best)))
     step = tried[1] / tried[0]
     low, high = (
         tried[k] if 0 <= k < len(tried) else tried[number] * step ** (k - number)
@@ -189,7 +267,7 @@ def refined(
     found: list[Hypothesis] = []
 
     def loss(factor: float) -> float:
-        one = compared([at(float(factor))])
+        one = compared(made(float(factor)))
         found.extend(one)
         return -one[0].gain if one else 0.0
 
@@ -253,11 +331,11 @@ def _patterns(values: Array) -> Iterator[tuple[str, Array]]:
         yield "turned_90", np.ascontiguousarray(np.rot90(values))
 
 
-def _scaled(surface: Surface, factor: float) -> Surface:
+def _scaled(surface: Surface, across: float, down: float) -> Surface:
     texture = surface.texture
     if texture is not None:
-        texture = replace(texture, cell=(texture.cell[0] * factor, texture.cell[1] * factor))
-    size = None if surface.size is None else (surface.size[0] * factor, surface.size[1] * factor)
+        texture = replace(texture, cell=(texture.cell[0] * across, texture.cell[1] * down))
+    size = None if surface.size is None else (surface.size[0] * across, surface.size[1] * down)
     return replace(surface, texture=texture, size=size)
 
 
