@@ -55,15 +55,15 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
     for name in sorted(patterned):
         found += _compared(other_boards(files, name), files, given, poses, views)
     best = _best_of_each(found)
+    # sizes and focal lengths may be any, not only those that are tried
+    near = next((hypothesis for hypothesis in best if hypothesis.is_better and hypothesis.at), None)
+    if near is not None and near.at is not None:
+        around = refined(near.at, near, lambda trials: _compared(trials, files, given, poses, views))
+        best = _best_of_each([*best, *around])
     board = _board_beside(best)
     if board is not None:
         other = of_any_sides(files, board, lambda trials: _compared(trials, files, given, poses, views))
         best = _best_of_each([other, *best])
-    leader = best[0].at if best[0].is_better else None
-    if leader is not None:
-        # sizes and focal lengths may be any, not only those that are tried
-        around = refined(leader, best[0], lambda trials: _compared(trials, files, given, poses, views))
-        best = _best_of_each([*best, *around])
     return by_gain(_decided(best, dataset, scene, camera))
 
 

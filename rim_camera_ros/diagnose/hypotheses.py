@@ -33,7 +33,7 @@ _WORDS = {
     "inverted": "the bright and dark tiles of {0} exchanged",
     "turned_90": "the pattern of {0} turned by 90 degrees",
     "other_pattern": "another pattern on {0}: its tiles reflect otherwise than the scene file says",
-    "other_board": "another board for {0}: {3}, and its tiles reflect otherwise",
+    "other_board": "another board in the place of {0}, {3}, whose tiles reflect otherwise,",
     "scale": "{0} {1:.3g} times as large as the scene file says",
     DEPTH: "{0} {1:.0f} mm {2} than its poses say",
     "pose": "poses of {0} with another sign of an angle",

@@ -64,3 +64,19 @@ def test_the_board_that_is_described_is_no_other(tmp_path: Path) -> None:
     setups = compare_setups(record(truth, board, poses=16, seed=5), board, truth)
     assert setups[0].hypothesis == "as_given"
     assert not any(setup.is_better for setup in setups)
+
+
+def test_a_board_of_another_size_is_that_first(tmp_path: Path) -> None:
+    """Its size is sought between those tried before a board of any width, height and tiles is."""
+    truth, plain = camera(tmp_path), scene(tmp_path)
+    wall = Surface("wall", "plane", ScenePose((0.0, 0.0, 5.2)), reflectivity=0.4)
+    tiles = plain.surfaces[0]
+    assert tiles.texture is not None
+    stated = replace(tiles, type="rectangle", size=(1.4, 1.1))
+    larger = replace(
+        stated, size=(1.4 * 1.17, 1.1 * 1.17), texture=replace(tiles.texture, cell=(0.31 * 1.17, 0.27 * 1.17))
+    )
+    data = record(truth, Scene((larger, wall)), poses=16, seed=5)
+    first = compare_setups(data, Scene((stated, wall)), truth)[0]
+    assert (first.hypothesis, first.surface) == ("scale", "board")
+    assert first.value == pytest.approx(1.17, abs=0.02)
