@@ -70,7 +70,7 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
 def _board_beside(best: Sequence[Hypothesis]) -> Hypothesis | None:
     """Return the board of another size in the place of one whose pattern explains too little, or None."""
     leader = best[0]
-    if not leader.is_better or leader.wins:
+    if not leader.is_better or leader.wins or not leader.is_repainted:
         return None
     own = (one for one in best if one.sides is not None and one.surface == leader.surface)
     return next(own, None)
@@ -177,11 +177,13 @@ def _compared(
         error = float(np.std(own.poses, ddof=1) * np.sqrt(count)) if count > 1 else np.inf
         # the poses are a sample of those of the recording, the tiles are the same in all of them
         share = poses / count
+        # sizes that were chosen (Schwarz, The Annals of Statistics 6, 1978)
+        chosen = 0.5 * trial.free * float(np.log(max(own.count * share, 1.0)))
         found.append(
             Hypothesis(
                 trial.hypothesis,
                 trial.surface,
-                gain * share + own.reflectivities,
+                gain * share + own.reflectivities - chosen,
                 error * share,
                 trial.value,
                 share_explained(gain + own.reflectivities, own.short),

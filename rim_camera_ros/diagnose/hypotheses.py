@@ -113,6 +113,11 @@ class Hypothesis:
         return f"{across:.3g} times as wide and {down:.3g} times as high"
 
     @property
+    def is_repainted(self) -> bool:
+        """Whether tiles reflect as the recording shows."""
+        return self.hypothesis in _GUESSES
+
+    @property
     def is_of_poses(self) -> bool:
         """Whether it is that some poses stand elsewhere, each in its own way."""
         return self.hypothesis == POSE and not self.surface
@@ -159,6 +164,11 @@ class Trial:
     fitted: bool = False
     at: Callable[[float], Trial] | None = None
     sides: tuple[float, float] | None = None
+
+    @property
+    def free(self) -> int:
+        """How many numbers of it are taken from the recording."""
+        return 2 if self.sides is not None else int(self.at is not None)
 
 
 def share_explained(gain: float, short: float) -> float:

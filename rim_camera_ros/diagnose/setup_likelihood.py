@@ -74,12 +74,14 @@ class SetupPrediction:
 class Difference:
     """What a set-up gains over another, in nats: at each pose (P,), and by the reflectivities of all.
 
-    ``short`` is by how much the other fits worse than noise and stated errors explain.
+    ``short`` is by how much the other fits worse than noise and stated errors explain; ``count`` is the
+    number of patches of neighbours that are compared.
     """
 
     poses: Array
     reflectivities: float
     short: float
+    count: float
 
 
 def predicted(
@@ -197,6 +199,7 @@ def difference(given: SetupPrediction, other: SetupPrediction) -> Difference:
         poses=0.5 * (before - after),
         reflectivities=0.5 * (cost_before - cost_after),
         short=0.5 * (float(before.sum()) - expected + float(np.sum(errors**2 / given.sigma**2))),
+        count=sum(weights[key] * float(region.sum()) for key, region in regions.items()),
     )
 
 
