@@ -279,11 +279,13 @@ def _senders_beyond(signal: Signal, geometry: Geometry, camera: Camera) -> _Send
     area = solid[lit] * distance**2 / np.maximum(cosine, 1e-3)
     power: Image | float = 1.0 if pattern is None else pattern.towards(rays[lit], camera)
     power_here: Image | float = 1.0 if pattern is None else pattern.power(camera)[here]
-    ideal = _lambertian(geometry, here) * power_here
+    ideal = float(np.sum(_lambertian(geometry, here) * power_here))
+    if ideal <= 0:
+        return None
     return _Senders(
         points=there.points[0, lit],
         normals=there.normals[0, lit],
-        amplitude=_lambertian(there, there.hit) * power * (signal.amplitude[here].sum() / ideal.sum()),
+        amplitude=_lambertian(there, there.hit) * power * (signal.amplitude[here].sum() / ideal),
         area=area,
         outward=distance,
         surface=there.surface[0, lit],
