@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.geometry import see
-from rim_camera_ros.optics import Optics, distort, pixel_rays, project, rays_through, undistort
+from rim_camera_ros.optics import Optics, distort, pixel_rays, project, rays_beyond, rays_through, undistort
 from rim_camera_ros.parameters import NestedList
 from rim_camera_ros.rotations import quaternion, rotation_matrix
 from rim_camera_ros.scene import CameraMotion, Scene, ScenePose, Surface, Texture
@@ -139,3 +139,20 @@ def test_the_nearest_surface_is_seen() -> None:
     assert seen.surface[4, 4] == 1
     assert seen.surface[0, 0] == 0
     assert (seen.surface >= 0).all()
+
+
+def test_rays_beyond_the_array_fill_the_rest_of_a_cone() -> None:
+    """2 pi (1 - cos 75 degrees) less the solid angle of the array's pixels, and none of them in the image."""
+    widest = np.radians(75.0)
+    rays, solid = rays_beyond(OPTICS, width=176, height=144, step=0.01, widest=widest)
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=-1), 1.0, atol=1e-12)
+    assert rays[:, 2].min() >= np.cos(widest)
+    points = rays[rays[:, 2] > 0.9]
+    matrix = np.array([[199.9, 0, 89.99], [0, 196.4, 62.4], [0, 0, 1.0]])
+    seen, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, np.array(OPTICS.d))
+    inside = np.all((seen[:, 0] > -0.5) & (seen[:, 0] < (175.5, 143.5)), axis=-1)
+    assert not inside.any()
+    array = pixel_rays(OPTICS, width=176, height=144)
+    down, across = np.gradient(array, axis=0), np.gradient(array, axis=1)
+    pixels = np.linalg.norm(np.cross(down, across), axis=-1).sum()
+    assert solid.sum() == pytest.approx(2 * np.pi * (1 - np.cos(widest)) - pixels, rel=0.003)

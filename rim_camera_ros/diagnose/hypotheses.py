@@ -41,8 +41,6 @@ _WORDS = {
     "z_distance": "distances along the optical axis instead of along the ray",
     "other_lens": "another lens, of {1:.3g} times the focal length",
 }
-#: Relative difference of the sides of a board up to which one number says its size.
-_ALIKE = 0.02
 #: What else of the scene file may be corrected, where its reflectivities may be guesses.
 _GUESSES = dict.fromkeys(
     ("other_pattern", "other_board"),
@@ -107,10 +105,10 @@ class Hypothesis:
     @property
     def _size(self) -> str:
         """By how much a board is larger, in words."""
-        across, down = self.sides or (self.value, self.value)
-        if abs(across - down) <= _ALIKE * down:
-            return f"{self.value:.3g} times as large"
-        return f"{across:.3g} times as wide and {down:.3g} times as high"
+        across, down = (f"{side:.3g}" for side in self.sides or (self.value, self.value))
+        if across == down:
+            return f"{across} times as large"
+        return f"{across} times as wide and {down} times as high"
 
     @property
     def is_repainted(self) -> bool:

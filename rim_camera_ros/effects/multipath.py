@@ -48,9 +48,9 @@ class Multipath(Effect):
     Patch j of the scene is lit as its amplitude A_j says (emission pattern and emitter offset
     included), and sends light diffusely to patch i. F_ij = cos_i cos_j dA_j / (pi r^2 + dA_j) is the
     form factor of a small disc; d_ij is half the length of the path emitter - j - i - camera. Senders
-    are blocks of 4 x 4 pixels; light from surfaces outside the view and occlusion between patches are
-    left out. Follows the vocabulary's definition with the radiometry of Lambert (Kahlmann 2007,
-    eq. 2.10).
+    are blocks of 4 x 4 pixels, and what the emitter lights beyond the view, in steps of 0.08 rad up to
+    75 degrees from the axis, as if it stood at the lens; occlusion between patches is left out. Follows
+    the vocabulary's definition with the radiometry of Lambert (Kahlmann 2007, eq. 2.10).
     """
 
     name = "multipath"

@@ -36,7 +36,7 @@ def test_a_swapped_board_is_a_set_up(
     share: float,
     sides: tuple[float, float] | None,
 ) -> None:
-    """Not unknown physics, which both were after minutes; stated optics moved by tens of their sigmas."""
+    """The first was unknown physics after 221 s, as one factor on its size explained 38 %."""
     truth, plain = camera(tmp_path), scene(tmp_path)
     tiles = plain.surfaces[0]
     assert tiles.texture is not None

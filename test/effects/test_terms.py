@@ -488,6 +488,18 @@ def test_multipath_against_a_plain_sum_over_directions() -> None:
     assert longer[right].mean() > 1.5 * longer[~right].mean()
 
 
+def test_the_emitter_is_no_brighter_beyond_the_array_than_at_its_corner() -> None:
+    """1 - 0.9 q + 0.6 q^2, q the angle squared, rises beyond 50 degrees; 1 - 2 q is below 0 from 41 on."""
+    angle = np.radians([40.0, 45.0, 75.0])
+    rays = np.stack([np.sin(angle), np.zeros(3), np.cos(angle)], axis=-1)
+    rising = EmissionPattern((-0.9, 0.6))
+    at_corner = float(rising.power(CAMERA).min())
+    power = rising.towards(rays, CAMERA)
+    assert power[0] == pytest.approx(1 - 0.9 * angle[0] ** 2 + 0.6 * angle[0] ** 4)
+    assert power[2] == pytest.approx(at_corner)
+    assert EmissionPattern((-2.0, 0.0)).towards(rays, CAMERA)[1:] == pytest.approx([0.0, 0.0])
+
+
 def test_a_ball_and_a_wall_light_each_other() -> None:
     """A curved surface, before which each pair is looked at by itself; what is not hit gets nothing."""
     camera = replace(CAMERA, optics=replace(CAMERA.optics, d=(0.0,) * 5))
