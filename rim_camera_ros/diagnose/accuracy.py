@@ -190,6 +190,8 @@ class _Compared:
         views = result.fit.forward.views
         if model.optics != camera.optics:
             problem = clean_by(model, problem, result.fit.scene, views=views)
+        # chi-squares are compared by the same noise
+        problem = replace(problem, amplitude_error=result.fit.forward.amplitude_model.tau)
         frozen = replace(
             problem,
             scene=result.fit.scene,
@@ -200,7 +202,9 @@ class _Compared:
             reflectance=False,
             response=None,
         )
-        before = fit(frozen, camera, fold_of=result.folds, iterations=1, views=views)
+        # powers and reflectivities from where they fit, poses that are free as they were found
+        begin = replace(result.explorations[0].fit.point, parameters={})
+        before = fit(frozen, camera, fold_of=result.folds, iterations=1, views=views, warm=begin)
         same_distances = model.effects == camera.effects and model.optics == camera.optics
         own, of_all = frozen, False
         if same_distances and model.noise == camera.noise:

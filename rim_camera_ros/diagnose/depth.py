@@ -149,7 +149,15 @@ def standing_elsewhere(
     found = []
     for hypothesis, dataset in zip(leading, moved, strict=True):
         there = replace(alone, dataset=dataset, masks=masks)
-        fitted = explore(there, camera, [], result.folds, replicates=0, iterations=_ITERATIONS)
+        fitted = explore(
+            there,
+            baseline.fit.camera,
+            [],
+            result.folds,
+            warm=baseline.fit,
+            replicates=0,
+            iterations=_ITERATIONS,
+        )
         after = fitted.scores.log_likelihoods()
         if "given" not in dominated({"given": before, "moved": after}):
             continue

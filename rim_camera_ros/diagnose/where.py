@@ -21,6 +21,7 @@ from rim_camera_ros.effects.covariates import COVARIATES
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.residuals import after_nuisances
+from rim_camera_ros.select.compare import LEAST_SIZE
 from rim_camera_ros.select.effect_sizes import SAME_SIZE, contribution, moved_by_light
 
 Array = NDArray[Any]
@@ -58,29 +59,25 @@ def of_terms(
 ) -> Where:
     """Locate the contribution of effects of the fitted camera; ``origin`` has the geometry before.
 
-    Effects on the amplitude count by the distances that move with it, where the camera's do, else by the
-    amplitude itself; those at edges by what pixels measure between surfaces. ``rest`` is what the effects do
-    beyond their forms: changes (H, W) of the distance in m.
+    Effects on the amplitude count by the distances that move with it, where these move by `LEAST_SIZE` and
+    more (RMS), else by the amplitude itself; those at edges by what pixels measure between surfaces. ``rest``
+    is what the effects do beyond their forms: changes (H, W) of the distance in m.
     """
-    moves = any(
-        "amplitude" in effect.depends_on()
-        for effect in fitted.camera.effects.values()
-        if isinstance(effect, DistanceTerm)
-    )
+    of_light = [name for name in names if vocabulary()[name].shows_in == "amplitude"]
+    by_distance = {name for name in of_light if _moves_distances(fitted, name)}
 
     def value(predicted: Prediction) -> Array:
         shape = predicted.used.shape
         distance, light = np.zeros(shape), np.zeros(shape)
         for name in names:
             physics = vocabulary()[name]
-            of_amplitude = physics.shows_in == "amplitude"
-            if moves and of_amplitude and not physics.is_response:
+            if name in by_distance:
                 distance = distance + moved_by_light(predicted, name)
                 continue
             moved = contribution(predicted, name, origin)
             if physics.at_edges:
                 moved = measured_between(predicted, moved, fitted.pattern, fitted.nuisances)
-            if of_amplitude:
+            if name in of_light:
                 # noise is circular in the complex plane: so much of the amplitude is worth that many metres
                 light = light + moved / SAME_SIZE * predicted.context.ambiguity / (2 * np.pi)
             else:
@@ -92,6 +89,16 @@ def of_terms(
         return np.copysign(np.hypot(distance, light), distance if distance.any() else light)
 
     return _locate(fitted, value, centred=list(names) == [CovariateTable.name])
+
+
+def _moves_distances(fitted: Fit, name: str) -> bool:
+    """Return whether distances follow the light that an effect changes, as terms of the amplitude do."""
+    terms = [effect for effect in fitted.camera.effects.values() if isinstance(effect, DistanceTerm)]
+    if vocabulary()[name].is_response or not any("amplitude" in term.depends_on() for term in terms):
+        return False
+    moved = [moved_by_light(one, name)[one.used] for one in fitted.forward.predictions()]
+    values = np.concatenate(moved)
+    return bool(values.size) and float(np.sqrt(np.mean(values**2))) >= LEAST_SIZE
 
 
 def of_values(fitted: Fit, value: Callable[[Prediction], Array]) -> Where:

@@ -22,7 +22,6 @@ from rim_camera_ros.parameters import flatten, with_values
 from rim_camera_ros.phasor import to_phasor, wrap
 
 if TYPE_CHECKING:
-    from rim_camera_ros.effects.candidate import Candidate
     from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn
     from rim_camera_ros.effects.graph import Graph
 
@@ -193,13 +192,9 @@ class Effect(Physics):
         }
         return with_values(self, numbers) if numbers else self
 
-    @classmethod
-    def edge_candidates(cls, *, at_first_sight: bool = False) -> list[Candidate]:
-        """Return the variants that show in the very pixels that an edge crosses alone.
-
-        ``at_first_sight`` there may be fewer, and sampled more coarsely.
-        """
-        return []
+    def finest(self) -> Effect:
+        """Return the effect in the form that is nearest to the truth and takes longest to compute."""
+        return self
 
     def discrepancy(self, change: Change) -> Iterator[DiscrepancyColumn]:
         """Yield what its form may do otherwise: derivatives of distance [m] and amplitude [counts] (H, W).

@@ -133,6 +133,16 @@ class MixedPixels(ComplexEffect):
             "pixels at edges measure a distance between the two surfaces"
         )
 
+    def finest(self) -> MixedPixels:
+        """Return a form of the same width of which the area of a pixel is a part.
+
+        Blurred light of the centres of pixels knows edges to half a pixel, that of their areas as they are.
+        """
+        if self.footprint is not None:
+            return self
+        side = min(1.0, self.blur * 12**0.5)
+        return MixedPixels(blur=max(self.blur**2 - side**2 / 12, 0.0) ** 0.5, footprint=side)
+
     def priors(self) -> dict[str, float]:
         if self.footprint is not None and self.blur == 0.0:
             return {"footprint": 0.3} if self.share is None else {"footprint": 0.3, "share": 0.3}

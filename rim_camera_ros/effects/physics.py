@@ -84,6 +84,14 @@ class Physics(ABC):
         return []
 
     @classmethod
+    def edge_candidates(cls, *, at_first_sight: bool = False) -> list[Candidate]:
+        """Return the variants that show in the very pixels that an edge crosses alone.
+
+        ``at_first_sight`` there may be fewer, and sampled more coarsely.
+        """
+        return []
+
+    @classmethod
     def record(cls) -> str:
         """Return what to record to determine it, in words."""
         return f"record: {cls.observable}"

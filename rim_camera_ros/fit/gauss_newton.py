@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers, with_numbers
@@ -16,10 +15,10 @@ from rim_camera_ros.effects.candidate import Block, Regressor, priors_of
 from rim_camera_ros.effects.light_curves import FALLOFF, LOBE, tile_labels
 from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.fit.amplitudes import AmplitudeModel
-from rim_camera_ros.fit.bounds import BEYOND_POSSIBLE, Bounds, least_within, of_shape, sigmas_beyond
+from rim_camera_ros.fit.bounds import BEYOND_POSSIBLE, Bounds, of_shape, sigmas_beyond
 from rim_camera_ros.fit.design import GAIN, is_linear
 from rim_camera_ros.fit.forward import Forward
-from rim_camera_ros.fit.linearised import Linearised
+from rim_camera_ros.fit.linearised import NO_SOLUTION, Linearised, solution
 from rim_camera_ros.fit.normal_equations import accumulate
 from rim_camera_ros.fit.problem import (
     Fit,
@@ -53,15 +52,17 @@ _SETTLED_WARM = 1
 #: Iterations in which the shapes (widths, lags) of effects that are new to a fit are held, and how firmly.
 _SHAPES_HELD = 2
 _HOLD = 1e9
-#: Damping of a step that makes things worse, as shares of the diagonal, one after the other; in the end no
-#: step. The step after it is damped alike, and so many times less once one is good at its first try. Where
+#: Damping of a step that makes things worse, as shares of the diagonal, one after the other; in the end none.
+#: The step after it is damped alike, and so many times less once one is good at its first try. Where
 #: objectives bend as they do for light that no file describes, only steps of a hundredth go down.
 _DAMPING = (0.01, 0.1, 1.0, 10.0, 100.0, np.inf)
 _LESS_DAMPED = 10.0
-_NO_SOLUTION = "the adjustment found no finite solution"
 _AT_A_BOUND = "{} is at the end of what is possible: the form of its effect is not quite the true one"
 #: Share of the forecast gain of a step by which the objective may become worse once, near the solution.
 _OVER_THE_BEND = 0.1
+#: Share of its decrement below which a step comes nearer to the solution of the equations, whatever the
+#: objective says (natural monotonicity; Deuflhard 2004, Newton Methods for Nonlinear Problems, sec. 4.3).
+_NEARER = 0.5
 #: Step of a parameter in units of its sigma, or of all together (squared, the decrement), and change of
 #: chi-square between two iterations (for that tolerance), below which the adjustment has converged.
 TOLERANCE = 0.05
@@ -101,11 +102,9 @@ class GaussNewton:
         self._gains: Mapping[tuple[int, int], float] | None = None
         self._tau = 0.0
         self._settled = _SETTLED
-        self._new: frozenset[str] = frozenset()
-        self._near = near
+        self._near, self._new = near, frozenset[str]()
         if warm is not None:
-            if not near:
-                self._new = frozenset(start.effects.keys() - warm.camera.effects.keys())
+            self._new = frozenset() if near else frozenset(start.effects.keys() - warm.camera.effects.keys())
             if warm.amplitude_model.gains:
                 self._begin_at(warm)
         # the way
@@ -159,6 +158,11 @@ class GaussNewton:
         if problem.amplitude_error is not None:
             self._tau = problem.amplitude_error
         forward.amplitude_model = AmplitudeModel(dict(self._gains), self._tau, self._pixels)
+        begun = self._iterations > 0 and count >= (0 if self._warm else _SETTLED)
+        if begun and problem.masks is None and not problem.moves_edges:
+            # objectives of two points can be compared where they are of the same pixels
+            forward.masks = forward.pixels_used()
+            self._problem = replace(problem, masks=forward.masks)
         return forward
 
     def _forward(self) -> Forward:
@@ -213,15 +217,7 @@ class GaussNewton:
             held = self._held(regressors)
             matrix[held, held] *= _HOLD
         right = reduced.right[own] - away / prior**2
-        step, covariance, stay = right, matrix, np.zeros(owned, bool)
-        if owned:  # scipy 1.11 solves no empty equations
-            try:
-                factor = linalg.cho_factor(matrix)
-                covariance = linalg.cho_solve(factor, np.eye(owned))
-                sides = self._bounds.open_sides(labels, self._camera)
-                step, stay = least_within(matrix, right, *sides)
-            except (linalg.LinAlgError, ValueError):
-                raise RimError(_NO_SOLUTION, remedy="check scene and camera file") from None
+        step, stay, covariance = solution(matrix, right, self._bounds.open_sides(labels, self._camera))
         by_nuisances = by_linear(matrix, right, labels)
         square = float(reduced.square) + float(np.sum((away / prior) ** 2)) - by_nuisances
         return Linearised(
@@ -246,26 +242,33 @@ class GaussNewton:
 
     def went_too_far(self, here: Linearised, count: int) -> bool:
         """Return whether the last step made things worse, and a shorter one may be tried."""
+        solved = self._solved
         # before that, objectives are of different errors of amplitudes
         comparable = self._warm or count > _SETTLED
         worse = comparable and here.objective > self._objective + _LEVEL
-        if not worse or self._tried >= len(_DAMPING) or count > self._iterations or self._solved is None:
+        if not worse or self._tried >= len(_DAMPING) or count > self._iterations or solved is None:
             return False
-        if self._solved.decrement < _LEVEL:
-            return False  # weights that follow the residuals change objectives by more
+        # weights follow the residuals: where equations are solved objectives need not be least
+        undamped = abs(replace(solved, damping=0.0).forecast)
+        if np.isinf(solved.damping) or undamped < _LEVEL or here.decrement < _NEARER * solved.decrement:
+            return False
         if not self._near or self._tried or self._return is not None or count >= self._iterations:
             return True
         # across the bend of a valley the next step may be the good one: short steps would follow the bend
-        return here.objective > self._objective + _OVER_THE_BEND * self._solved.forecast
+        return here.objective > self._objective + _OVER_THE_BEND * solved.forecast
 
     def shorten(self, *, final: bool) -> None:
         """Take a shorter step from where the last one began, or none where no more may be tried."""
         assert self._solved is not None
         if self._return is not None:
             self._solved, self._return = self._return, None
-        self._tried = len(_DAMPING) if final else self._tried + 1
-        self._damping = max(_DAMPING[self._tried - 1], self._damping * _LESS_DAMPED)
-        self._solved = replace(self._solved, damping=self._damping)
+        if self._solved.holds_shapes:
+            # shapes move from where it began
+            self._solved = replace(self._solved, damping=np.inf, holds_shapes=False)
+        else:
+            self._tried = len(_DAMPING) if final else self._tried + 1
+            self._damping = max(_DAMPING[self._tried - 1], self._damping * _LESS_DAMPED)
+            self._solved = replace(self._solved, damping=self._damping)
         try:
             self._go(self._solved)
         except (InputError, ValueError):
@@ -293,7 +296,7 @@ class GaussNewton:
         Raises `RimError` where it is not finite.
         """
         if not np.all(np.isfinite(here.step)):
-            raise RimError(_NO_SOLUTION, remedy="check scene and camera file")
+            raise RimError(NO_SOLUTION, remedy="check scene and camera file")
         assert self._gains is not None
         limits = self._bounds.step_limits(here.labels, self._offsets, self._numbers, self._start.shape)
         self._solved = Solved(
@@ -308,15 +311,16 @@ class GaussNewton:
             self._damping,
             self._pixels,
             here.decrement,
+            holds_shapes=count < _SHAPES_HELD and bool(self._held(here.regressors)),
         )
         self._find_errors(self._solved)
-        stepped = np.array([not is_linear(label) for label in here.labels], bool)
-        small = bool(np.all((np.abs(here.step) <= self._tolerance * here.sigma)[stepped]))
-        self._converged = small and (count >= _SHAPES_HELD or not self._held(here.regressors))
+        linear = np.array([is_linear(label) for label in here.labels], bool)
+        small = bool(np.all(linear | (np.abs(here.step) <= self._tolerance * here.sigma)))
+        self._converged = small and not self._solved.holds_shapes
         # parameters that the data hardly tell apart wander along a valley whose floor is level
         level = _LEVEL * (self._tolerance / TOLERANCE) ** 2
         is_level = self._damping == 0 and abs(self._square - here.square) < level
-        settled = count >= min(self._settled, _SETTLED)
+        settled = count >= min(self._settled, _SETTLED) and not self._solved.holds_shapes
         # within what is possible, and by steps that make nothing worse (Moré 1978, sec. 8), nothing is gained
         left, forecast = here.decrement, self._solved.forecast
         if self._damping:
@@ -324,7 +328,8 @@ class GaussNewton:
         else:
             left = forecast
         self._converged |= settled and (is_level or abs(left) < self._tolerance)
-        self._square = here.square
+        # what was level while shapes were held need not be once they move
+        self._square = np.inf if self._solved.holds_shapes else here.square
         try:
             self._go(self._solved)
         except (InputError, ValueError):
@@ -348,13 +353,8 @@ class GaussNewton:
         """Return the fit at the point; ``final`` with the errors and offsets of these equations."""
         nuisances, pattern = self._nuisances, self._pattern
         if final:
-            values = np.zeros(len(here.equations.regressors))
-            linear = [i for i, label in enumerate(here.labels) if is_linear(label)]
-            values[linear] = here.step[linear]
-            nuisances, flat, _ = here.reduced.recover(values)
-            nuisances |= {here.labels[i]: float(values[i]) for i in linear}
-            shape = self._camera.shape
-            pattern = flat.reshape(shape) if self._problem.pattern else np.zeros(shape)
+            nuisances, flat = here.errors_and_offsets()
+            pattern = flat.reshape(pattern.shape) if self._problem.pattern else np.zeros(pattern.shape)
         return Fit(
             start=self._start,
             camera=self._camera,

@@ -8,12 +8,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from rim_camera_ros.effects.candidate import Regressor
+from rim_camera_ros.errors import RimError
+from rim_camera_ros.fit.bounds import least_within
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.normal_equations import NormalEquations, Reduced
+from rim_camera_ros.fit.steps import linear_of
 
 Array = NDArray[Any]
+
+NO_SOLUTION = "the adjustment found no finite solution"
 
 
 @dataclass(frozen=True)
@@ -50,3 +56,28 @@ class Linearised:
     def sigma(self) -> Array:
         """1-sigma of each parameter."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def errors_and_offsets(self) -> tuple[dict[str, float], Array]:
+        """Return nuisances by name and offsets of pixels [m] at the point, no parameter moved."""
+        values, linear = np.zeros(len(self.equations.regressors)), linear_of(self.labels)
+        values[linear] = self.step[linear]
+        found, offsets, _ = self.reduced.recover(values)
+        return found | {self.labels[i]: float(values[i]) for i in linear}, offsets
+
+
+def solution(
+    matrix: Array, right: Array, sides: tuple[Array, Array]
+) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Return the step (K,), which parameters stay at a bound, and the covariance (K, K) of some equations.
+
+    ``sides`` are how far parameters may go down and up. Raises `RimError` where the equations have none.
+    """
+    count = len(right)
+    if not count:  # scipy 1.11 solves no empty equations
+        return right, np.zeros(0, bool), matrix
+    try:
+        covariance = linalg.cho_solve(linalg.cho_factor(matrix), np.eye(count))
+        step, stay = least_within(matrix, right, *sides)
+    except (linalg.LinAlgError, ValueError):
+        raise RimError(NO_SOLUTION, remedy="check scene and camera file") from None
+    return step, stay, covariance

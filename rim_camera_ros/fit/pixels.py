@@ -101,7 +101,7 @@ def without_edges(
             totals[i] += float(np.sum(z[pixels] ** 2)), float(pixels.sum())
         zones.add(prediction, rest, used, within)
     chi_square = totals[:, 0] / np.maximum(totals[:, 1], 1)
-    poor = chi_square[1] >= POOR and chi_square[1] >= DISAGREE * chi_square[0]
+    poor = disagree(float(chi_square[1]), float(chi_square[0]))
     margin, step = zones.margin()
     if poor:
         margin = max(margin, BESIDE)
@@ -128,6 +128,11 @@ def without_edges(
         f"which disagree with the others ({shifted}chi-square per value {chi_square[1]:.1f} against "
         f"{chi_square[0]:.1f}): stray light or blur that these recordings do not resolve",
     )
+
+
+def disagree(beside: float, elsewhere: float) -> bool:
+    """Return whether chi-squares per value say that pixels beside edges do not fit, while others do."""
+    return beside >= POOR and beside >= DISAGREE * elsewhere
 
 
 class _Zones:

@@ -96,6 +96,12 @@ class Problem:
     threads: int = 1
 
     @property
+    def moves_edges(self) -> bool:
+        """Whether a fit moves rays or surfaces, and edges with them to other pixels."""
+        poses = (surface.pose for surface in self.scene.surfaces)
+        return bool(self.geometry) or any(isinstance(pose, ScenePose) and pose.free for pose in poses)
+
+    @property
     def has_pattern_field(self) -> bool:
         """Whether what offsets of pixels have in common is estimated beside offsets that are small."""
         return self.pattern and self.pattern_prior < PATTERN_PRIOR

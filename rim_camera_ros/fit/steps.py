@@ -37,7 +37,8 @@ class Solved:
 
     ``limits`` are how far each parameter may go down (not above 0) and up in one step; the others follow
     those that may not go farther.
-    ``decrement`` is by how much a step without limits and ``damping`` should lower the objective.
+    ``decrement`` is by how much a step without limits and ``damping`` should lower the objective;
+    ``holds_shapes`` says that widths and lags of new effects do not take part in it.
     """
 
     reduced: Reduced
@@ -50,16 +51,22 @@ class Solved:
     offsets: Mapping[str, float]
     damping: float = 0.0
     pixels: Array | None = None
-    decrement: float = np.inf
+    decrement: float = 0.0
+    holds_shapes: bool = False
 
     @cached_property
     def step(self) -> Array:
         """The step, of equations whose diagonal is larger by the share ``damping`` (Marquardt 1963).
 
-        What the equations tell least of is held back first; infinite damping is no step.
+        What the equations tell least of is held back first; infinite damping is no step but of linear
+        nuisances, which are always where they fit best.
         """
         if np.isinf(self.damping):
-            return np.zeros_like(self.right)
+            step, linear = np.zeros_like(self.right), linear_of(self.labels)
+            if linear:
+                factor = linalg.cho_factor(self.matrix[np.ix_(linear, linear)])
+                step[linear] = linalg.cho_solve(factor, self.right[linear])
+            return step
         diagonal = np.diag(self.matrix)
         damping = [0.0 if is_linear(label) else self.damping for label in self.labels]
         return least_within(self.matrix + np.diag(damping * diagonal), self.right, *self.limits)[0]
@@ -100,13 +107,18 @@ class Solved:
         return nuisances, gains, pattern, pixels
 
 
+def linear_of(labels: Sequence[str]) -> list[int]:
+    """Return the places of linear nuisances among the labels."""
+    return [i for i, label in enumerate(labels) if is_linear(label)]
+
+
 def by_linear(matrix: Array, right: Array, labels: Sequence[str]) -> float:
     """Return by how much linear nuisances lower chi-square where they fit best, all else at the point.
 
     Objectives of two points can be compared only with them there (variable projection, Golub & Pereyra 1973):
     every step moves them too.
     """
-    linear = [i for i, label in enumerate(labels) if is_linear(label)]
+    linear = linear_of(labels)
     if not linear:
         return 0.0
     factor = linalg.cho_factor(matrix[np.ix_(linear, linear)])

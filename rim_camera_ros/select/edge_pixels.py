@@ -10,7 +10,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects import registry, vocabulary
 from rim_camera_ros.effects.candidate import Candidate
-from rim_camera_ros.fit.pixels import more_pixels
+from rim_camera_ros.fit.pixels import disagree, more_pixels
 from rim_camera_ros.fit.problem import Fit, Problem, clean_by
 from rim_camera_ros.fit.views import CROSSED
 from rim_camera_ros.select.compare import Trial
@@ -122,10 +122,24 @@ def promising(
     return None if _leader(then, 1.0) is None else Look(problem, then, variants)
 
 
+def refined(step: Exploration, names: Sequence[str], problem: Problem, fit: Fits) -> Exploration:
+    """Return a step's fit with some of its effects in their finest forms; itself where these gain nothing."""
+    camera = step.fit.camera
+    finest = {name: camera.effects[name].finest() for name in names if name in camera.effects}
+    finest = {name: effect for name, effect in finest.items() if effect != camera.effects[name]}
+    if not finest:
+        return step
+    alike = replace(problem, amplitude_error=step.fit.forward.amplitude_model.tau)
+    finer = fit(alike, with_effects(camera, {**camera.effects, **finest}), step, ())
+    gain = finer.scores.log_likelihood() - step.scores.log_likelihood()
+    return finer if gain > WITHOUT_REPLICATES else step
+
+
 def sharper(problem: Problem, step: Exploration, fit: Fits) -> tuple[Exploration, Exploration] | None:
     """Return the fits of pixels beside edges by the blur of a step's camera and by a footprint instead of it.
 
-    None where the footprint fits no better.
+    None where the footprint fits no better, or so badly that neither is the form of what edges show: what was
+    found away from them stands, then.
     """
     camera = step.fit.camera
     without = with_effects(camera, {n: effect for n, effect in camera.effects.items() if not effect.at_edges})
@@ -133,9 +147,18 @@ def sharper(problem: Problem, step: Exploration, fit: Fits) -> tuple[Exploration
     number = next(iter(first.best().values()))
     if first.gains[number] <= WITHOUT_REPLICATES:
         return None
-    blur, footprint = (fit(problem, other, step, ()) for other in (camera, first.camera_with([number])))
+    footprint = fit(problem, first.camera_with([number]), step, ())
+    if disagree(_chi_square(footprint), _chi_square(step)):
+        return None
+    blur = fit(problem, camera, step, ())
     gain = footprint.scores.log_likelihood() - blur.scores.log_likelihood()
     return (blur, footprint) if gain > WITHOUT_REPLICATES else None
+
+
+def _chi_square(step: Exploration) -> float:
+    """Return chi-square per value of held-out poses."""
+    chi_square, rows = step.scores.chi_square(held_out=True)
+    return chi_square / max(rows, 1)
 
 
 def _leader(step: Exploration, share: float) -> Candidate | None:

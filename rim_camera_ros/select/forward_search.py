@@ -31,7 +31,7 @@ from rim_camera_ros.select.compare import (
     tied,
 )
 from rim_camera_ros.select.confounding import follows_time_in_quiet_pixels, shows_in_quiet_pixels
-from rim_camera_ros.select.edge_pixels import Look, promising, sharper, where_clean, with_edges
+from rim_camera_ros.select.edge_pixels import Look, promising, refined, sharper, where_clean, with_edges
 from rim_camera_ros.select.effect_sizes import effect_size
 from rim_camera_ros.select.exploration import Exploration, explore, explored, further_equations
 from rim_camera_ros.select.trials import (
@@ -171,8 +171,10 @@ class Search:
         if problem is self.problem:
             return
         self.say("pixels beside edges")
-        if any(effect.at_edges for effect in self.step.fit.camera.effects.values()):
-            self._sharpen(problem)
+        at_edges = [effect for effect in self.step.fit.camera.effects.values() if effect.at_edges]
+        if at_edges:
+            if any(effect.finest() != effect for effect in at_edges):
+                self._sharpen(problem)
             return
         # the rest that one form leaves looks like the other
         for with_footprints in (True, False):
@@ -273,6 +275,7 @@ class Search:
         self.problem = trial.problem
         # or the next effect, whose fit goes on and estimates errors of amplitudes anew, gained what this did
         fitted = self._fitted(self.problem, lean_camera(fitted.fit.camera), fitted)
+        fitted = refined(fitted, trial.effects, self.problem, self._fitted)
         # the largest arrays of a search: not twice at once
         self.step.forget()
         final = self._explored(

@@ -114,9 +114,11 @@ def test_a_compressed_amplitude_counts_by_what_it_and_its_response_take(tmp_path
 def test_a_beam_counts_by_the_distances_that_move_with_the_amplitude(tmp_path: Path) -> None:
     """Light that is less by a share s moves distances by s a / A; where none move, s counts in sigma_A."""
     pattern = EmissionPattern(falloff=(-0.4, 0.1))
-    bend = AmplitudeOffset(
-        hyperbola=MappingProxyType(dict.fromkeys((16.0, 60.0, 100.0), Hyperbola(6.0, 0.0)))
-    )
+
+    def bend(size: float) -> AmplitudeOffset:
+        return AmplitudeOffset(
+            hyperbola=MappingProxyType(dict.fromkeys((16.0, 60.0, 100.0), Hyperbola(size, 0.0)))
+        )
 
     def share(one: Any) -> np.ndarray:
         u, v = one.context.camera.rays[..., 0], one.context.camera.rays[..., 1]
@@ -129,14 +131,21 @@ def test_a_beam_counts_by_the_distances_that_move_with_the_amplitude(tmp_path: P
     wanted, _ = expected(forward, lambda one: share(one) * AMBIGUITY / (2 * np.pi))
     assert alone[seen] == pytest.approx(wanted[seen], rel=0.02, abs=1e-6)
 
-    both = with_effects(forward.camera, {**forward.camera.effects, "amplitude_offset": bend})
-    beside = Forward(forward.dataset, fitted.scene, both)
-    beside.amplitude_model = forward.amplitude_model
-    moved = of_terms(SimpleNamespace(forward=beside, camera=both), ["emission_pattern"], both).pixels  # type: ignore[arg-type]
+    def with_bend(size: float) -> tuple[Forward, np.ndarray]:
+        both = with_effects(forward.camera, {**forward.camera.effects, "amplitude_offset": bend(size)})
+        beside = Forward(forward.dataset, fitted.scene, both)
+        beside.amplitude_model = forward.amplitude_model
+        there = SimpleNamespace(forward=beside, camera=both)
+        return beside, of_terms(there, ["emission_pattern"], both).pixels  # type: ignore[arg-type]
+
+    beside, moved = with_bend(6.0)
     # as far as the amplitude that terms see follows the predicted light
     wanted, _ = expected(beside, lambda one: share(one) * -6.0 / one.amplitude * one.amplitude_follows)
     assert moved[seen] == pytest.approx(wanted[seen], rel=0.02, abs=1e-6)
     assert moved[seen].max() < 0.1 * alone[seen].max()
+    # by less than half a millimetre they show nothing of it
+    _, hardly = with_bend(0.06)
+    assert hardly[seen] == pytest.approx(alone[seen], rel=0.01)
 
 
 def test_what_an_effect_does_beyond_its_form_belongs_to_its_place(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.fit.bounds import Bounds, least_within, longest_steps, sigmas_beyond
 from rim_camera_ros.fit.problem import Problem
@@ -241,6 +242,45 @@ def test_objectives_fall_by_what_steps_forecast(tmp_path: Path, monkeypatch: pyt
 def _farther(pose: Pose, shift: float) -> Pose:
     x, y, z = pose.position
     return replace(pose, position=(x, y, z + shift))
+
+
+def test_objectives_of_a_cold_fit_are_of_the_same_pixels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever amplitudes become: a gain that is 8 % off takes some across the threshold of 40 counts."""
+    truth, board = camera(tmp_path, AmplitudeNonlinearity(2e-5)), scene(tmp_path)
+    darker = replace(truth, radiometry=replace(truth.radiometry, gain=0.02 * truth.radiometry.gain))
+    data = record(darker, board, poses=10, frames=2, seed=8)
+    start = replace(darker, radiometry=replace(darker.radiometry, gain=1.08 * darker.radiometry.gain))
+    seen = points(monkeypatch)
+    found = fit(Problem(data, board), start, tolerance=0.001)
+    assert found.converged
+    assert len(seen) > 4
+    assert len({one.reduced.rows for one in seen[:4]}) > 1
+    assert {one.reduced.rows for one in seen[3:]} == {found.rows}
+
+
+@pytest.mark.parametrize("begun", [0.25, 0.34])
+def test_shapes_move_where_strengths_alone_gain_nothing(tmp_path: Path, begun: float) -> None:
+    """A blur has no strength: while its width is held there is nothing to gain, which is no end of a fit."""
+    truth, board = camera(tmp_path, MixedPixels(0.6)), scene(tmp_path)
+    problem = Problem(record(truth, board, poses=12, seed=9), board)
+    warm = fit(problem, camera(tmp_path), iterations=4)
+    found = fit(problem, camera(tmp_path, MixedPixels(begun)), warm=warm, iterations=12)
+    path = "effects.mixed_pixels.blur"
+    assert found.converged
+    assert found.parameters[path] == pytest.approx(0.6, abs=4 * found.sigma[path])
+
+
+def test_no_step_leaves_linear_nuisances_where_they_fit_best() -> None:
+    """The second of two parameters is one; of the first, which has no step, it does not depend."""
+    nothing: Any = None
+    labels = ["effects.distance_scale.scale", "common_pose.board.offset"]
+    matrix, right = np.array([[4.0, 1.0], [1.0, 2.0]]), np.array([3.0, 5.0])
+    none = Solved(nothing, labels, matrix, right, within([inf, inf]), 0.0, {}, {}, inf)
+    assert none.step == pytest.approx([0.0, 2.5])
+    assert none.forecast == pytest.approx(0.0)
+    assert none.changes == {labels[0]: 0.0}
 
 
 def test_a_parameter_that_the_data_would_take_beyond_what_is_possible_is_said(tmp_path: Path) -> None:

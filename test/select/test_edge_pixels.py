@@ -7,13 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
+from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.scene import Scene, ScenePose, Surface
+from rim_camera_ros.select.edge_pixels import refined
+from rim_camera_ros.select.evidence import folds_of
+from rim_camera_ros.select.exploration import Exploration, explore
 from rim_camera_ros.select.search import search
 
 from ..calibrate.helpers import camera, record, scene, with_footprints
@@ -121,3 +127,37 @@ def test_neither_errors_of_poses_nor_stray_light_are_a_footprint(tmp_path: Path,
     result = search(Problem(data, before), told, facts)
     at_edges = [one.effect for one in result.found if one.effect in ("scattering", "mixed_pixels")]
     assert at_edges == (["scattering"] if weight else [])
+
+
+@pytest.mark.parametrize("areas", [True, False])
+def test_blurred_light_of_areas_is_told_from_that_of_centres(tmp_path: Path, areas: bool) -> None:
+    """A blur of 0.9 px reaches pixels that are clean; how much depends on where in a pixel the edge is."""
+    form = MixedPixels(blur=0.85, footprint=1.0) if areas else MixedPixels(blur=0.9)
+    board = scene(tmp_path)
+    board = Scene((replace(board.surfaces[0], type="rectangle", size=(1.55, 1.35)),))
+    data = record(camera(tmp_path, form), board, poses=12, frames=2, seed=9)
+    folds, problem = folds_of(data), Problem(data, board)
+
+    def fitted(problem: Problem, own: Camera, step: Exploration | None, _: object) -> Exploration:
+        warm = None if step is None else step.fit
+        return explore(problem, own, [], folds, warm=warm, replicates=0, iterations=12)
+
+    step = fitted(problem, camera(tmp_path, MixedPixels(blur=0.8)), None, ())
+    problem = replace(problem, masks=step.fit.forward.pixels_used())
+    found = refined(step, ["mixed_pixels"], problem, fitted)  # type: ignore[arg-type]
+    assert (found is not step) == areas
+    effect = found.fit.camera.effects["mixed_pixels"]
+    assert isinstance(effect, MixedPixels)
+    sigma = found.fit.sigma["effects.mixed_pixels.blur"]
+    assert effect.blur == pytest.approx(form.blur, abs=4 * sigma)
+    assert refined(found, ["distance_scale"], problem, fitted) is found  # type: ignore[arg-type]
+
+
+@given(blur=st.floats(0.01, 3.0))
+def test_the_finest_form_is_as_wide(blur: float) -> None:
+    """Variance of a square, a twelfth of its side squared, and of the Gaussian behind it."""
+    finest = MixedPixels(blur=blur).finest()
+    assert finest.footprint is not None
+    assert 0 < finest.footprint <= 1.0
+    assert finest.blur**2 + finest.footprint**2 / 12 == pytest.approx(blur**2)
+    assert finest.finest() is finest

@@ -268,7 +268,10 @@ def test_a_bend_is_crossed_once_and_a_wrong_way_goes_back_to_its_beginning() -> 
     def solved(name: str) -> Solved:
         # a step of 10 sigma, forecast 100
         right, far = np.array([10.0]), np.array([np.inf])
-        return Solved(nothing, [name], eye, right, (-far, far), 0.0, {}, {})
+        return Solved(nothing, [name], eye, right, (-far, far), 0.0, {}, {}, decrement=100.0)
+
+    def at(objective: float, decrement: float = 100.0) -> Any:
+        return SimpleNamespace(objective=objective, decrement=decrement)
 
     work = GaussNewton.__new__(GaussNewton)
     gone: list[tuple[str, float]] = []
@@ -277,10 +280,13 @@ def test_a_bend_is_crossed_once_and_a_wrong_way_goes_back_to_its_beginning() -> 
     work.__dict__.update(
         _go=lambda one: gone.append((one.labels[0], one.damping)), _find_errors=lambda _: None
     )
-    beyond: Any = SimpleNamespace(objective=1009.0)
+    beyond = at(1009.0)
     assert work._solved is not None
     assert work._solved.forecast == pytest.approx(100.0)
-    assert work.went_too_far(SimpleNamespace(objective=1011.0), 3)  # type: ignore[arg-type]
+    assert work.went_too_far(at(1011.0), 3)
+    # nearer to the solution of the equations by half of what was to be gained
+    assert work.went_too_far(at(1011.0, 51.0), 3)
+    assert not work.went_too_far(at(1011.0, 49.0), 3)
     assert work.went_too_far(beyond, 12)  # no other step would follow
     assert not work.went_too_far(beyond, 3)
     work.accept(beyond)
@@ -291,10 +297,10 @@ def test_a_bend_is_crossed_once_and_a_wrong_way_goes_back_to_its_beginning() -> 
     # once more: the second step is the good one, and the next may cross a bend again
     work.__dict__.update(_tried=0, _solved=solved("before the bend"))
     work.accept(beyond)
-    better: Any = SimpleNamespace(objective=900.0)
+    better = at(900.0)
     assert not work.went_too_far(better, 5)
     work.accept(better)
-    assert not work.went_too_far(SimpleNamespace(objective=905.0), 6)  # type: ignore[arg-type]
+    assert not work.went_too_far(at(905.0), 6)
 
 
 def test_steps_are_shortened_until_one_goes_down() -> None:
@@ -304,7 +310,7 @@ def test_steps_are_shortened_until_one_goes_down() -> None:
     """
     nothing: Any = None
     right, far = np.array([10.0]), np.array([np.inf])
-    begun = Solved(nothing, ["x"], np.eye(1), right, (-far, far), 0.0, {}, {})
+    begun = Solved(nothing, ["x"], np.eye(1), right, (-far, far), 0.0, {}, {}, decrement=100.0)
     work = GaussNewton.__new__(GaussNewton)
     places = [float(begun.step[0])]
     work.__dict__.update(_warm=True, _near=False, _iterations=12, _objective=0.0, _return=None)
@@ -312,7 +318,7 @@ def test_steps_are_shortened_until_one_goes_down() -> None:
     work.__dict__.update(_go=lambda one: places.append(float(one.step[0])), _find_errors=lambda _: None)
 
     def here() -> Any:
-        return SimpleNamespace(objective=-20 * places[-1] + 50 * places[-1] ** 2)
+        return SimpleNamespace(objective=-20 * places[-1] + 50 * places[-1] ** 2, decrement=100.0)
 
     count = 1
     while work.went_too_far(here(), count):
