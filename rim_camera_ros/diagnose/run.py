@@ -62,6 +62,7 @@ from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.variance_components import likely_correlated_error
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.candidates import SHARE
+from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.moved_poses import NONE_MOVED, moved_beside_physics, total_gain
 from rim_camera_ros.select.search import MOST_EFFECTS, search
 from rim_camera_ros.select.trials import Workers
@@ -209,6 +210,12 @@ def _diagnose(
         if winner is not None:
             result.forget()
             return with_setups(of_another_setup(winner, problem, camera, variance, seed), setups)
+        if against is None and not alone:
+            # so does a surface that stands elsewhere
+            elsewhere, setups = _elsewhere(result, final.fit, problem, camera, setups, say)
+            if elsewhere is not None:
+                result.forget()
+                return with_setups(of_another_setup(elsewhere, problem, camera, variance, seed), setups)
         result.forget()
         say("once more without the stated covariance of the optics")
         free = replace(camera, covariance=camera.covariance.without(["optics."]))
@@ -263,19 +270,8 @@ def _diagnose(
     setups, winner = _against(setups, problem, camera, found=best_fit.camera)
     reason = setup.reason if winner is None else winner.reason
     if reason is None and against is None and not alone and (result.found or unknown is not None):
-        try:
-            elsewhere = standing_elsewhere(result, best_fit, problem, camera, say=say)
-        except (RimError, np.linalg.LinAlgError):
-            elsewhere = []  # nothing can be fitted to what the poses that are compared see alike
-        if elsewhere:
-            reason = elsewhere[0].reason
-            depths = {hypothesis.surface for hypothesis in elsewhere}
-            rest = [
-                hypothesis
-                for hypothesis in setups
-                if hypothesis.hypothesis != DEPTH or hypothesis.surface not in depths
-            ]
-            setups = [*elsewhere, *rest]
+        elsewhere, setups = _elsewhere(result, best_fit, problem, camera, setups, say)
+        reason = None if elsewhere is None else elsewhere.reason
     if reason is None and described is None:
         # what was so before any physics was fitted, and stays
         of_board = reflectivities_beyond(baseline.fit, scene) and reflectivities_beyond(final.fit, scene)
@@ -353,6 +349,30 @@ def _against(
         return setups, None
     setups = against_physics(setups, problem.dataset, problem.scene, camera, found=found)
     return setups, best_setup(setups)
+
+
+def _elsewhere(
+    result: Result,
+    final: Fit,
+    problem: Problem,
+    camera: Camera,
+    setups: list[Hypothesis],
+    say: Callable[[str], None],
+) -> tuple[Hypothesis | None, list[Hypothesis]]:
+    """Return the surface that stands elsewhere, if one does, and the set-ups with all that do."""
+    try:
+        found = standing_elsewhere(result, final, problem, camera, say=say)
+    except (RimError, np.linalg.LinAlgError):
+        found = []  # nothing can be fitted to what the poses that are compared see alike
+    if not found:
+        return None, setups
+    surfaces = {hypothesis.surface for hypothesis in found}
+    rest = [
+        hypothesis
+        for hypothesis in setups
+        if hypothesis.hypothesis != DEPTH or hypothesis.surface not in surfaces
+    ]
+    return found[0], [*found, *rest]
 
 
 def _other_lens(fitted: Fit, camera: Camera) -> str | None:

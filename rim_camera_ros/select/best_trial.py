@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects import Physics, vocabulary
@@ -19,12 +19,17 @@ _MOST_TRIALS = 3
 _NEARLY = 0.15
 
 
+#: The last trials by choice, and the step at which they were fitted.
+Known = dict[tuple[int, ...], tuple[Exploration, Trial]]
+
+
 @dataclass(frozen=True)
 class Trials:
     """What candidates of a ``step`` are fitted with, beside what a ``camera`` file came to have until then.
 
     ``failed`` effects are no rivals; ``is_first`` where none was found before; ``with_edges`` pixels beside
-    edges take part. ``workers`` fit what needs nothing of one another.
+    edges take part. ``workers`` fit what needs nothing of one another. Trials that are ``known``
+    need no other fit where another leads.
     """
 
     problem: Problem
@@ -37,6 +42,7 @@ class Trials:
     with_edges: bool = False
     say: Callable[[str], None] = silent
     workers: Workers = map
+    known: Known = field(default_factory=dict)
 
     def best(self, numbers: tuple[int, ...], leader: int) -> tuple[Trial, list[str]]:
         """Fit candidates and their near rivals non-linearly; return the best, and effects that are as good.
@@ -50,7 +56,8 @@ class Trials:
         became: dict[tuple[int, ...], tuple[int, ...] | None] = {}
         while len(trials) < len(choices):
             new = [choice for choice in choices if choice not in trials]
-            trials |= self.fitted(new, starts=starts)
+            trials |= self._known_of(new)
+            trials |= self.fitted([choice for choice in new if choice not in trials], starts=starts)
             for choice in new:
                 other = what_it_became(trials[choice].fitted, choice, self.step, self.camera)
                 became[choice] = other
@@ -59,7 +66,13 @@ class Trials:
         stay = {choice: trial for choice, trial in trials.items() if became[choice] is None}
         alone = {trial.effects[0]: trial for choice, trial in stay.items() if len(choice) == 1}
         best = max(stay.values(), key=lambda trial: trial.likelihood)
+        self.known.clear()
+        self.known.update({choice: (self.step, trial) for choice, trial in trials.items()})
         return best, as_good(alone, best)
+
+    def _known_of(self, choices: Sequence[tuple[int, ...]]) -> dict[tuple[int, ...], Trial]:
+        found = {choice: self.known[choice] for choice in choices if choice in self.known}
+        return {choice: trial for choice, (step, trial) in found.items() if step is self.step}
 
     def _ahead(
         self, choices: Sequence[tuple[int, ...]]

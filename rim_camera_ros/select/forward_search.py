@@ -12,7 +12,7 @@ from rim_camera_ros.effects import vocabulary
 from rim_camera_ros.effects.candidate import Candidate
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.problem import Fit, Problem, clean_by
-from rim_camera_ros.select.best_trial import Trials
+from rim_camera_ros.select.best_trial import Known, Trials
 from rim_camera_ros.select.candidates import form_blocks
 from rim_camera_ros.select.compare import (
     LEAST_SIZE,
@@ -79,6 +79,7 @@ class Search:
     beside_edges: int | None = None
     curves: list[Candidate] = field(default_factory=list)
     workers: Workers = map
+    known: Known = field(default_factory=dict)
 
     @property
     def step(self) -> Exploration:
@@ -128,7 +129,6 @@ class Search:
             if left is None or (len(self.found) < 2 and name not in at_bounds):
                 continue
             problem, camera = left
-            # likelihoods of the same noise
             alike = replace(problem, amplitude_error=self.step.fit.forward.amplitude_model.tau)
             without = self._fitted(alike, camera, self.step)
             before = self.explorations[finding.step]
@@ -265,6 +265,7 @@ class Search:
             self.narrowed = clean_by(fit.camera, self.problem, fit.scene, views=fit.forward.views)
             return
         self.failed.clear()
+        self.known.clear()
         for name in trial.effects:
             ties = tied(self.step, name, threshold)
             # of a first one, what joins it decides
@@ -318,6 +319,7 @@ class Search:
             with_edges=self.beside_edges is not None,
             say=self.say,
             workers=self.workers,
+            known=self.known,
         )
 
     def _without(self, effects: Sequence[str], after: Exploration, gain: float) -> Exploration | None:
