@@ -14,7 +14,7 @@ from rim_camera_ros.select.best_trial import Trials
 from rim_camera_ros.select.compare import Trial
 
 #: Log likelihoods of three candidates by themselves.
-LIKELIHOODS = {(0,): 40.0, (1,): 25.0, (2,): 30.0}
+LIKELIHOODS: dict[tuple[int, ...], float] = {(0,): 40.0, (1,): 25.0, (2,): 30.0}
 
 
 class Counted(Trials):
