@@ -272,12 +272,12 @@ def test_what_gains_at_one_pose_most_of_all_is_the_setup_where_nothing_else_can_
     far = in_millimetres(data)
     found = [replace(one, standard_error=0.8 * one.gain) for one in compare_setups(far, limited, given)]
     assert best_setup(found) is None
-    monkeypatch.setattr("rim_camera_ros.diagnose.run.compare_setups", lambda *_: found)
+    monkeypatch.setattr("rim_camera_ros.diagnose.begin.compare_setups", lambda *_: found)
     result = diagnose(far, limited, given)
     assert (result.verdict, result.setups[0].hypothesis) == ("inconsistent_setup", "units")
     assert str(result.reason).startswith("units: distances or poses in other units")
     monkeypatch.setattr(
-        "rim_camera_ros.diagnose.run.compare_setups", lambda *_: [Hypothesis("as_given", "", 0.0, 0.0)]
+        "rim_camera_ros.diagnose.begin.compare_setups", lambda *_: [Hypothesis("as_given", "", 0.0, 0.0)]
     )
     with pytest.raises(InputError, match=r"no pixel can be used.*rim info BAG lists its poses"):
         diagnose(far, limited, given)

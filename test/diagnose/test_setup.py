@@ -159,11 +159,16 @@ def test_the_gain_of_what_was_withdrawn_is_none() -> None:
 def test_accuracy_knows_the_light_that_all_pixels_share(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its fits are of the problem that the search solved, with its light and its prior of the pattern."""
+    """Its fits are of the problem that the search solved, with its light and its prior of the pattern.
+
+    Both know predicted amplitudes as well as its end does.
+    """
     truth, board = camera(tmp_path), scene(tmp_path)
     problem = Problem(record(truth, board, poses=8, seed=9), board, stray_light=40.0, pattern_prior=0.02)
     fitted = fit(problem, truth)
+    fitted.forward.amplitude_model = replace(fitted.forward.amplitude_model, tau=0.0123)
     step: Any = Exploration.__new__(Exploration)
+    step.fit = fitted
     result = Result(truth, [], [step], 0.0, 0.0, problem, folds_of(problem.dataset))
     monkeypatch.setattr(Result, "fit", property(lambda _: fitted))
     given: list[Problem] = []
@@ -173,6 +178,7 @@ def test_accuracy_knows_the_light_that_all_pixels_share(
     model = replace(truth, optics=replace(truth.optics, fx=50.5))
     accuracy(truth, model, result)
     assert [(one.stray_light, one.pattern_prior, one.robust) for one in given] == [(40.0, 0.02, False)] * 2
+    assert [one.amplitude_error for one in given] == [0.0123] * 2
 
 
 def test_a_gross_mismatch_that_a_model_makes_worse_is_no_physics() -> None:

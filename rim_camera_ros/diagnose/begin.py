@@ -1,0 +1,177 @@
+"""How a diagnosis begins: what it is made of, what repeated frames and covariates say, and the search."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.compare_setups import compare_setups
+from rim_camera_ros.diagnose.hypotheses import Files, Hypothesis, leaving_nothing
+from rim_camera_ros.diagnose.setup import few_of
+from rim_camera_ros.diagnose.smooth import axes_of, gradient_terms, single_terms
+from rim_camera_ros.diagnose.under_setup import left_by_chance
+from rim_camera_ros.diagnose.variance import Variance, examine_variance
+from rim_camera_ros.effects import without_poses
+from rim_camera_ros.effects.candidate import Facts
+from rim_camera_ros.errors import RimError
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.decimation import decimated_camera, decimated_dataset
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.scene import Scene
+from rim_camera_ros.select.compare import Result
+from rim_camera_ros.select.moved_poses import NONE_MOVED, MayHaveMoved
+from rim_camera_ros.select.search import MOST_EFFECTS, search
+from rim_camera_ros.select.trials import Workers, silent
+
+Array = NDArray[Any]
+#: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
+_COMMON_LIGHT = 0.1
+_ONE_POSE = (
+    "only one pose: what depends on distance, amplitude or angle cannot be told from an offset of each "
+    "pixel, so none of it is named, and nothing is held out; record 20 poses or more at different distances"
+)
+#: Poses below which what is named rests on little.
+_FEW_POSES = 6
+_OF_FEW_POSES = (
+    "only {} poses: what is named or not, and what is left of held-out poses, rests on little; record 20 or "
+    "more at different distances"
+)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a diagnosis is made of.
+
+    ``against`` is a recording of the simulation. ``spare`` is how many poses may still be left out (None: not
+    decided), ``setups`` are those that were compared already, ``correlated_error`` [m] is the 1-sigma of
+    errors that neighbours share.
+    """
+
+    dataset: Dataset
+    scene: Scene
+    camera: Camera
+    against: Dataset | None = None
+    seed: int = 0
+    threads: int = 1
+    workers: Workers = map
+    say: Callable[[str], None] = silent
+    spare: int | None = None
+    setups: list[Hypothesis] | None = None
+    correlated_error: float = 0.0
+
+    def decimated(self, step: int) -> Inputs:
+        """Return the same of every so many pixels along rows and columns."""
+        if step == 1:
+            return self
+        return replace(
+            self,
+            dataset=decimated_dataset(self.dataset, step),
+            camera=decimated_camera(self.camera, step),
+            against=None if self.against is None else decimated_dataset(self.against, step),
+        )
+
+
+@dataclass(frozen=True)
+class Begun:
+    """What is known before physics is looked for.
+
+    The ``dataset`` with notes; what repeated frames say, the ``variance``; the ``problem`` of all fits.
+    """
+
+    dataset: Dataset
+    facts: Facts
+    variance: Variance
+    problem: Problem
+    forward: Forward
+    seed: int
+
+    @property
+    def alone(self) -> bool:
+        """Whether a second camera shines in: its pattern and phase can be imitated by many effects."""
+        return self.variance.pixels_vary_together
+
+    @cached_property
+    def samples(self) -> dict[str, Array]:
+        """Samples of the covariates, by name."""
+        return axes_of(self.forward, seed=self.seed)
+
+    @property
+    def one_pose(self) -> bool:
+        """Whether nothing can be held out."""
+        return self.dataset.poses < 2
+
+    def may_have_moved(self, inputs: Inputs) -> MayHaveMoved:
+        """Return how many poses may stand elsewhere.
+
+        None of another simulation, which has the same poses, and none beside the light of a second camera,
+        which looks like anything.
+        """
+        return NONE_MOVED if self.alone or inputs.against is not None else few_of(self.dataset)
+
+
+def setups_of(inputs: Inputs) -> list[Hypothesis]:
+    """Return the set-ups that were compared, the best first."""
+    if inputs.setups is not None:
+        return inputs.setups
+    files = (inputs.dataset, inputs.scene, inputs.camera)
+
+    def left(files: Files) -> float | None:
+        inputs.say("as if the set-up were another")
+        return left_by_chance(files, seed=inputs.seed, threads=inputs.threads)
+
+    return leaving_nothing([] if inputs.against is not None else compare_setups(*files), files, left)
+
+
+def begun(inputs: Inputs) -> Begun:
+    """Return what repeated frames and covariates say."""
+    dataset, scene, camera = inputs.dataset, inputs.scene, inputs.camera
+    facts = Facts.of(dataset, moves=scene.camera_motion.moves, surfaces=len(scene.surfaces), camera=camera)
+    shifts = None
+    if inputs.against is not None:
+        shifts = Forward(dataset, scene, camera).shifts_to(inputs.against)
+    inputs.say("looking at the covariates")
+    forward = Forward(dataset, scene, camera)
+    forward.estimate_amplitudes()
+    variance = examine_variance(forward)
+    light = _COMMON_LIGHT * facts.amplitude if variance.pixels_vary_together else 0.0
+    problem = Problem(
+        dataset,
+        scene,
+        shifts=shifts,
+        stray_light=max(light, scene.stray_light),
+        correlated_error=inputs.correlated_error,
+        threads=inputs.threads,
+    )
+    if dataset.poses < _FEW_POSES:
+        note = _ONE_POSE if dataset.poses < 2 else _OF_FEW_POSES.format(dataset.poses)
+        dataset = replace(dataset, notes=[*dataset.notes, note])
+    return Begun(dataset, facts, variance, problem, forward, inputs.seed)
+
+
+def searched(inputs: Inputs, begin: Begun) -> Result | None:
+    """Return what a search for missing physics finds; None where nothing can be fitted."""
+    smooth = [] if begin.one_pose else [*single_terms(begin.samples), *gradient_terms(begin.samples)]
+    nothing = begin.alone or (begin.one_pose and len(begin.dataset.stations) < 2)
+    try:
+        return search(
+            begin.problem,
+            inputs.camera,
+            begin.facts,
+            effects=without_poses() if begin.one_pose else None,
+            most=0 if nothing else MOST_EFFECTS,
+            further=smooth,
+            may_have_moved=begin.may_have_moved(inputs),
+            seed=inputs.seed,
+            views=begin.forward.views,
+            workers=inputs.workers,
+            progress=inputs.say,
+        )
+    except (RimError, np.linalg.LinAlgError):
+        return None

@@ -1,0 +1,127 @@
+"""What a search found, what it left, and how the two compare: effects by name, or unknown physics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.begin import Begun, Inputs
+from rim_camera_ros.diagnose.codes import MissingCodes, missing_codes, note_on_grid
+from rim_camera_ros.diagnose.described import (
+    Described,
+    Rest,
+    best_rest,
+    describe,
+    explained_share,
+    is_unknown,
+)
+from rim_camera_ros.diagnose.noise_verdict import only_noise
+from rim_camera_ros.diagnose.nuisances import conditional_on_physics
+from rim_camera_ros.diagnose.variance import Variance, examine_variance
+from rim_camera_ros.effects import OF_SURFACES, CovariateTable
+from rim_camera_ros.effects.base import response_of
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.select.compare import Result
+from rim_camera_ros.select.exploration import Exploration
+
+#: A term outside the vocabulary must gain this share more than the named ones to take their place.
+_BEYOND_NAMED = 1.2
+_BESIDE_A_SECOND_CAMERA = "a second camera shines in: nothing else can be told; record with it switched off"
+
+
+@dataclass(frozen=True)
+class FoundPhysics:
+    """What is missing, as far as held-out poses say: ``result`` of the search, or ``described`` in its place.
+
+    ``rest`` is the best smooth function of what the search left. ``dataset`` has the notes, ``variance`` and
+    ``codes`` are what frames and counts say beside the physics.
+    """
+
+    result: Result
+    dataset: Dataset
+    rest: Rest | None
+    described: Described | None
+    variance: Variance
+    codes: MissingCodes | None
+
+    @property
+    def baseline(self) -> Exploration:
+        """The known terms alone."""
+        return self.result.explorations[0]
+
+    @property
+    def final(self) -> Exploration:
+        """After all steps of the search."""
+        return self.result.explorations[-1]
+
+    @property
+    def best_fit(self) -> Fit:
+        """The fit with what is missing."""
+        return self.final.fit if self.described is None else self.described.fit
+
+    @property
+    def conditional(self) -> Fit:
+        """The fit conditional on what the forms of the physics may do otherwise."""
+        return conditional_on_physics(self.result) if self.described is None else self.best_fit
+
+    @property
+    def names(self) -> list[str]:
+        """What is missing, by name."""
+        if self.described is not None:
+            return [CovariateTable.name]
+        return [finding.effect for finding in self.result.found]
+
+    @property
+    def explained(self) -> float:
+        """Share of what does not fit that is explained."""
+        return explained_share(self.result, self.rest)
+
+    @property
+    def is_modelled(self) -> bool:
+        """Whether it is part of a fit: a function that is not would itself be what neighbours share."""
+        return bool(self.result.found) if self.described is None else self.described.missing.modelled
+
+
+def physics_of(inputs: Inputs, begin: Begun, result: Result) -> FoundPhysics:
+    """Return what was found beside what is left.
+
+    Raises `RimError`, or numpy's LinAlgError, where what is unknown cannot be described.
+    """
+    dataset, camera = begin.dataset, inputs.camera
+    if begin.alone:
+        dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
+    inputs.say("looking for what no named effect explains")
+    nothing = begin.alone or begin.one_pose or bool(result.moved)
+    rest = None if nothing else best_rest(result, begin.samples, inputs.seed)
+    variance = _variance_beside(result.explorations[-1].fit, camera)
+    noise = camera.noise.floor / camera.sensor.lsb
+    codes = missing_codes(dataset.codes, noise=noise)
+    if codes is not None and codes.is_fine_grid(noise):
+        dataset = replace(dataset, notes=[*dataset.notes, note_on_grid(codes, camera)])
+        codes = None
+    described = None
+    if rest is not None and _takes_their_place(rest, result, variance):
+        described = describe(rest, result.explorations[0], result, inputs.seed)
+    return FoundPhysics(result, dataset, rest, described, variance, codes)
+
+
+def _variance_beside(fitted: Fit, camera: Camera) -> Variance:
+    """Return what repeated frames say beside what a fit found of the response of a camera."""
+    variance = examine_variance(fitted.forward)
+    responds = response_of(fitted.camera) is not None and response_of(camera) is None
+    if responds and variance.noise_is_wrong:
+        scaled = examine_variance(fitted.forward, free_scale=True)
+        # a scale that does not explain all of it says nothing of the noise
+        return variance if scaled.noise_is_wrong else scaled
+    return variance
+
+
+def _takes_their_place(rest: Rest, result: Result, variance: Variance) -> bool:
+    """Return whether a smooth function of what a search left takes the place of the effects it found."""
+    # a curve of the light that is not refitted leaves a smooth rest by itself, smaller than what it explains
+    linear = any(finding.effect in OF_SURFACES for finding in result.found)
+    if (linear and rest.on_top < result.gained) or only_noise(result, rest, variance):
+        return False
+    beyond = not result.found or rest.gain > _BEYOND_NAMED * result.found[0].gain
+    return beyond and is_unknown(rest, result.gained, result.explorations[-1], result)
