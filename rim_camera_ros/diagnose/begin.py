@@ -110,10 +110,11 @@ class Begun:
     def may_have_moved(self, inputs: Inputs) -> MayHaveMoved:
         """Return how many poses may stand elsewhere.
 
-        None of another simulation, which has the same poses, and none beside the light of a second camera,
-        which looks like anything.
+        None of another simulation, which has the same poses, none beside the light of a second camera, which
+        looks like anything, and none where first frames differ, which are in the means of poses.
         """
-        return NONE_MOVED if self.alone or inputs.against is not None else few_of(self.dataset)
+        nothing = self.alone or self.variance.begins or inputs.against is not None
+        return NONE_MOVED if nothing else few_of(self.dataset)
 
 
 def setups_of(inputs: Inputs) -> list[Hypothesis]:

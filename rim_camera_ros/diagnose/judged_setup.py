@@ -75,8 +75,10 @@ def judged_setup(inputs: Inputs, begin: Begun, found: FoundPhysics, setups: list
         reason, setups = _beyond_stated(inputs, found, conditional, setups)
     elif setup.bad and moved:
         setups = by_gain([*setups, poses_elsewhere(total_gain(moved), len(setup.bad))])
-    trusted = found.variance.pixels_vary_together or found.codes is not None
-    return JudgedSetup(setup, setups, winner, None if trusted else reason)
+    # what frames and counts show by themselves may look like another set-up
+    variance = found.variance
+    by_itself = variance.pixels_vary_together or variance.begins or found.codes is not None
+    return JudgedSetup(setup, setups, winner, None if by_itself else reason)
 
 
 def held_against(
