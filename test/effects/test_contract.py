@@ -143,6 +143,13 @@ class TestEffect:
             assert bounds[path][0] <= value <= bounds[path][1]
         assert all(size > 0 for size in priors.values())
 
+    def test_the_finest_form_is_one_of_the_same_effect(self, kind: type[Effect]) -> None:
+        effect = kind.example(camera())
+        finest = effect.finest()
+        assert type(finest) is kind
+        assert finest.finest() == finest
+        assert (finest == effect) == (kind.name != "mixed_pixels")
+
     def test_does_something(self, kind: type[Effect]) -> None:
         cam = camera()
         scene = scene_for(kind)
