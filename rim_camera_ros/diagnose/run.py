@@ -124,8 +124,10 @@ def _without_stated_optics(
     # a board that is another one moves the optics by hundreds of sigmas
     setups, other = held_against(setups, problem, camera, found=fitted.camera)
     if other is None and inputs.against is None and not begin.alone:
-        # so does a surface that stands elsewhere
-        other, setups = surface_elsewhere(result, fitted, problem, camera, setups, inputs.say)
+        # so does a surface that stands elsewhere, where it explains most; else by free optics physics may
+        surface, further = surface_elsewhere(result, fitted, problem, camera, setups, inputs.say)
+        if surface is not None and surface.wins:
+            other, setups = surface, further
     result.forget()
     if other is not None:
         return with_setups(of_another_setup(other, problem, camera, begin.variance, inputs.seed), setups)

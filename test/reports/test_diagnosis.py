@@ -17,6 +17,7 @@ from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.cli import main
 from rim_camera_ros.diagnose.adjusted import Adjusted
 from rim_camera_ros.diagnose.formula import formula_curve
+from rim_camera_ros.diagnose.naming import first_frames
 from rim_camera_ros.diagnose.report import as_json
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.run import diagnose
@@ -367,10 +368,16 @@ def test_parameter_without_interval_is_said_to_be_not_fitted(case: Case) -> None
 
 
 def test_verdict_of_unknown_physics_names_its_covariates(case: Case) -> None:
-    one = Missing("unknown", 1.0, {}, {}, "unknown physics", covariates=("height", "row_amplitude"))
+    one = Missing("unknown", 1.0, {}, {}, "unknown physics", ("height", "row_amplitude"), formula="h a")
     sentence = words.verdict(replace(case.missing, verdict="unknown_physics", missing=[one]))
     expected = "height above the camera and mean amplitude of the row"
     assert sentence == f"Distances depend on {expected} in a way that no known effect explains."
+
+
+def test_verdict_of_first_frames_says_what_they_are(case: Case) -> None:
+    sentence = words.verdict(replace(case.missing, verdict="unknown_physics", missing=[first_frames()]))
+    assert sentence.startswith("The first frame of each pose differs from those after it, which are alike")
+    assert sentence.endswith("in what all pixels share.")
 
 
 # --- pictures of their own --------------------------------------------------------------------------

@@ -91,7 +91,12 @@ def verdict(result: Diagnosis) -> str:
             return f"No physics is missing, but the camera file has wrong parameters: {names}."
         case "unknown_physics":
             found = [effect for effect in result.missing if effect.effect == UNKNOWN]
-            names = joined([plain_name(c) for effect in found for c in effect.covariates])
+            functions = [effect for effect in found if effect.formula or effect.modelled]
+            names = joined([plain_name(c) for effect in functions for c in effect.covariates])
+            if found and not functions and found[0].covariates:
+                # what is known of it is no function of these: its sentence says what it is
+                said = found[0].sentence.removeprefix("unknown physics: ").split(": ")[0]
+                return f"{said[:1].upper()}{said[1:]}."
             if not names:
                 return "This recording differs from its simulation in a way that no known effect explains."
             return f"Distances depend on {names} in a way that no known effect explains."
