@@ -93,7 +93,7 @@ class Begun:
     seed: int
 
     @property
-    def alone(self) -> bool:
+    def beside_second_camera(self) -> bool:
         """Whether a second camera shines in: its pattern and phase can be imitated by many effects."""
         return self.variance.pixels_vary_together
 
@@ -113,7 +113,7 @@ class Begun:
         None of another simulation, which has the same poses, none beside the light of a second camera, which
         looks like anything, and none where first frames differ, which are in the means of poses.
         """
-        nothing = self.alone or self.variance.begins or inputs.against is not None
+        nothing = self.beside_second_camera or self.variance.begins or inputs.against is not None
         return NONE_MOVED if nothing else few_of(self.dataset)
 
 
@@ -159,7 +159,7 @@ def begun(inputs: Inputs) -> Begun:
 def searched(inputs: Inputs, begin: Begun) -> Result | None:
     """Return what a search for missing physics finds; None where nothing can be fitted."""
     smooth = [] if begin.one_pose else [*single_terms(begin.samples), *gradient_terms(begin.samples)]
-    nothing = begin.alone or (begin.one_pose and len(begin.dataset.stations) < 2)
+    nothing = begin.beside_second_camera or (begin.one_pose and len(begin.dataset.stations) < 2)
     try:
         return search(
             begin.problem,

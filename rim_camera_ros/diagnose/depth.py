@@ -124,7 +124,8 @@ def standing_elsewhere(
     """
     baseline = result.explorations[0]
     masks = baseline.fit.forward.pixels_used()
-    alone = replace(problem, masks=masks, patches=baseline.fit.forward.patches_seen())
+    # known terms begin where they fitted: what the file states of them is about its own values
+    alone = replace(problem, origin=camera, masks=masks, patches=baseline.fit.forward.patches_seen())
     leading = [depth for depth in depths(baseline, alone, result.folds) if depth.is_better]
     if not leading:
         return []

@@ -89,10 +89,10 @@ def physics_of(inputs: Inputs, begin: Begun, result: Result) -> FoundPhysics:
     Raises `RimError`, or numpy's LinAlgError, where what is unknown cannot be described.
     """
     dataset, camera = begin.dataset, inputs.camera
-    if begin.alone:
+    if begin.beside_second_camera:
         dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
     inputs.say("looking for what no named effect explains")
-    nothing = begin.alone or begin.one_pose or bool(result.moved)
+    nothing = begin.beside_second_camera or begin.one_pose or bool(result.moved)
     rest = None if nothing else best_rest(result, begin.samples, inputs.seed)
     variance = _variance_beside(result.explorations[-1].fit, camera)
     noise = camera.noise.floor / camera.sensor.lsb

@@ -68,7 +68,7 @@ def judged_setup(inputs: Inputs, begin: Begun, found: FoundPhysics, setups: list
     setups, winner = held_against(setups, problem, camera, found=best_fit.camera)
     reason = setup.reason if winner is None else winner.reason
     something = bool(result.found) or found.rest is not None
-    if reason is None and inputs.against is None and not begin.alone and something:
+    if reason is None and inputs.against is None and not begin.beside_second_camera and something:
         elsewhere, setups = surface_elsewhere(result, best_fit, problem, camera, setups, inputs.say)
         reason = None if elsewhere is None else elsewhere.reason
     if reason is None and found.described is None:

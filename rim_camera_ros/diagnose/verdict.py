@@ -11,8 +11,8 @@ from rim_camera_ros.calibrate.plan import shipped_experiments
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.accuracy import LEAST_EXPLAINED, Accuracy, accuracy, judged_by_all_errors
 from rim_camera_ros.diagnose.adjusted import Adjusted, adjusted_terms, beyond_file, parameters_matter
-from rim_camera_ros.diagnose.codes import MissingCodes
-from rim_camera_ros.diagnose.described import Described, Rest, of_correlated_errors, unexplained
+from rim_camera_ros.diagnose.described import of_correlated_errors, unexplained
+from rim_camera_ros.diagnose.found_physics import FoundPhysics
 from rim_camera_ros.diagnose.intervals import distances_known_to, intervals_of, uncertainty_of
 from rim_camera_ros.diagnose.menu import recommended, told_apart
 from rim_camera_ros.diagnose.naming import (
@@ -32,7 +32,6 @@ from rim_camera_ros.diagnose.pixel_gains import GainSpread
 from rim_camera_ros.diagnose.result import Diagnosis, Missing, Ranked
 from rim_camera_ros.diagnose.second_camera import second_camera, with_second_camera
 from rim_camera_ros.diagnose.smooth import UNKNOWN
-from rim_camera_ros.diagnose.variance import Variance
 from rim_camera_ros.diagnose.where import (
     Where,
     nowhere,
@@ -44,12 +43,10 @@ from rim_camera_ros.diagnose.where import (
     of_values,
 )
 from rim_camera_ros.effects import vocabulary
-from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.variance_components import correlated_error_note
 from rim_camera_ros.select.candidates import change_of_forms
 from rim_camera_ros.select.compare import Result
-from rim_camera_ros.select.exploration import Exploration
 
 #: Chi-square per value of held-out poses above which a recording that nothing explains is not consistent:
 #: where nothing is left out it was 1.02 at most.
@@ -73,22 +70,15 @@ _BESIDE_CODES = "not told beside counts that are left out, which may look like i
 
 
 @dataclass(frozen=True)
-class Findings:
-    """All that a verdict rests on.
+class Findings(FoundPhysics):
+    """All that a verdict rests on: what was found, of which ``camera`` file, and what is known beside it.
 
-    ``unknown`` is unknown physics that takes the place of named effects, ``rest`` the smooth function that
-    the search left, whether told or not; ``reason`` why the setup cannot be trusted (None: it can).
-    ``shifted`` says that distances go with unmodulated light; ``left_over`` is the mean chi-square per
-    distance of the poses; ``gains`` are those of neighbouring pixels.
+    ``reason`` is why the setup cannot be trusted (None: it can). ``shifted`` says that distances go with
+    unmodulated light; ``left_over`` is the mean chi-square per distance of the poses; ``gains`` are those of
+    neighbouring pixels.
     """
 
     camera: Camera
-    dataset: Dataset
-    result: Result
-    unknown: Described | None
-    rest: Rest | None
-    variance: Variance
-    codes: MissingCodes | None
     reason: str | None
     shifted: bool
     left_over: float
@@ -96,18 +86,8 @@ class Findings:
     seed: int
 
     @property
-    def baseline(self) -> Exploration:
-        """The known terms alone."""
-        return self.result.explorations[0]
-
-    @property
-    def final(self) -> Exploration:
-        """After all steps of the search."""
-        return self.result.explorations[-1]
-
-    @property
     def fitted(self) -> Fit:
-        """The fit after all steps."""
+        """The fit after all steps of the search."""
         return self.final.fit
 
 
@@ -137,7 +117,7 @@ def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
             at = found.result.explorations[finding.step]
             proposals = told_apart(at, names, shipped_experiments(), progress=say)
             advice[tuple(names)] = recommended(proposals, threshold=at.threshold)
-    unknown = found.unknown if draft.verdict == "unknown_physics" else None
+    unknown = found.described if draft.verdict == "unknown_physics" else None
     table = None if unknown is None else unknown.fit
     measure = accuracy(found.camera, draft.model, found.result, table)
     measure = judged_by_all_errors(measure, found.camera, draft.model, found.result, table)
@@ -224,10 +204,10 @@ def _begun(found: Findings) -> _Draft:
     if found.reason is not None:
         draft.verdict, draft.model, draft.ties = "inconsistent_setup", found.camera, []
         draft.where = of_residuals(found.baseline.fit)
-    elif found.unknown is not None:
-        draft.verdict, draft.model, draft.ties = "unknown_physics", found.unknown.camera, []
-        draft.where, draft.missing = found.unknown.where, [found.unknown.missing]
-        draft.ranking = with_unknown(draft.ranking, found.unknown.gain)
+    elif found.described is not None:
+        draft.verdict, draft.model, draft.ties = "unknown_physics", found.described.camera, []
+        draft.where, draft.missing = found.described.where, [found.described.missing]
+        draft.ranking = with_unknown(draft.ranking, found.described.gain)
     elif result.found:
         _name(draft, found)
     else:
@@ -281,7 +261,7 @@ def _wrong_parameters(draft: _Draft, found: Findings) -> None:
     if draft.verdict == "inconsistent_setup":
         return
     moved_in = found.baseline.fit if draft.verdict == "consistent" else found.fitted
-    moved_in = moved_in if found.unknown is None else found.unknown.fit
+    moved_in = moved_in if found.described is None else found.described.fit
     draft.adjusted = adjusted_terms(found.camera, moved_in)
     if draft.verdict != "consistent":
         return

@@ -136,7 +136,7 @@ class MixedPixels(ComplexEffect):
     def finest(self) -> MixedPixels:
         """Return a form of the same width of which the area of a pixel is a part.
 
-        Blurred light of the centres of pixels knows edges to half a pixel, that of their areas as they are.
+        Light of the centres of pixels places an edge to half a pixel, light of their areas where it is.
         """
         if self.footprint is not None:
             return self

@@ -28,7 +28,8 @@ def fit(
 ) -> Fit:
     """Adjust a camera's parameters to the data.
 
-    Steps end when no parameter moves by more than ``tolerance`` of its sigma. ``further`` blocks of
+    Steps end when no parameter moves by more than ``tolerance`` of its sigma. Unless edges move the pixels
+    stay the same once steps are compared, also where the problem has no masks. ``further`` blocks of
     regressors stand beside the parameters in the final equations without being fitted (candidates).
     ``warm`` is a fit of the same data, or where it stands, whose pattern, errors and powers are started from;
     with no ``iterations`` the result is its own solution with the equations of the further blocks. ``near``

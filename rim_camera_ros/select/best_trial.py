@@ -28,8 +28,8 @@ class Trials:
     """What candidates of a ``step`` are fitted with, beside what a ``camera`` file came to have until then.
 
     ``failed`` effects are no rivals; ``is_first`` where none was found before; ``with_edges`` pixels beside
-    edges take part. ``workers`` fit what needs nothing of one another. Trials that are ``known``
-    need no other fit where another leads.
+    edges take part. ``workers`` fit what needs nothing of one another. Trials that are ``known`` need no
+    other fit where another leads.
     """
 
     problem: Problem

@@ -58,7 +58,7 @@ class Search:
     allows pixels beside edges; explorations from number ``beside_edges`` on take them in. With ``may_narrow``
     a search ends where rays move, with the ``narrowed`` problem of the pixels that are clean by both cameras,
     of which it is to be made anew. ``curves`` are those of the smooth ``further`` candidates that entered as
-    discrepancies of effects found. ``workers`` fit what needs nothing of one another.
+    discrepancies of effects found. ``workers`` and ``known`` as in `Trials`.
     """
 
     problem: Problem

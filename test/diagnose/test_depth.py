@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.rotations import rotation_matrix
+from rim_camera_ros.select.exploration import Exploration, explore
 from rim_camera_ros.select.search import search
 
 from ..calibrate.helpers import camera, record, scene
@@ -73,3 +75,28 @@ def test_physics_that_is_missing_is_no_depth(tmp_path: Path) -> None:
     assert [one.surface for one in leading] == ["board"]
     assert leading[0].gain < result.found[0].gain
     assert standing_elsewhere(result, result.fit, problem, given, say=lambda text: None) == []
+
+
+def test_a_file_states_its_known_terms_of_a_surface_elsewhere_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fits begin at what the files as given make of a sinusoid; priors stay about the file's."""
+    told = CyclicError((Harmonic(4, 0.008, 0.7),))
+    given, board = camera(tmp_path, told), scene(tmp_path)
+    data = displaced(record(cyclic(given), board, poses=16, seed=5), (0.0, 0.0, -0.045))
+    problem = Problem(data, board)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=given)
+    result = search(problem, given, facts, most=0)
+    calls: list[tuple[Problem, Camera]] = []
+
+    def explored(problem: Problem, start: Camera, *rest: Any, **options: Any) -> Exploration:
+        calls.append((problem, start))
+        return explore(problem, start, *rest, **options)
+
+    monkeypatch.setattr("rim_camera_ros.diagnose.depth.explore", explored)
+    standing_elsewhere(result, result.fit, problem, given, say=lambda text: None)
+    assert len(calls) == 2
+    assert all(problem.origin is given for problem, _ in calls)
+    start = calls[1][1].effects["cyclic_error"]
+    assert start == result.fit.camera.effects["cyclic_error"]
+    assert start != told
