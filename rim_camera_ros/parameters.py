@@ -88,8 +88,8 @@ def quantity(
 def decode[T](cls: type[T], data: Any, document: Document, place: tuple[Any, ...] = ()) -> T:
     """Build the dataclass ``cls`` from plain YAML data.
 
-    Raises `InputError` for an unknown key (naming the nearest known one), a missing key, a wrong type,
-    a number that is not finite or out of bounds, or whatever ``__post_init__`` refuses (ValueError).
+    Raises `InputError` for an unknown key (naming where it belongs, or the nearest known one), a missing
+    key, a wrong type, a number that is not finite or out of bounds, or whatever ``__post_init__`` refuses.
     """
     if data is None:
         data = {}
@@ -99,7 +99,9 @@ def decode[T](cls: type[T], data: Any, document: Document, place: tuple[Any, ...
     hints = typing.get_type_hints(cls)
     for key in data:
         if key not in fields:
-            raise document.error((*place, key), "unknown key", nearest_name(key, fields))
+            inner = _fields_with(key, hints)
+            remedy = f"it is a key of {' and of '.join(inner)}" if inner else nearest_name(key, fields)
+            raise document.error((*place, key), "unknown key", remedy)
     values: dict[str, Any] = {}
     for name, field in fields.items():
         if name in data:
@@ -114,6 +116,16 @@ def decode[T](cls: type[T], data: Any, document: Document, place: tuple[Any, ...
         return cls(**values)
     except ValueError as error:
         raise document.error(place, str(error)) from None
+
+
+def _fields_with(key: object, hints: Mapping[str, Any]) -> list[str]:
+    """Return the fields whose own groups, or lists of groups, have a key of that name."""
+    found = []
+    for name, hint in hints.items():
+        groups = [one for one in (hint, *typing.get_args(hint)) if dataclasses.is_dataclass(one)]
+        if any(attribute.name == key for group in groups for attribute in dataclasses.fields(group)):
+            found.append(name)
+    return found
 
 
 def _kind(value: Any) -> str:

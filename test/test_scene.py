@@ -123,6 +123,7 @@ FAULTS = {
     "rate 0": (HEAD + WALL + "schedule:\n- {rate: 0}\n", r"schedule\.0\.rate \(line 5\): must be at least 0.001 Hz"),
     "setting 0": (HEAD + WALL + "schedule:\n- {integration_time: 0}\n", r"schedule\.0\.integration_time \(line 5\): must be greater than 0"),
     "uptime before": (HEAD + WALL + "schedule:\n- {uptime: -1}\n", r"schedule\.0\.uptime \(line 5\): must be at least 0 s"),
+    "key of a surface": (HEAD + WALL + "reflectivity_sigma: 0.5\n", r"reflectivity_sigma \(line \d+\): unknown key \(it is a key of surfaces\)"),
     "key in a station": (HEAD + WALL + "schedule:\n- {frames: 3, ambeint: 20}\n", r"schedule\.0\.ambeint \(line 5\): unknown key \(did you mean 'ambient'\?\)"),
     "plane at the lens": (HEAD + "- {name: a, type: plane, pose: {position: [0, 0, 1e-100]}}\n", r"scene\.yaml: surfaces\.0\.pose\.position \(line 3\): 'a' lies 1e-100 m from the optical centre \(place it 0\.001 m away or more, x y z in metres"),
     "plane through the lens": (HEAD + "- {name: a, type: plane, pose: {position: [3, 4, 0]}}\n", r"position \(line 3\): 'a' lies 0 m from the optical centre"),
