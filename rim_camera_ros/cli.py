@@ -82,10 +82,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _failed(f"{place}: {reason} (check the disk and the permissions)", 1)
     except MemoryError:
         return _failed("out of memory", 1)
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] == __package__:
+            return _fault(error)
+        remedy = f"install what the package needs: {sys.executable} -m pip install '<its folder>[diagnosis]'"
+        return _failed(f"the Python module '{error.name}' is not installed ({remedy})", 1)
     except Exception as error:
-        return _failed(
-            f"{type(error).__name__}: {error} (this is a fault of the program: please report it)", 1
-        )
+        return _fault(error)
 
 
 def _run(argv: list[str]) -> int:
@@ -170,6 +173,10 @@ def _uninterruptible(frame: FrameType | None) -> bool:
 def _drop_output() -> None:
     """Keep what is still buffered from being written at the interpreter's end."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _fault(error: Exception) -> int:
+    return _failed(f"{type(error).__name__}: {error} (this is a fault of the program: please report it)", 1)
 
 
 def _failed(text: str, status: int) -> int:

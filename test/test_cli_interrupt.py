@@ -106,6 +106,17 @@ def raising(error: BaseException) -> Any:
     [
         (ZeroDivisionError("two\nlines"), 1, f"rim: ZeroDivisionError: two lines ({FAULT})"),
         (MemoryError(), 1, "rim: out of memory"),
+        (
+            ModuleNotFoundError("No module named 'cv2.x'", name="cv2.x"),
+            1,
+            "rim: the Python module 'cv2.x' is not installed (install what the package needs: "
+            f"{sys.executable} -m pip install '<its folder>[diagnosis]')",
+        ),
+        (
+            ModuleNotFoundError("No module named 'rim_camera_ros.x'", name="rim_camera_ros.x"),
+            1,
+            f"rim: ModuleNotFoundError: No module named 'rim_camera_ros.x' ({FAULT})",
+        ),
         (KeyboardInterrupt(), 130, "rim: interrupted"),
     ],
 )  # fmt: skip
