@@ -100,8 +100,8 @@ def decode[T](cls: type[T], data: Any, document: Document, place: tuple[Any, ...
     for key in data:
         if key not in fields:
             inner = _fields_with(key, hints)
-            remedy = f"it is a key of {' and of '.join(inner)}" if inner else nearest_name(key, fields)
-            raise document.error((*place, key), "unknown key", remedy)
+            where = f"it is a key of {' and of '.join(inner)}" if inner else nearest_name(key, fields)
+            raise document.error((*place, key), "unknown key", where)
     values: dict[str, Any] = {}
     for name, field in fields.items():
         if name in data:
