@@ -24,6 +24,7 @@ from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.decimation import decimated_camera, decimated_dataset
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Problem
+from rim_camera_ros.fit.shifts import shifts_between
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.moved_poses import NONE_MOVED, MayHaveMoved
@@ -136,7 +137,7 @@ def begun(inputs: Inputs) -> Begun:
     facts = Facts.of(dataset, moves=scene.camera_motion.moves, surfaces=len(scene.surfaces), camera=camera)
     shifts = None
     if inputs.against is not None:
-        shifts = Forward(dataset, scene, camera).shifts_to(inputs.against)
+        shifts = shifts_between(dataset, inputs.against, scene, camera)
     inputs.say("looking at the covariates")
     forward = Forward(dataset, scene, camera)
     forward.estimate_amplitudes()

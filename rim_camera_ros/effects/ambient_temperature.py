@@ -46,6 +46,7 @@ class AmbientTemperature(DistanceTerm):
         "a fixed scene while the room's temperature changes by several degrees, with the topic recorded"
     )
     refuted_by = "a drift without correlation to the temperature at any lag"
+    pointwise = True
     remembers = True
     follows_frames = True
     lacking = "the recordings state no ambient temperature, or a constant one"

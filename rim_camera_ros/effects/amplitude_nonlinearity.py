@@ -22,6 +22,7 @@ class AmplitudeNonlinearity(ResponseEffect):
     observable = "one target at several integration times or distances, bright to dark"
     refuted_by = "amplitudes in proportion to integration time over distance^2 up to saturation"
 
+    pointwise = True
     drawn_over = ("amplitude",)
 
     compression: float = quantity("1/counts", "0: linear", minimum=0.0, typical=1e-5)

@@ -42,6 +42,7 @@ class AmplitudeOffset(DistanceTerm):
     observable = "patches of different reflectivity side by side on one plane (a grey wedge)"
     refuted_by = "dark and bright patches of one plane at the same distance"
 
+    pointwise = True
     drawn_over = ("amplitude",)
     everywhere = True
 

@@ -97,13 +97,15 @@ class Groups:
 class Block:
     """Regressors whose columns are computed together; ``in_order`` where they need the stations in order.
 
-    ``grouped``, where each pixel has at most one of them by itself.
+    ``grouped``, where each pixel has at most one of them by itself. ``pointwise`` where the columns of each
+    pixel follow from its own light, so that those of a part of the array can be computed alone.
     """
 
     regressors: tuple[Regressor, ...]
     columns: Callable[[Any], Sequence[Column]]
     in_order: bool = False
     grouped: Callable[[Any], Groups] | None = None
+    pointwise: bool = False
 
 
 @dataclass(frozen=True)
@@ -203,7 +205,7 @@ def effect_block(
 
     name = effect.name if owner is None else owner
     regressors = tuple(Regressor(f"effects.{effect.name}.{p}{label}", name, priors[p]) for p in paths)
-    return Block(regressors, columns, in_order=effect.remembers)
+    return Block(regressors, columns, in_order=effect.remembers, pointwise=effect.pointwise)
 
 
 def together(*blocks: Block) -> Block:
@@ -213,6 +215,7 @@ def together(*blocks: Block) -> Block:
         regressors,
         lambda reading: [c for block in blocks for c in block.columns(reading)],
         in_order=any(block.in_order for block in blocks),
+        pointwise=all(block.pointwise for block in blocks),
     )
 
 

@@ -98,7 +98,7 @@ def covariate(name: str, distance: Image, amplitude: Image, context: Context) ->
         case "contrast":
             return _contrast(amplitude)
         case "height":
-            height: Image = -distance * context.camera.rays[..., 1]
+            height: Image = -distance * context.rays[..., 1]
             return height
         case "edge":
             return _edge_distance(distance)

@@ -39,6 +39,7 @@ class CyclicError(DistanceTerm):
     title = "odd harmonics of the modulation"
     observable = "distances over at least half the ambiguity range, at steps well below L / 16"
     refuted_by = "residuals over distance without a period of L / 4 or L / 8"
+    pointwise = True
     demodulates = True
 
     drawn_over = ("distance",)

@@ -36,6 +36,7 @@ class DistanceScale(DistanceTerm):
     title = "modulation clock error, or depth made by other optics"
     observable = "known distances over a range of metres; for the principal point known tilts over the array"
     refuted_by = "residuals without a trend over distance"
+    pointwise = True
     absolute = True
 
     drawn_over = ("distance",)
@@ -53,7 +54,7 @@ class DistanceScale(DistanceTerm):
     def term(self, distance: Image, amplitude: Image, context: Context) -> Image | float:
         if self.principal_point is None:
             return self.scale * distance
-        result: Image = (self.scale - 1 + _by_other_axis(context.camera, self.principal_point)[0]) * distance
+        result: Image = (self.scale - 1 + _by_other_axis(context, self.principal_point)[0]) * distance
         return result
 
     def distance_knots(self) -> tuple[float, ...]:
@@ -63,7 +64,7 @@ class DistanceScale(DistanceTerm):
         distance = np.asarray(signal.distance)
         if self.principal_point is None:
             return {"scale": (distance, 0.0)}
-        _, across, down = _by_other_axis(context.camera, self.principal_point)
+        _, across, down = _by_other_axis(context, self.principal_point)
         return {
             "scale": (distance, 0.0),
             "principal_point.0": (across * distance, 0.0),
@@ -102,9 +103,11 @@ class DistanceScale(DistanceTerm):
         return cls(scale=-0.0011, principal_point=(0.35, -0.55))
 
 
-def _by_other_axis(camera: Camera, point: tuple[float, float]) -> tuple[Image, Image, Image]:
+def _by_other_axis(context: Context, point: tuple[float, float]) -> tuple[Image, Image, Image]:
     """Return what becomes of a distance of 1 m (H, W), and its derivatives by both numbers of ``point``."""
-    return _at_one_metre(camera.optics, camera.sensor.width, camera.sensor.height, point)
+    optics, sensor = context.camera.optics, context.camera.sensor
+    becomes, across, down = _at_one_metre(optics, sensor.width, sensor.height, point)
+    return context.inside(becomes), context.inside(across), context.inside(down)
 
 
 @lru_cache(maxsize=4)

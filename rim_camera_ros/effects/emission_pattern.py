@@ -31,6 +31,7 @@ class EmissionPattern(ComplexEffect):
     observable = "a surface of known reflectivity that fills the image, or one seen at many places of it"
     refuted_by = "amplitude over distance^2 of one patch that stays the same wherever in the image it is"
 
+    pointwise = True
     steady = True
     shows_in = "amplitude"
     drawn_over = (AXIS,)
@@ -62,13 +63,13 @@ class EmissionPattern(ComplexEffect):
         return 1 + q * (self.falloff[0] + q * self.falloff[1])
 
     def apply(self, phasor: Image, context: Context) -> Image:
-        return phasor * self.power(context.camera)
+        return phasor * context.inside(self.power(context.camera))
 
     def invert(self, phasor: Image, context: Context) -> Image:
-        return phasor / self.power(context.camera)
+        return phasor / context.inside(self.power(context.camera))
 
     def phasor_columns(self, phasor: Image, context: Context) -> dict[str, Image]:
-        q = squared_angle(context.camera)
+        q = context.inside(squared_angle(context.camera))
         return {"falloff.0": phasor * q, "falloff.1": phasor * q * q}
 
     def sentence(self) -> str:

@@ -40,6 +40,7 @@ class EmitterOffset(Effect):
     title = "emitter beside the lens"
     observable = "near surfaces (below 1 m) at several distances and directions"
     refuted_by = "a distance error that does not decrease with distance as 1 / d beyond its constant part"
+    pointwise = True
     absolute = True
 
     steady = True
@@ -49,7 +50,7 @@ class EmitterOffset(Effect):
 
     def _paths(self, length: Image, context: Context) -> tuple[Image, Image]:
         """Return P - e (H, W, 3) and its length for points at ``length`` along the rays."""
-        beside = length[..., None] * context.camera.rays - np.array(self.position)
+        beside = length[..., None] * context.rays - np.array(self.position)
         return beside, np.linalg.norm(beside, axis=-1)
 
     def simulate(self, signal: Signal, context: Context) -> Signal:
@@ -62,7 +63,7 @@ class EmitterOffset(Effect):
 
     def correct(self, signal: Signal, context: Context) -> Signal:
         """Solve |P| + |P - e| = 2 d in closed form: |P| = (4 d^2 - |e|^2) / (4 d - 2 ray . e)."""
-        length = self.length(signal.distance, context.camera.rays @ np.array(self.position))
+        length = self.length(signal.distance, context.rays @ np.array(self.position))
         _, out = self._paths(length, context)
         with np.errstate(divide="ignore", invalid="ignore"):
             factor = np.where(length > 0, (out / length) ** 2, 1.0)

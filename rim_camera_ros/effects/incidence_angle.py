@@ -39,6 +39,7 @@ class IncidenceAngle(IncidenceTerm):
     title = "angle of incidence"
     observable = "planes of different tilt and of different reflectivity (else the amplitude term cancels it)"
     refuted_by = "a tilted uniform plane that is as flat as one seen perpendicularly after the amplitude term"
+    pointwise = True
     absolute = True
     undo: ClassVar[Undo] = "planes"
 

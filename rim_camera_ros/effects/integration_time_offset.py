@@ -26,6 +26,7 @@ class IntegrationTimeOffset(DistanceTerm):
     observable = "the same scene at each integration time"
     refuted_by = "means of a fixed scene that do not depend on the setting, after the amplitude term"
 
+    pointwise = True
     from_one_pose = True
     everywhere = True
     lacking = "the recordings have one integration time"

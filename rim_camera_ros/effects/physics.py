@@ -56,6 +56,9 @@ class Physics(ABC):
     spreads: ClassVar[bool] = False
     #: whether it is of the scene's surfaces, which no parameter of a camera file describes
     of_surfaces: ClassVar[bool] = False
+    #: whether it acts on each pixel by itself, so that a part of the array can be computed without the rest:
+    #: `Context.window`
+    pointwise: ClassVar[bool] = False
     #: whether it acts from pixel to pixel or is stated by pixels, so that a fit needs all of them
     needs_all_pixels: ClassVar[bool] = False
     #: whether it is stated for pixels of the full grid, so that no coarser grid can be looked at

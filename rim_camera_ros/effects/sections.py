@@ -47,7 +47,7 @@ class OpticsSection(Section):
     def block(cls, camera: Camera) -> Block:
         """Return the regressors of the numbers about those of the camera."""
         regressors = tuple(Regressor(f"optics.{path}", cls.name, prior) for path, prior in cls.numbers)
-        return Block(regressors, optics_columns(camera, [path for path, _ in cls.numbers]))
+        return Block(regressors, optics_columns(camera, [path for path, _ in cls.numbers]), pointwise=True)
 
     @classmethod
     def of_another(cls, camera: Camera, other: Camera) -> Camera:
@@ -144,11 +144,12 @@ def optics_columns(camera: Camera, paths: Sequence[str]) -> Callable[[Reading], 
     changes = ray_derivatives(camera.optics, camera.rays, paths)
 
     def columns(reading: Reading) -> list[Column]:
-        geometry = reading.context.geometry
+        context = reading.context
+        geometry = context.geometry
         assert geometry is not None
-        along = np.einsum("ijk,ijk->ij", geometry.normals, camera.rays)
+        along = np.einsum("ijk,ijk->ij", geometry.normals, context.inside(camera.rays))
         result: list[Column] = []
-        for change in changes:
+        for change in map(context.inside, changes):
             with np.errstate(invalid="ignore", divide="ignore"):
                 by = -geometry.distance * np.einsum("ijk,ijk->ij", geometry.normals, change) / along
             by = np.where(geometry.hit, np.nan_to_num(by), 0.0)
@@ -169,4 +170,4 @@ def light_block(labels: Sequence[str], *, sigma: float = REFLECTANCE_PRIOR) -> B
     elif labels[0] in LOBE:
         prior = LOBE_SIGMA
     regressors = tuple(Regressor(label, Radiometry.name, prior) for label in labels)
-    return Block(regressors, lambda reading: reading.curve_columns(labels))
+    return Block(regressors, lambda reading: reading.curve_columns(labels), pointwise=True)

@@ -18,6 +18,8 @@ from rim_camera_ros.geometry import Geometry
 from rim_camera_ros.phasor import nearest_period, phase_distance
 
 Image = NDArray[Any]
+#: Rows and columns of a part of the array.
+Window = tuple[slice, slice]
 #: Derivatives of measured distance [m] and published amplitude [counts] by one parameter.
 Column = tuple[Image | float, Image | float]
 
@@ -57,6 +59,7 @@ class Context:
     ``footprint(cells)`` (the light around the centres of the pixels) only in simulation; ``moving`` says
     whether the camera moves meanwhile; ``incidence`` [rad] (H, W) is true in simulation, estimated in
     correction; ``saturated`` (H, W) marks saturated pixels; ``time`` [s] counts from the first frame;
+    ``window`` is the part of the array whose images these are (None: all of it);
     ``memory`` is kept from frame to frame; what is kept there holds for light that changed by the share
     ``light_tolerance``; ``notes`` collects what the user should be told.
     """
@@ -69,6 +72,7 @@ class Context:
     geometry_at: Callable[[float], tuple[Geometry, Image]] | None = None
     footprint: Callable[[Cells], FootprintLight] | None = None
     incidence: Image | None = None
+    window: Window | None = None
     saturated: NDArray[np.bool_] | None = None
     moving: bool = False
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
@@ -83,12 +87,23 @@ class Context:
     @cached_property
     def column(self) -> NDArray[np.float64]:
         """Column coordinate u, (1, W)."""
-        return np.arange(self.camera.sensor.width, dtype=float)[None, :]
+        columns = np.arange(self.camera.sensor.width, dtype=float)
+        return (columns if self.window is None else columns[self.window[1]])[None, :]
 
     @cached_property
     def row(self) -> NDArray[np.float64]:
         """Row coordinate v, (H, 1)."""
-        return np.arange(self.camera.sensor.height, dtype=float)[:, None]
+        rows = np.arange(self.camera.sensor.height, dtype=float)
+        return (rows if self.window is None else rows[self.window[0]])[:, None]
+
+    @property
+    def rays(self) -> NDArray[np.float64]:
+        """Unit vectors (H, W, 3) along the rays of the pixels."""
+        return self.inside(self.camera.rays)
+
+    def inside(self, image: Image) -> Image:
+        """Return the part of an image of the whole array that is within the window."""
+        return image if self.window is None else image[self.window]
 
     @cached_property
     def integration_time(self) -> float:

@@ -37,6 +37,7 @@ class WarmUpDrift(DistanceTerm):
     observable = "a fixed scene from power-on until it is stable (SR-3000 6 min, SR-2 12 min), with uptime"
     refuted_by = "a drift that does not start at power-on"
 
+    pointwise = True
     lacking = "the recordings state no uptime, or a constant one"
     in_time = True
     from_one_pose = True

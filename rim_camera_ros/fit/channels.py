@@ -16,6 +16,23 @@ Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
+class Places:
+    """Where ``pixels`` (N,) are: flat in images of the whole array, which have ``size`` pixels.
+
+    In images of a window of it they are at ``within`` (N,); None: there are none.
+    """
+
+    pixels: Array
+    size: int
+    within: Array | None = None
+
+    def take(self, image: Array, out: Array | None = None) -> Array:
+        """Return the pixels of an image of either kind, or of one number."""
+        place = self.pixels if self.within is None or image.size == self.size else self.within
+        return np.asarray(np.take(image, place, out=out, mode="clip"))
+
+
+@dataclass(frozen=True)
 class GroupValues:
     """Regressors from ``first`` on of which each pixel has at most one by itself, in units of the noise.
 
@@ -79,37 +96,37 @@ class Products:
 
 
 def channel_of(
-    pixels: Array,
+    places: Places,
     weight: Array,
     columns: Sequence[tuple[int, Array]],
     groups: tuple[int, Groups] | None,
     *,
     light: bool,
 ) -> Channel:
-    """Return the design at ``pixels`` (N,), flat, of ``weight`` (N,), from numbered ``columns`` (H, W).
+    """Return the design at some pixels (N,) of ``weight`` (N,), from numbered ``columns`` (H, W).
 
     ``groups`` of regressors come with the number of the first; ``light``: their columns are those of the
     amplitude.
     """
     root = np.sqrt(weight)
-    dense = _rows([image for _, image in columns], pixels)
+    dense = _rows([image for _, image in columns], places)
     dense *= root
     index = np.array([i for i, _ in columns])
     if groups is None:
-        return Channel(pixels, root, index, dense, None)
+        return Channel(places.pixels, root, index, dense, None)
     first, grouped = groups
 
     def values(column: tuple[Array, Array]) -> Array:
-        return np.asarray(_rows([column[1] if light else column[0]], pixels)[0] * root)
+        return np.asarray(_rows([column[1] if light else column[0]], places)[0] * root)
 
     return Channel(
-        pixels,
+        places.pixels,
         root,
         index,
         dense,
         GroupValues(
             first,
-            np.take(grouped.number, pixels),
+            places.take(grouped.number),
             values(grouped.own),
             grouped.share,
             None if grouped.common is None else values(grouped.common),
@@ -117,11 +134,11 @@ def channel_of(
     )
 
 
-def _rows(images: Sequence[Array], pixels: Array) -> Array:
+def _rows(images: Sequence[Array], places: Places) -> Array:
     """Return the chosen pixels of images (H, W) as rows (len(images), N), 0 where not finite."""
-    rows = np.empty((len(images), pixels.size))
+    rows = np.empty((len(images), places.pixels.size))
     for row, image in zip(rows, images, strict=True):
-        np.take(image, pixels, out=row, mode="clip")
+        places.take(image, out=row)
     if not np.isfinite(rows.sum()):
         np.nan_to_num(rows, copy=False, posinf=0.0, neginf=0.0)
     return rows

@@ -39,7 +39,7 @@ def pose_block(paths: Sequence[tuple[str, float]]) -> Block:
             result.append(prediction.pose_change(found[path]) if path in found else (zero, zero))
         return result
 
-    return Block(regressors, columns)
+    return Block(regressors, columns, pointwise=True)
 
 
 def gain_block(prior: float = 1.0) -> Block:
@@ -48,7 +48,7 @@ def gain_block(prior: float = 1.0) -> Block:
     def columns(prediction: Prediction) -> list[Column]:
         return [prediction.gain_column()]
 
-    return Block((Regressor(GAIN, "radiometry", prior),), columns)
+    return Block((Regressor(GAIN, "radiometry", prior),), columns, pointwise=True)
 
 
 def present_blocks(
@@ -168,7 +168,12 @@ def reflectivity_block(scene: Scene) -> Block:
     def grouped(prediction: Prediction) -> Groups:
         return prediction.groups_change(places[prediction.view.geometry.tile], len(numbers))
 
-    return Block(tuple(regressors), lambda prediction: grouped(prediction).columns(), grouped=grouped)
+    return Block(
+        tuple(regressors),
+        lambda prediction: grouped(prediction).columns(),
+        grouped=grouped,
+        pointwise=True,
+    )
 
 
 def common_pose_block(scene: Scene) -> Block:
@@ -207,7 +212,7 @@ def common_pose_block(scene: Scene) -> Block:
             result.append((nothing, nothing) if column is None else prediction.pose_change(column))
         return result
 
-    return Block(tuple(regressors), columns)
+    return Block(tuple(regressors), columns, pointwise=True)
 
 
 def _scale_column(prediction: Prediction, scale: Regressor, number: int, surface: str) -> PoseColumn | None:
@@ -217,7 +222,7 @@ def _scale_column(prediction: Prediction, scale: Regressor, number: int, surface
     if not mine.any():
         return None
     shift = np.array(view.poses[surface].position)
-    return PoseColumn(scale.label, scale.prior, *by_shift(shift, view, mine, prediction.context.camera.rays))
+    return PoseColumn(scale.label, scale.prior, *by_shift(shift, view, mine, prediction.context.rays))
 
 
 def known_optics(camera: Camera) -> Block:
@@ -244,7 +249,7 @@ def known_optics(camera: Camera) -> Block:
             (sum((vectors[j, i] * found[j][0] for j in range(len(paths))), np.zeros(())), None) for i in kept
         ]
 
-    return Block(regressors, columns)
+    return Block(regressors, columns, pointwise=True)
 
 
 def sensor_block(camera: Camera) -> Block:
@@ -264,7 +269,12 @@ def sensor_block(camera: Camera) -> Block:
             result.append((zero + distance, zero + amplitude))
         return result
 
-    return Block(regressors, columns, in_order=any(effect.remembers for effect, *_ in errors))
+    return Block(
+        regressors,
+        columns,
+        in_order=any(effect.remembers for effect, *_ in errors),
+        pointwise=all(effect.pointwise for effect, *_ in errors),
+    )
 
 
 def is_linear(path: str) -> bool:

@@ -132,8 +132,8 @@ def share_of(
     of_light = [(i, amplitude) for i, _, amplitude in own if amplitude is not None]
     of_distance.append((size - 1, prediction.residual))
     of_light.append((size - 1, prediction.amplitude_residual))
-    distances = channel_of(pixels, weight, of_distance, groups, light=False)
-    light = channel_of(lit, weight_a, of_light, groups, light=True)
+    distances = channel_of(prediction.places(pixels), weight, of_distance, groups, light=False)
+    light = channel_of(prediction.places(lit), weight_a, of_light, groups, light=True)
     gram = np.zeros((size, size))
     for channel in (distances, light):
         channel.add_to(gram)
@@ -152,9 +152,9 @@ def share_of(
 
 
 def _gain_share(prediction: Prediction, distances: Channel, light: Channel) -> GainShare:
-    by_distance, by_amplitude = prediction.pixel_gain_column()
-    slope = np.nan_to_num(np.take(by_distance, distances.pixels))
-    factor = np.nan_to_num(np.take(by_amplitude, light.pixels))
+    by_distance, by_amplitude = prediction.inner.pixel_gain_column()
+    slope = np.nan_to_num(prediction.places(distances.pixels).take(by_distance))
+    factor = np.nan_to_num(prediction.places(light.pixels).take(by_amplitude))
     weight = distances.root**2
     return GainShare(
         distance=distances.times(slope),

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,17 +16,20 @@ from rim_camera_ros.chain import Chain, deliver, ideal_amplitude
 from rim_camera_ros.effects import effects_of, registry
 from rim_camera_ros.effects.light_curves import LightCurves
 from rim_camera_ros.effects.signal import Context, Signal
-from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.amplitudes import AmplitudeModel, gains_and_error
 from rim_camera_ros.fit.correlated_errors import correlated_columns, half_waves_of
 from rim_camera_ros.fit.data import Dataset, Station
-from rim_camera_ros.fit.prediction import Prediction, Shift
+from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.views import NEAR, Margins, PoseColumn, View, Views
+from rim_camera_ros.fit.windows import on_whole_array, station_within, view_within, window_of
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.geometry import Geometry, see
 from rim_camera_ros.noise import sigma_amplitude
 from rim_camera_ros.phasor import wrap_residual
 from rim_camera_ros.scene import Scene
+
+if TYPE_CHECKING:
+    from rim_camera_ros.fit.shifts import Shift
 
 Array = NDArray[Any]
 
@@ -81,6 +84,9 @@ class Forward:
         self._undescribed = np.array([*(not surface.is_described for surface in scene.surfaces), False])
         self._chain = Chain.of(camera.effects.values(), of_means=True)
         self._order = {name: i for i, name in enumerate(effects_of(camera))}
+        # what acts on neighbours, or moves while a frame is taken, needs the whole array
+        self._pointwise = all(effect.pointwise for effect in camera.effects.values())
+        self._pointwise = self._pointwise and not scene.camera_motion.moves
         self._of_geometry = [name for name, effect in registry().items() if effect.remembers_geometry]
 
     def __getstate__(self) -> dict[str, Any]:
@@ -136,37 +142,6 @@ class Forward:
                 predicted.amplitude_used = self.masks[number][1] & possible
             yield predicted
 
-    def shifts_to(self, other: Dataset) -> list[Shift]:
-        """Return what another recording of the same stations measures beyond these predictions.
-
-        Raises `InputError` where it does not have the same stations.
-        """
-        if len(other.stations) != len(self.dataset.stations):
-            raise InputError(
-                f"holds {len(other.stations)} stations, the recording {len(self.dataset.stations)}",
-                file=other.files[0] if other.files else None,
-                remedy="simulate it with --poses BAG of the recording",
-            )
-        own = Forward(other, self.scene, self.camera, views=self.views)
-        result = []
-        for prediction, mine in zip(own.predictions(slopes=False), self.dataset.stations, strict=True):
-            if any(prediction.station.truth[name] != mine.truth[name] for name in self.scene.needs_truth):
-                raise InputError(
-                    f"its station at {prediction.station.time:.3f} s has other poses than the recording's",
-                    file=other.files[0] if other.files else None,
-                    remedy="simulate it with --poses BAG of the recording",
-                )
-            distance = np.where(prediction.station.count > 0, prediction.residual, np.nan)
-            result.append(
-                Shift(
-                    distance,
-                    prediction.amplitude_residual,
-                    prediction.sigma**2,
-                    prediction.amplitude_sigma**2,
-                )
-            )
-        return result
-
     def pixels_used(self) -> list[tuple[Array, Array]]:
         """Return the pixels of each station that are fitted: both channels, (H, W) each."""
         return [(prediction.used, prediction.amplitude_used) for prediction in self.predictions(slopes=False)]
@@ -205,8 +180,10 @@ class Forward:
     def _predict(
         self, station: Station, memory: dict[str, Any], model: AmplitudeModel, slopes: bool
     ) -> Prediction:
-        camera = self.camera
-        view = self.views.view(station)
+        camera, whole_view, whole_station = self.camera, self.views.view(station), station
+        window = window_of(whole_view) if self._pointwise else None
+        view = whole_view if window is None else view_within(whole_view, window)
+        station = station if window is None else station_within(station, window)
         geometry = view.geometry
         settings = replace(station.settings, integration_time=camera.integration_time(station.settings))
         gain = model.gains.get((station.recording, station.pose), 1.0)
@@ -238,6 +215,7 @@ class Forward:
             footprint=lambda cells: self.views.footprint(view, cells, ambiguity=camera.sensor.ambiguity),
             moving=motion.moves,
             incidence=geometry.incidence,
+            window=window,
             saturated=station.saturated > 0,
             memory=memory,
             light_tolerance=_SAME_LIGHT,
@@ -252,10 +230,13 @@ class Forward:
             signal = Signal(signal.distance, np.where(nameless, measured, signal.amplitude))
         pixel_gain: Array | float = 1.0
         if model.pixels is not None:
-            pixel_gain = np.where(nameless, 1.0, np.exp(model.pixels))
-        return self._compare(
+            pixel_gain = np.where(nameless, 1.0, np.exp(context.inside(model.pixels)))
+        predicted = self._compare(
             station, view, context, before, signal, model, slopes, gain, nameless, pixel_gain
         )
+        if window is None:
+            return predicted
+        return on_whole_array(predicted, whole_station, whole_view, self._pose_columns(whole_view))
 
     def _compare(
         self,
@@ -301,8 +282,10 @@ class Forward:
         # neighbours share the error of a prediction: their mean is no better than one of them
         noise_variance, model_variance = single_variance / n, (model.tau * model_reading) ** 2
         alike = (self.patches or {}).get((station.recording, station.placed))
-        if alike is None or alike.shape != safe.shape:
+        if alike is None or alike.shape != camera.shape:
             alike = self.views.alike(view)
+        elif view.window is not None:
+            alike = alike[view.window]
         amplitude_variance = noise_variance + model_variance * alike
         clean = view.clean if self.margins is None else self.views.clean(view, self.margins)
         used = clean & lit & (station.count > 0) & (station.saturated == 0)
@@ -335,7 +318,7 @@ class Forward:
             slope_distance=1.0 + terms.by_distance,
             slope_amplitude=terms.by_amplitude,
             slope_published=np.broadcast_to(slope_published, safe.shape),
-            pose_columns=[*view.pose_columns, *self._correlated_columns(view)],
+            pose_columns=self._pose_columns(view),
             model_amplitude=safe,
             model_reading=model_reading,
             model_slope=np.where(lit, model_slope * pixel_gain, 0.0),
@@ -348,10 +331,11 @@ class Forward:
             linear=self.linear,
         )
 
-    def _correlated_columns(self, view: View) -> list[PoseColumn]:
+    def _pose_columns(self, view: View) -> list[PoseColumn]:
         if not self.correlated_error:
-            return []
-        return correlated_columns(view, self.correlated_error, half_waves=half_waves_of(self.dataset.poses))
+            return view.pose_columns
+        half_waves = half_waves_of(self.dataset.poses)
+        return [*view.pose_columns, *correlated_columns(view, self.correlated_error, half_waves=half_waves)]
 
     def _noise_amplitude(self, station: Station, predicted: Array) -> Array:
         """Return the light [counts] at which noise is evaluated: as measured, whatever a camera predicts.

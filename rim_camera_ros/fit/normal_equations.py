@@ -206,9 +206,10 @@ def accumulate(
 
     def taken() -> Iterator[tuple[Prediction, list[Sequence[Column]]]]:
         for prediction in forward.predictions():
-            remembered = [block.columns(prediction) for block in ordered]
+            remembered = [block.columns(prediction.for_columns(block)) for block in ordered]
             # what the next station remembers is another's
-            prediction.context.memory = dict(prediction.context.memory)
+            for one in (prediction, prediction.inner):
+                one.context.memory = dict(one.context.memory)
             yield prediction, remembered
 
     def share(one: tuple[Prediction, list[Sequence[Column]]]) -> tuple[int, Share]:
@@ -217,10 +218,11 @@ def accumulate(
         groups: tuple[int, Groups] | None = None
         for block in blocks:
             if block.grouped is not None and groups is None:
-                groups = len(columns), block.grouped(prediction)
+                groups = len(columns), block.grouped(prediction.for_columns(block))
                 columns += [None] * len(block.regressors)
             else:
-                columns += next(remembered) if block.in_order else block.columns(prediction)
+                own = prediction.for_columns(block)
+                columns += next(remembered) if block.in_order else block.columns(own)
         found = share_of(
             prediction,
             columns,

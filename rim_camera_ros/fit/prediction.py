@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.effects.base import ComplexEffect, DistanceTerm, Effect, ResponseEffect
-from rim_camera_ros.effects.candidate import Groups
+from rim_camera_ros.effects.candidate import Block, Groups
 from rim_camera_ros.effects.light_curves import RESPONSE, LightCurves
 from rim_camera_ros.effects.signal import Context, Signal
+from rim_camera_ros.fit.channels import Places
 from rim_camera_ros.fit.data import Station
 from rim_camera_ros.fit.views import PoseColumn, View
 from rim_camera_ros.phasor import to_phasor
@@ -41,7 +42,8 @@ class Prediction:
     the latent amplitude [counts]: what the terms see; it follows a relative change of the predicted light by
     the share ``amplitude_follows``, and one of the measured light by ``amplitude_measured``. ``model_slope``
     [counts] is the derivative of the predicted published amplitude by the logarithm of the predicted light:
-    that of the latent one would have the noise of what it is compared with.
+    that of the latent one would have the noise of what it is compared with. ``of_window`` is the prediction
+    of the window of the array in which rays meet the scene, where that is computed by itself.
     """
 
     station: Station
@@ -76,9 +78,29 @@ class Prediction:
     light_curves: LightCurves | None = None
     variance_of_other: Array | float = 0.0
     linear: Sequence[Any] = ()
+    of_window: Prediction | None = None
     _images: dict[str, tuple[Array, Array]] = field(default_factory=dict)
     _changes: dict[str, tuple[Array, Array]] = field(default_factory=dict)
     _by_light: tuple[Array, Array] | None = None
+
+    @property
+    def inner(self) -> Prediction:
+        """The prediction whose images are no larger than they need be."""
+        return self if self.of_window is None else self.of_window
+
+    def for_columns(self, block: Block) -> Prediction:
+        """Return the prediction from which the columns of regressors are computed."""
+        return self.inner if block.pointwise else self
+
+    def places(self, pixels: Array) -> Places:
+        """Return where pixels (N,) of the whole array, flat, are in its images and in those of `inner`."""
+        window, (_, width) = self.inner.context.window, self.used.shape
+        if window is None:
+            return Places(pixels, self.used.size)
+        row, column = np.divmod(pixels, width)
+        rows, columns = window
+        within = (row - rows.start) * (columns.stop - columns.start) + column - columns.start
+        return Places(pixels, self.used.size, within)
 
     def light_change(self, after: str | None, change: Array) -> tuple[Array, Array]:
         """Carry a relative change of the complex image through the optics that follow an effect.
@@ -256,43 +278,24 @@ def random_effects(
     """Return what may differ between poses: name, 1-sigma, value at the point, derivatives of both channels.
 
     Errors of poses; with a ``gain_sigma`` (relative) the emitted power, with ``stray_light`` [counts] light
-    that is added to all pixels of the station, unevenly by as much.
+    that is added to all pixels of the station, unevenly by as much. But for that light images are those of
+    the prediction's `inner`.
     """
     station = prediction.station
     key = f"{station.recording}.{station.pose}"
     result = []
-    for column in prediction.pose_columns:
+    inner = prediction.inner
+    for column in inner.pose_columns:
         if column.path.startswith("scene."):
             continue
-        distance, amplitude = prediction.pose_change(column)
+        distance, amplitude = inner.pose_change(column)
         name = f"{station.recording}.{station.placed}.{column.path}"
         result.append((name, column.prior, 0.0, distance, amplitude))
     if gain_sigma > 0:
-        distance, amplitude = prediction.gain_column()
+        distance, amplitude = inner.gain_column()
         at = float(np.log(prediction.gain))
         result.append((f"{key}.gain", gain_sigma, at, distance, amplitude))
     if stray_light > 0:
         for part, (distance, amplitude) in prediction.light_columns().items():
             result.append((f"{key}.light.{part}.{station.stamp}", stray_light, 0.0, distance, amplitude))
     return result
-
-
-@dataclass(frozen=True)
-class Shift:
-    """What another recording of a station measures beyond the predictions (H, W): ``distance`` [m] and
-    ``amplitude`` [counts], and the variances of its noise.
-    """
-
-    distance: Array
-    amplitude: Array
-    distance_variance: Array
-    amplitude_variance: Array
-
-    def apply(self, predicted: Prediction) -> None:
-        """Compare with the other recording: both scatter."""
-        predicted.residual = predicted.residual - self.distance
-        predicted.amplitude_residual = predicted.amplitude_residual - self.amplitude
-        predicted.variance_of_other = self.distance_variance
-        predicted.sigma = np.sqrt(predicted.sigma**2 + self.distance_variance)
-        predicted.amplitude_sigma = np.sqrt(predicted.amplitude_sigma**2 + self.amplitude_variance)
-        predicted.amplitude_noise = np.sqrt(predicted.amplitude_noise**2 + self.amplitude_variance)

@@ -29,7 +29,7 @@ from rim_camera_ros.fit.design import (
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.normal_equations import NormalEquations, Reduced
 from rim_camera_ros.fit.pixel_elimination import PATTERN_PRIOR
-from rim_camera_ros.fit.prediction import Shift
+from rim_camera_ros.fit.shifts import Shift
 from rim_camera_ros.fit.steps import moved_from, moved_light
 from rim_camera_ros.fit.views import Views
 from rim_camera_ros.measurement import measurement_of

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.signal import Window
 from rim_camera_ros.fit.data import Station
 from rim_camera_ros.footprint import Cells, FootprintLight, footprint_light
 from rim_camera_ros.frame import Pose
@@ -56,7 +57,8 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 class View:
     """Geometry of a station and the pixels (H, W) whose ray stays away from outlines and tile edges.
 
-    ``memory`` keeps what effects computed of this geometry.
+    ``memory`` keeps what effects computed of this geometry. ``whole`` is the view of the whole array of which
+    this is a ``window`` (None: this is).
     """
 
     geometry: Geometry
@@ -64,6 +66,8 @@ class View:
     poses: Mapping[str, Pose]
     pose_columns: list[PoseColumn] = field(default_factory=list)
     memory: dict[str, Any] = field(default_factory=dict)
+    whole: View | None = None
+    window: Window | None = None
 
 
 @dataclass(frozen=True)
@@ -142,10 +146,14 @@ class Views:
 
     def clean(self, view: View, margins: Margins) -> NDArray[np.bool_]:
         """Return the pixels (H, W) of a view that are clean by other margins."""
+        if view.whole is not None:
+            return self.clean(view.whole, margins)[view.window]
         return self._clean(view.geometry, view.poses, margins)
 
     def patches(self, view: View) -> NDArray[np.int64]:
         """Return the numbers of patches (H, W): pixels of one tile and of one part of the array."""
+        if view.whole is not None:
+            return self.patches(view.whole)[view.window]
         found = view.memory.get("patches")
         if found is None:
             height, width = self.camera.shape
@@ -159,6 +167,8 @@ class Views:
 
     def alike(self, view: View) -> Array:
         """Return how many clean pixels (H, W) are in the patch of each pixel."""
+        if view.whole is not None:
+            return self.alike(view.whole)[view.window]
         found = view.memory.get("alike")
         if found is None:
             group = self.patches(view)

@@ -1,0 +1,170 @@
+"""Predictions and equations of the window in which rays meet the scene are those of the whole array."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import with_effects
+from rim_camera_ros.effects import ORDER
+from rim_camera_ros.effects.base import Effect
+from rim_camera_ros.effects.candidate import Facts
+from rim_camera_ros.effects.light_curves import LOBE, RESPONSE, LightCurves
+from rim_camera_ros.fit import forward as forward_module
+from rim_camera_ros.fit.amplitudes import AmplitudeModel
+from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.design import imperfection_blocks, pose_block, present_blocks
+from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.normal_equations import NormalEquations, accumulate
+from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.shifts import shifts_between
+from rim_camera_ros.fit.views import NEAR
+from rim_camera_ros.scene import Scene, load_scene
+from rim_camera_ros.select.candidates import candidates
+
+from ..calibrate.helpers import SCENE, camera, record
+
+POINTWISE = [kind for kind in ORDER if kind.pointwise]
+IMAGES = [
+    "distance", "amplitude", "residual", "amplitude_residual", "sigma", "amplitude_sigma", "amplitude_noise",
+    "amplitude_share", "amplitude_freedom", "slope_distance", "slope_amplitude", "slope_published",
+    "model_amplitude", "model_reading", "model_slope", "amplitude_follows", "amplitude_measured",
+]  # fmt: skip
+
+
+def small_board(tmp_path: Path) -> Scene:
+    """A board of 0.9 x 0.6 m: the whole array where it is near, a twentieth of it at 4 m."""
+    path = tmp_path / "scene.yaml"
+    path.write_text(
+        SCENE.replace("type: plane", "type: rectangle\n  size: [0.9, 0.6]").replace("0.31", "0.16")
+    )
+    return load_scene(path)
+
+
+def forward_of(told: Camera, board: Scene, data: Dataset) -> Forward:
+    result = Forward(data, board, told)
+    gains = np.exp(0.02 * np.random.default_rng(5).standard_normal(told.shape))
+    poses = {(one.recording, one.pose): 1.0 + 0.01 * one.pose for one in data.stations}
+    result.amplitude_model = AmplitudeModel(poses, tau=0.03, pixels=np.log(gains))
+    values = {label: 0.01 * (1 + i % 3) for i, label in enumerate([*LOBE, *RESPONSE[:1]])}
+    result.light_curves = LightCurves(values, level=300.0)
+    return result
+
+
+def whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forward_module, "window_of", lambda view: None)
+
+
+def windows(predictions: list[Prediction]) -> list[float]:
+    return [one.inner.used.size / one.used.size for one in predictions]
+
+
+@pytest.mark.parametrize("kind", POINTWISE, ids=lambda kind: str(kind.name))
+def test_predictions_are_the_same(
+    kind: type[Effect], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, board = camera(tmp_path), small_board(tmp_path)
+    told = with_effects(plain, {kind.name: kind.example(plain)})
+    data = record(told, board, poses=8, seed=4)
+    in_windows = list(forward_of(told, board, data).predictions())
+    assert min(windows(in_windows)) < 0.1 < max(windows(in_windows)) == 1.0
+    own = present_blocks(told)
+    assert all(block.pointwise for block in own)
+    columns = [
+        [block.columns(one.for_columns(block)) for block in own if not block.in_order] for one in in_windows
+    ]
+    whole(monkeypatch)
+    for one, found, expected in zip(
+        in_windows, columns, forward_of(told, board, data).predictions(), strict=True
+    ):
+        assert expected.of_window is None
+        assert np.array_equal(one.used, expected.used)
+        assert np.array_equal(one.amplitude_used, expected.amplitude_used)
+        seen = expected.view.geometry.hit
+        for name in IMAGES:
+            got, want = (np.broadcast_to(getattr(p, name), seen.shape)[seen] for p in (one, expected))
+            np.testing.assert_allclose(got, want, rtol=1e-12, err_msg=name)
+        pixels = np.flatnonzero(expected.used)
+        for mine, block in zip(found, [b for b in own if not b.in_order], strict=True):
+            for got, want in zip(mine, block.columns(expected), strict=True):
+                np.testing.assert_allclose(
+                    one.places(pixels).take(got[0]), np.take(want[0], pixels), rtol=1e-9, atol=1e-12
+                )
+
+
+def equations(forward: Forward) -> NormalEquations:
+    told, board, data = forward.camera, forward.scene, forward.dataset
+    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
+    blocks = [*present_blocks(told), *imperfection_blocks(told, board, pattern_field=True)]
+    blocks += [pose_block([])] + [one.block for one in candidates(told, facts)]
+    folds = {(one.recording, one.pose): one.pose % 3 for one in data.stations}
+    return accumulate(forward, blocks, fold_of=folds, stray_light=2.0)
+
+
+@pytest.mark.parametrize("correlated_error", [0.0, 0.004])
+def test_equations_are_the_same(
+    correlated_error: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a camera with all that acts on each pixel by itself; among the candidates are others."""
+    plain, board = camera(tmp_path), small_board(tmp_path)
+    told = with_effects(plain, {kind.name: kind.example(plain) for kind in POINTWISE})
+    data = record(told, board, poses=8, seed=5)
+    forward = forward_of(told, board, data)
+    forward.correlated_error = correlated_error
+    found = equations(forward)
+    whole(monkeypatch)
+    forward = forward_of(told, board, data)
+    forward.correlated_error = correlated_error
+    expected = equations(forward)
+    assert [one.label for one in found.regressors] == [one.label for one in expected.regressors]
+    for mine, theirs in zip(found.folds, expected.folds, strict=True):
+        scale = np.sqrt(np.outer(np.diag(theirs.gram), np.diag(theirs.gram)))
+        np.testing.assert_allclose(
+            mine.gram / np.maximum(scale, 1e-30), theirs.gram / np.maximum(scale, 1e-30), atol=1e-7
+        )
+        unit = np.maximum(np.sqrt(np.diag(theirs.gram)), 1e-30)
+        for got, want in ((mine.pixel, theirs.pixel), (mine.gain, theirs.gain)):
+            assert got is not None
+            assert want is not None
+            np.testing.assert_allclose(
+                got / unit, want / unit, rtol=1e-5, atol=1e-6 * np.abs(want / unit).max()
+            )
+        assert mine.log_sigma == pytest.approx(theirs.log_sigma, rel=1e-12)
+
+
+def test_what_acts_on_neighbours_sees_the_whole_array(tmp_path: Path) -> None:
+    plain, board = camera(tmp_path), small_board(tmp_path)
+    data = record(plain, board, poses=6, seed=4)
+    for kind in ORDER:
+        if kind.pointwise or not kind.predictable:
+            continue
+        told = with_effects(plain, {kind.name: kind.example(plain)})
+        assert windows(list(Forward(data, board, told).predictions(slopes=False))) == [1.0] * 6, kind.name
+
+
+def test_masks_margins_and_shifts_are_of_the_whole_array(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told, board = camera(tmp_path), small_board(tmp_path)
+    data = record(told, board, poses=8, seed=4)
+    other = replace(data, stations=[replace(one, distance=one.distance + 0.013) for one in data.stations])
+
+    def found() -> list[np.ndarray]:
+        forward = forward_of(told, board, data)
+        near = forward.pixels_near_edges(NEAR)
+        forward.masks = [(used & (np.arange(44) % 3 > 0), lit) for used, lit in near]
+        forward.patches = forward.patches_seen()
+        forward.shifts = shifts_between(data, other, board, told)
+        return [
+            np.stack([np.where(one.used, image, 0.0) for image in (one.used, one.residual, one.sigma)])
+            for one in forward.predictions()
+        ]
+
+    mine = found()
+    whole(monkeypatch)
+    for got, want in zip(mine, found(), strict=True):
+        np.testing.assert_allclose(got, want, rtol=1e-12)
