@@ -199,7 +199,7 @@ def _visible(results: Sequence[Result], found: Score, drawn: Sequence[str]) -> s
     if not rows:
         return "No single effects in this run."
     text = prose.VISIBLE.format(slope=found.named.slope) + "\n\n"
-    text += _table(["left out", "right", "sizes tried", "half noticed", "half named", "named at twice"], rows)
+    text += _table(["missing", "right", "sizes tried", "half noticed", "half named", "named at twice"], rows)
     if SENSITIVITY in drawn:
         text += f"\n\n![Share of cases noticed and named over the size of the effect](proof/{SENSITIVITY})"
     if IDENTIFIABILITY in drawn:
@@ -229,7 +229,7 @@ def _confusion(results: Sequence[Result], drawn: Sequence[str]) -> str:
     text = prose.CONFUSION + "\n\n"
     text += _table(["", *WHO], [["first name right", *totals], ["alarms on nulls", *alarms]])
     if CONFUSION in drawn:
-        text += f"\n\n![Three confusion matrices: left out against named first](proof/{CONFUSION})"
+        text += f"\n\n![Three confusion matrices: missing against named first](proof/{CONFUSION})"
     return text
 
 
@@ -247,7 +247,7 @@ def _sizes(found: Score) -> str:
         if not same_verdict(small, large)
     ]
     same = rate(same_verdict(*pair) for pair in found.sizes)
-    head = ["cases", "left out", "88 x 72", "176 x 144"]
+    head = ["cases", "missing", "88 x 72", "176 x 144"]
     text = prose.SIZES.format(same=written(same))
     return text + "\n\n" + _table(head, rows) if rows else text
 

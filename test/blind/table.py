@@ -81,9 +81,7 @@ def score(results: Iterable[Result]) -> Score:
     outside = [one for one in kinds["unknown"] if is_visible(one, curves)]
     rows = [
         *_named_rows(visible),
-        _at_most(
-            "alarm although nothing was left out", kinds["null"], 0.05, lambda one: not named_right(one)
-        ),
+        _at_most("alarm although nothing is missing", kinds["null"], 0.05, lambda one: not named_right(one)),
         _at_least(
             "*unknown* said for physics outside the vocabulary, at twice the smallest visible size",
             outside,
@@ -150,7 +148,7 @@ def _at_most(measure: str, ones: Sequence[Result], figure: float, flag: Callable
 def _named_rows(visible: Sequence[Result]) -> list[Row]:
     return [
         _at_least(
-            "left-out effect named, single, at twice the smallest visible size", visible, 0.95, named_right
+            "missing effect named, single, at twice the smallest visible size", visible, 0.95, named_right
         ),
         _at_most("the same, named wrongly", visible, 0.02, named_wrongly),
         _at_least("the same, truth inside the reported set of rivals", visible, 0.98, inside_rivals),
@@ -220,7 +218,12 @@ def _concealed_rows(results: Sequence[Result]) -> list[Row]:
             written(wrong),
             wrong.successes == 0 if wrong.count else None,
         ),
-        Row("concealed cases named, or among what cannot be told apart", "-", written(named_or_tied), None),
+        Row(
+            "concealed cases named, or indistinguishable from what is named",
+            "-",
+            written(named_or_tied),
+            None,
+        ),
     ]
 
 

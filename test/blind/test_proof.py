@@ -304,7 +304,7 @@ def row_of(found, start):
 
 def test_rows_of_the_table():
     found = table.score(made_up())
-    assert row_of(found, "left-out effect named").value.startswith("18 of 20 = 90.0 %")
+    assert row_of(found, "missing effect named").value.startswith("18 of 20 = 90.0 %")
     assert row_of(found, "the same, named wrongly").value.startswith("2 of 20 = 10.0 %")
     assert row_of(found, "the same, named wrongly").met is False
     assert row_of(found, "the same, truth inside").value.startswith("18 of 20")
@@ -324,7 +324,7 @@ def test_rows_of_the_table():
 
 def test_an_effect_that_is_never_seen_counts_where_it_is_strong():
     never = [result(said=(), strength=s, name=f"plain-{i}") for i, s in enumerate((0.3, 1.0, 1.6, 2.5))]
-    assert row_of(table.score(never), "left-out").value.startswith("0 of 2 = 0.0 %")
+    assert row_of(table.score(never), "missing effect").value.startswith("0 of 2 = 0.0 %")
 
 
 def test_confusion_by_the_first_name():
@@ -339,7 +339,7 @@ def test_page_tells_all_of_it(tmp_path):
     ledger = tmp_path / "ledger.txt"
     ledger.write_text("plain-000 ...\n")
     page = write_page(made_up(), tmp_path / "docs", ledger=ledger, command="make proof").read_text()
-    assert "| alarm although nothing was left out | ≤ 5 % | 2 of 20 = 10.0 % (2.8 to 30.1) | **no** |" in page
+    assert "| alarm although nothing is missing | ≤ 5 % | 2 of 20 = 10.0 % (2.8 to 30.1) | **no** |" in page
     assert "| scattering | 18/20 | " in page
     assert "018 scattering: missing_physics: multipath" in page
     assert "prove nothing" not in page
