@@ -37,7 +37,9 @@ def seen_rays() -> np.ndarray:
     matrix = np.array([[LENS.fx, 0, LENS.cx], [0, LENS.fy, LENS.cy], [0, 0, 1]])
     pixels = np.stack([u, v], -1).reshape(-1, 1, 2)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-12)
-    rays = cv2.undistortPoints(pixels, matrix, np.array(LENS.d), R=np.eye(3), P=np.eye(3), criteria=criteria)
+    # with criteria a function of its own before OpenCV 5
+    undistort = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
+    rays = undistort(pixels, matrix, np.array(LENS.d), R=np.eye(3), P=np.eye(3), criteria=criteria)
     return rays.reshape(LENS.height, LENS.width, 2)
 
 
