@@ -88,32 +88,31 @@ def after_nuisances(
     prediction: Prediction, pattern: Array, nuisances: Mapping[str, float]
 ) -> tuple[Array, Array]:
     """Return the residuals of distance [m] and amplitude [counts] without pattern, pose and power errors."""
-    station = prediction.station
+    station, inner = prediction.station, prediction.inner
     key = f"{station.recording}.{station.pose}"
     distance = prediction.residual - pattern
-    amplitude = prediction.amplitude_residual
+    amplitude = np.array(prediction.amplitude_residual, float)
+    window: Any = ... if inner.context.window is None else inner.context.window
+
+    def take_off(value: float, change: tuple[Array, Array | None], at: Any) -> None:
+        distance[at] -= value * change[0]
+        if change[1] is not None:
+            amplitude[at] -= value * change[1]
+
     gain = nuisances.get(f"{key}.gain")
     if gain:
-        by_distance, by_amplitude = prediction.gain_column()
-        distance = distance - gain * by_distance
-        amplitude = amplitude - gain * by_amplitude
+        take_off(gain, inner.gain_column(), window)
     if f"{key}.light.real.{station.stamp}" in nuisances:
-        for part, (by_distance, by_amplitude) in prediction.light_columns().items():
-            light = nuisances.get(f"{key}.light.{part}.{station.stamp}", 0.0)
-            distance = distance - light * by_distance
-            amplitude = amplitude - light * by_amplitude
-    for column in prediction.pose_columns:
+        for part, change in prediction.light_columns().items():
+            take_off(nuisances.get(f"{key}.light.{part}.{station.stamp}", 0.0), change, ...)
+    for column in inner.pose_columns:
         error = nuisances.get(f"{station.recording}.{station.placed}.{column.path}")
         if error:
-            by_distance, by_amplitude = prediction.pose_change(column)
-            distance = distance - error * by_distance
-            amplitude = amplitude - error * by_amplitude
+            take_off(error, inner.pose_change(column), window)
     for block in prediction.linear:
         values = [nuisances.get(regressor.label, 0.0) for regressor in block.regressors]
-        if not any(values):
-            continue
-        for value, (by_regressor, counts) in zip(values, block.columns(prediction), strict=True):
-            distance = distance - value * by_regressor
-            if counts is not None:
-                amplitude = amplitude - value * counts
+        if any(values):
+            columns = block.columns(prediction.for_columns(block))
+            for value, change in zip(values, columns, strict=True):
+                take_off(value, change, window if block.pointwise else ...)
     return distance, amplitude

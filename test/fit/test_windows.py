@@ -17,10 +17,11 @@ from rim_camera_ros.effects.light_curves import LOBE, RESPONSE, LightCurves
 from rim_camera_ros.fit import forward as forward_module
 from rim_camera_ros.fit.amplitudes import AmplitudeModel
 from rim_camera_ros.fit.data import Dataset
-from rim_camera_ros.fit.design import imperfection_blocks, pose_block, present_blocks
+from rim_camera_ros.fit.design import imperfection_blocks, linear_blocks, pose_block, present_blocks
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.normal_equations import NormalEquations, accumulate
-from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.prediction import Prediction, random_effects
+from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.shifts import shifts_between
 from rim_camera_ros.fit.views import NEAR
 from rim_camera_ros.scene import Scene, load_scene
@@ -168,3 +169,30 @@ def test_masks_margins_and_shifts_are_of_the_whole_array(
     whole(monkeypatch)
     for got, want in zip(mine, found(), strict=True):
         np.testing.assert_allclose(got, want, rtol=1e-12)
+
+
+def test_residuals_after_nuisances_are_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plain, board = camera(tmp_path), small_board(tmp_path)
+    told = with_effects(plain, {kind.name: kind.example(plain) for kind in POINTWISE})
+    data = record(told, board, poses=8, seed=6)
+    pattern = 0.004 * np.random.default_rng(2).standard_normal(told.shape)
+
+    def found() -> list[np.ndarray]:
+        forward = forward_of(told, board, data)
+        forward.correlated_error = 0.004
+        forward.linear = linear_blocks(told, board, pattern_field=True)
+        labels = [one.label for block in forward.linear for one in block.regressors]
+        nuisances = {label: 0.003 * (1 + i % 4) for i, label in enumerate(labels)}
+        result = []
+        for one in forward.predictions():
+            for i, (name, sigma, *_) in enumerate(random_effects(one, gain_sigma=0.02, stray_light=2.0)):
+                nuisances[name] = sigma * (1 - i % 3)
+            left = after_nuisances(one, pattern, nuisances)
+            result.append(np.stack([np.where(one.used, image, 0.0) for image in left]))
+        return result
+
+    mine = found()
+    whole(monkeypatch)
+    for got, want in zip(mine, found(), strict=True):
+        assert np.abs(want).max() > 0
+        np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-12)
