@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.photogrammetry.edges import edge_coverage
+from rim_camera_ros.photogrammetry.corner_model import CornerModel
 from rim_camera_ros.photogrammetry.greyfit import fit_grey_values
 from rim_camera_ros.photogrammetry.sampling import Jaggedness, hidden_share
 
@@ -25,7 +25,6 @@ _SMALLEST_WINDOW = 2.5
 _LARGEST_RESIDUAL = 0.25
 #: A pixel is beside an edge up to this distance [px]: half its diagonal, and what is blurred.
 _BESIDE = 1.0
-_STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-3, 1e-5, 1e-5])
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,32 +131,11 @@ def _fit_corner(image: Image, start: Array, edges: Array, bend: Array, radius: f
     scale = max(float(grey.std()), 1e-9)
     mean = float(grey.mean()) / scale
 
-    def depths(p: Array) -> list[Array]:
-        dx, dy = x - p[:, 0], y - p[:, 1]
-        result = []
-        for angle, curvature in zip((p[:, 2], p[:, 3]), bend, strict=True):
-            along, across = np.cos(angle), np.sin(angle)
-            bow = curvature / 2 * (along * dx + across * dy) ** 2
-            result.append(along * dy - across * dx - bow)
-        return result
-
-    def sides(parameters: Array) -> Array:
-        p = parameters[..., None]
-        both: Array = np.ones(1)
-        for angle, depth in zip((p[:, 2], p[:, 3]), depths(p), strict=True):
-            both = both * (2 * edge_coverage(depth, np.sin(angle), np.cos(angle), p[:, 6]) - 1)
-        return both
-
-    def model(parameters: Array) -> Array:
-        p = parameters[..., None]
-        trend = 1 + p[:, 7] * (x - start[0]) + p[:, 8] * (y - start[1])
-        result: Array = (p[:, 4] + p[:, 5] * sides(parameters)) * trend
-        return result
-
+    model = CornerModel(x, y, start, bend)
     begin = np.array([*start, *angles, mean, 0.0, 0.3, 0.0, 0.0])
-    step = float(np.mean(sides(begin[None])[0] * (grey / scale - mean)))
+    step = float(np.mean(model.sides(begin) * (grey / scale - mean)))
     begin[5] = step if abs(step) > 1e-3 else 0.5
-    fit = fit_grey_values(model, begin, grey / scale, steps=_STEPS)
+    fit = fit_grey_values(model, begin, grey / scale)
     if fit is None:
         return None
     p = fit.parameters
@@ -168,11 +146,11 @@ def _fit_corner(image: Image, start: Array, edges: Array, bend: Array, radius: f
         or np.hypot(p[0] - start[0], p[1] - start[1]) > radius
         or turned.max() > np.deg2rad(30)
         or not abs(p[6]) < 3
-        or not sigma < 1
+        or not 0 < sigma < 1  # 0: of no contrast, nothing determines it
     ):
         return None
     normals = np.column_stack([-np.sin(p[2:4]), np.cos(p[2:4])])
-    beside = np.abs(depths(p[None, :, None])).min(axis=0)[0] < _BESIDE
+    beside = np.abs(model.depths(p)).min(axis=0) < _BESIDE
     # away from the edges there is noise alone
     noise = float(fit.squares[~beside].mean()) if not beside.all() else 0.0
     squares = float((fit.squares[beside] - noise).sum()) / (2 * p[5]) ** 2

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.photogrammetry.edges import edge_coverage
-from rim_camera_ros.photogrammetry.greyfit import fit_grey_values
+from rim_camera_ros.photogrammetry.greyfit import WithDifferences, fit_grey_values
 
 Array = NDArray[np.float64]
 Image = NDArray[Any]
@@ -180,7 +180,7 @@ def fit_ellipse(
         return result
 
     start = np.array([*centre, *lower, bright / scale, background / scale, 0.3, 0.0, 0.0])
-    fit = fit_grey_values(model, start, grey[used] / scale, steps=_STEPS)
+    fit = fit_grey_values(WithDifferences(model, _STEPS), start, grey[used] / scale)
     if fit is None:
         return None
     p = fit.parameters

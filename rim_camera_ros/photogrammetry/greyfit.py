@@ -4,15 +4,46 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 Array = NDArray[np.float64]
-#: Grey values (k, n) at n pixels for k rows of parameters (k, p).
-GreyModel = Callable[[Array], Array]
+
+
+class GreyModel(Protocol):
+    """Grey values at n pixels by p parameters."""
+
+    def values(self, parameters: Array) -> Array:
+        """Return the grey values (n,)."""
+
+    def slopes(self, parameters: Array) -> Array:
+        """Return their derivatives (n, p)."""
+
+
+@dataclass(frozen=True)
+class WithDifferences:
+    """A model whose derivatives are central differences.
+
+    ``at`` returns grey values (k, n) for k rows of parameters (k, p), whose ``steps`` are (p,).
+    """
+
+    at: Callable[[Array], Array]
+    steps: Array
+
+    def values(self, parameters: Array) -> Array:
+        """Return the grey values (n,)."""
+        return np.asarray(self.at(parameters[None])[0])
+
+    def slopes(self, parameters: Array) -> Array:
+        """Return their derivatives (n, p)."""
+        steps = np.diag(self.steps)
+        values = self.at(np.concatenate([parameters + steps, parameters - steps]))
+        count = len(self.steps)
+        result: Array = ((values[:count] - values[count:]) / (2 * self.steps)[:, None]).T
+        return result
 
 
 @dataclass(frozen=True)
@@ -28,27 +59,21 @@ class GreyFit:
     squares: Array
 
 
-def fit_grey_values(model: GreyModel, start: Array, grey: Array, *, steps: Array) -> GreyFit | None:
+def fit_grey_values(model: GreyModel, start: Array, grey: Array) -> GreyFit | None:
     """Fit ``model`` to the grey values (n,) from ``start`` (p,); None where it does not converge.
 
-    ``steps`` (p,) are those of the central differences. The covariance is the heteroscedasticity
-    -consistent one (MacKinnon & White 1985, HC3): what the model misses sits at the edges of a target, where
-    the position comes from, and one variance for all pixels would hide it.
+    The covariance is the heteroscedasticity-consistent one (MacKinnon & White 1985, HC3): what the model
+    misses sits at the edges of a target, where the position comes from, and one variance for all pixels would
+    hide it.
     """
     count, unknowns = len(grey), len(start)
     if count <= unknowns + 2:
         return None
 
     def residuals(parameters: Array) -> Array:
-        difference: Array = model(parameters[None])[0] - grey
-        return difference
+        return model.values(parameters) - grey
 
-    def jacobian(parameters: Array) -> Array:
-        values = model(np.concatenate([parameters + np.diag(steps), parameters - np.diag(steps)]))
-        slopes: Array = ((values[:unknowns] - values[unknowns:]) / (2 * steps)[:, None]).T
-        return slopes
-
-    found: Any = least_squares(residuals, start, jac=jacobian, method="lm", x_scale="jac", max_nfev=60)
+    found: Any = least_squares(residuals, start, jac=model.slopes, method="lm", x_scale="jac", max_nfev=60)
     if found.status <= 0 or not np.isfinite(found.x).all():
         return None
     scale = np.linalg.norm(found.jac, axis=0)

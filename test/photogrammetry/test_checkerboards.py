@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.photogrammetry import find_checkerboard, refine_corners
+from rim_camera_ros.photogrammetry.corner_model import CornerModel
+from rim_camera_ros.photogrammetry.greyfit import WithDifferences
 
 from .helpers import HEIGHT, WIDTH
 
@@ -86,3 +88,21 @@ def test_no_board() -> None:
     assert find_checkerboard(np.zeros((HEIGHT, WIDTH)), rows=5, columns=6) is None
     with pytest.raises(ValueError, match="at least 3 x 3 inner corners, not 2 x 6"):
         find_checkerboard(noise, rows=2, columns=6)
+
+
+@pytest.mark.parametrize("blur", [0.05, 0.3, -0.6])
+@pytest.mark.parametrize("angles", [(0.13, 1.62), (0.0, np.pi / 2), (-2.4, 0.9)])
+def test_slopes_of_the_corner_are_difference_quotients(blur: float, angles: tuple[float, float]) -> None:
+    y, x = (grid.ravel().astype(float) for grid in np.mgrid[3:14, 20:31])
+    model = CornerModel(x, y, np.array([25.2, 8.6]), np.array([0.004, -0.007]))
+    at = np.array([25.31, 8.43, *angles, 2.1, -0.7, blur, 0.011, -0.006])
+    found = model.slopes(at)
+    steps = np.full(9, 1e-6)
+    expected = WithDifferences(lambda rows: np.stack([model.values(row) for row in rows]), steps).slopes(at)
+    # along the sides of the pixels a turn either way widens the projection alike
+    kinks = {2: angles[0] == 0.0, 3: angles[1] == np.pi / 2}
+    for k in range(9):
+        if not kinks.get(k, False):
+            np.testing.assert_allclose(
+                found[:, k], expected[:, k], atol=2e-6 * max(np.abs(expected).max(), 1)
+            )
