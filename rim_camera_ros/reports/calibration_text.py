@@ -77,7 +77,7 @@ def accuracy_text(result: Calibration) -> str:
         ),
         ("systematic", f"{accuracy.systematic * 1e3:.2f} mm"),
         (
-            "beside offset and tilts of each pose",
+            "apart from offset and tilts of each pose",
             f"{accuracy.rigid_before * 1e3:.2f} mm before, {accuracy.rigid_after * 1e3:.2f} mm RMS corrected",
         ),
     ]
