@@ -103,7 +103,7 @@ class DistanceScale(DistanceTerm):
 
 
 def _by_other_axis(camera: Camera, point: tuple[float, float]) -> tuple[Image, Image, Image]:
-    """Return what becomes of a distance of 1 m (H, W), and its derivatives by both numbers of ``point``."""
+    """Return the value of a distance of 1 m (H, W), and its derivatives by both numbers of ``point``."""
     return _at_one_metre(camera.optics, camera.sensor.width, camera.sensor.height, point)
 
 
