@@ -208,7 +208,7 @@ def _absent(
         limits.append(f"{brightness * 100:.2g} % of the amplitude")
     text = f"absent: at most {' and '.join(limits)}"
     if gain > threshold:
-        text = text.replace("absent: at", "left out, at") + f", though with it {likelier(gain)}"
+        text = text.replace("absent: at", "not fitted, at") + f", though with it {likelier(gain)}"
         return EffectStatus(name, "left out", text, bound, brightness, gain)
     return EffectStatus(name, "absent", text, bound, brightness, gain)
 

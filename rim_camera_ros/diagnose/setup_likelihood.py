@@ -129,7 +129,7 @@ def _look(forward: Forward, seen: Prediction, offset: float) -> Look:
     scatter = seen.sigma**2 + _CAMERA_DISTANCE**2
     wraps, period = forward.camera.sensor.wraps, seen.context.ambiguity
 
-    def loss_of(light: Array, away: Array, tells: Array) -> tuple[Array, Array, Array]:
+    def loss_of(light: Array, away: Array, is_described: Array) -> tuple[Array, Array, Array]:
         """Distance loss, log ratio and its variance by predictions ``away`` [m] from the own ones."""
         rest = seen.residual - offset + away
         rest = wrap_residual(rest, period) if wraps else rest
@@ -138,17 +138,17 @@ def _look(forward: Forward, seen: Prediction, offset: float) -> Look:
             variance = (seen.amplitude_noise / light) ** 2 + CAMERA_AMPLITUDE**2
             distance = np.minimum(np.nan_to_num(rest**2 / scatter, nan=_MOST), _MOST)
         # without an amplitude the loss is greatest; amplitudes of surfaces without a description do not count
-        ratio = np.where(tells, np.where(np.isfinite(ratio), ratio, np.inf), 0.0)
+        ratio = np.where(is_described, np.where(np.isfinite(ratio), ratio, np.inf), 0.0)
         return distance, ratio, variance
 
     images = [*loss_of(seen.model_amplitude, np.zeros(hit.shape), described), view.geometry.tile.copy()]
     least = _total(*images[:3])
     expected = seen.sigma**2 / scatter + (images[2] - CAMERA_AMPLITUDE**2) / images[2]
     for by in _NEIGHBOURS:
-        light, there, tells, tile = (
+        light, there, is_described, tile = (
             _shifted(x, by) for x in (seen.model_amplitude, seen.distance, described, view.geometry.tile)
         )
-        other = [*loss_of(light, seen.distance - there, tells), tile]
+        other = [*loss_of(light, seen.distance - there, is_described), tile]
         total = _total(*other[:3])
         better = ~clean & _shifted(hit, by) & (total < least)
         for image, value in zip([*images, least], [*other, total], strict=True):

@@ -65,7 +65,7 @@ class MixedPixels(ComplexEffect):
     blur: float = quantity("px", "sigma of the Gaussian", minimum=0.0, maximum=20.0, typical=0.5)
     footprint: float | None = quantity(
         "px",
-        "side of the square whose light a pixel gathers, where that is told apart from a blur",
+        "side of the square whose light a pixel gathers, where that is distinguished from a blur",
         default=None,
         minimum=0.0,
         maximum=FINE.widest,

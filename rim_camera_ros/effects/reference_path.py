@@ -34,7 +34,7 @@ class ReferencePath(Effect):
     undo: ClassVar[Undo] = "partial"
 
     estimated = "elsewhere"
-    estimated_elsewhere = "no reading of an internal reference was recorded, or it was not asked for"
+    estimated_elsewhere = "no reading of an internal reference was recorded, or it was not requested"
     predictable = False
     shows_on_a_wall = False
     from_one_pose = True

@@ -99,7 +99,7 @@ def ranking(
             style: dict[str, Any] = (
                 {"fontweight": "bold", "color": INK} if kind == "named" else {"color": GREY}
             )
-            # beyond a threshold that stands beside the end of the bar
+            # the label is beyond a threshold that is next to the end of the bar
             end = max(gain, 1.0)
             if own is not None and end < own < end * (top * 1.6) ** 0.12:
                 end = own
