@@ -22,8 +22,7 @@ from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
 #: Ratio of errors after to those before above which they are worse: offsets of pixels that few poses
 #: determine add some of their noise to a file that was right.
 WORSE = 1.05
-#: Errors of the reference instrument, in 1-sigma, by which distances may differ more from the scene than
-#: before.
+#: Errors of the reference instrument, in 1-sigma, by which differences from the scene may increase.
 _REFERENCE = 3.0
 #: Ratio of the errors of poses to those stated above which the scene is not the one that was recorded.
 TENFOLD = 10.0

@@ -19,14 +19,12 @@ from rim_camera_ros.select.evidence import Scores
 Array = NDArray[Any]
 Status = Literal["fitted", "kept", "absent", "undetermined", "left out"]
 
-#: An effect is determined where the ratio of its likely size, given the data, to that by its prior is below
-#: this.
+#: Ratio of an effect's likely size given the data to that by its prior, below which it is determined.
 DETERMINED = 0.3
 #: Below this [m] (or this relative amplitude) an effect of common strength does not show in the recordings.
 LEAST_EFFECT = 0.0002
 LEAST_BRIGHTNESS = 0.002
-#: Ratio of posterior to prior sigma of all parameters above which an effect of the camera file is kept as it
-#: is.
+#: Ratio of posterior to prior sigma of all parameters above which an effect of the camera file is kept.
 KEPT = 0.7
 
 #: Most stations from which sizes are computed, evenly chosen.

@@ -25,8 +25,7 @@ Array = NDArray[Any]
 
 #: Chi-square per value of a pose that stands out.
 LARGE = 10.0
-#: Ratio of a pose's chi-square to that of four fifths of the others above which the pose is wrong by itself,
-#: ...
+#: Ratio of a pose's chi-square to that of four fifths of the others above which it is wrong by itself, ...
 AGAINST_OTHERS = 4.0
 #: ... if such poses are no more than this share: what many poses show is physics.
 FEW = 0.15
@@ -38,8 +37,7 @@ VERY_FEW = 0.05
 _STRAINED = 3.0
 #: Share of a pose's chi-square before physics was found that must remain, or the physics has explained it.
 _HALF = 0.5
-#: Ratio of a pose's chi-square to that by physics in the pose, up to which the form of that physics is to
-#: blame.
+#: Ratio of a pose's chi-square to that by physics in it, up to which the form of that physics is to blame.
 _ACTED_ON = 3.0
 #: ... and share of the chi-square in pixels that physics moves by `_ACTS` sigmas, above which it is to blame,
 #: if such pixels are less than `_FEW_PIXELS` of all.

@@ -31,8 +31,7 @@ _MOST_COVARIATES = 4
 _MOST_STRETCHES = 8
 #: 1-sigma [px] of the averaging of residuals, of which the one that predicts the other poses best is used.
 _WIDTHS = (0.0, 0.7, 1.0, 1.5, 2.2, 3.2, 4.7, 7.0, 10.0)
-#: Relative error to which light that differs between pixels is estimated, and the least 1-sigma [px] of its
-#: averaging.
+#: Relative error to which light that differs between pixels is estimated, least 1-sigma [px] of averaging.
 _RATIO = 0.1
 _NARROWEST = 1.5
 

@@ -48,8 +48,7 @@ POINTWISE = frozenset(COVARIATES) - {
     "row", "column", "row_amplitude", "column_amplitude", "contrast", "edge", "saturation"
 }  # fmt: skip
 
-#: Angle from the optical axis [rad]: no covariate of a term; reports draw effects over it that depend on it
-#: alone.
+#: Angle from the optical axis [rad]: no covariate of a term; reports draw effects that depend on it alone.
 AXIS = "axis_angle"
 
 

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 #: How parameters are estimated: by the joint fit of mean frames; by one value per pixel; as a table over
 #: covariates; as a table over positions; or elsewhere (`Physics.estimated_elsewhere` says why).
 Estimated = Literal["joint", "pixels", "covariates", "positions", "elsewhere"]
-#: Where it shows: in measured distances, in amplitudes (distances only through these), or in scatter of
-#: frames.
+#: Where it shows: measured distances, amplitudes (distances only through these), or the scatter of frames.
 Shows = Literal["distance", "amplitude", "noise", "frames"]
 
 

@@ -12,8 +12,7 @@ from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.scene import Scene, Surface
 
-#: Ratio of the errors found to those stated from which on they count as larger, and the least number of
-#: poses.
+#: Ratio of the errors found to those stated above which they count as larger, and least number of poses.
 WIDER = 1.5
 LEAST_POSES = 8
 #: Rounds of widening, at most.
