@@ -1,1 +1,1 @@
-"""Calibration: the command over `fit` and `select`, what it checks before and states afterwards."""
+"""Calibration: the command over `fit` and `select`, its checks of recordings, and its stated results."""

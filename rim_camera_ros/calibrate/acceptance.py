@@ -1,4 +1,4 @@
-"""What speaks against a calibration: reasons not to use it, and a term of the amplitude of another form."""
+"""Evidence against a calibration: reasons not to use it, and another form of a term of the amplitude."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.evidence import Scores
 from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
 
-#: Ratio of errors after to those before from which on they are worse: offsets of pixels that few poses tell
-#: add some of their noise to a file that was right.
+#: Ratio of errors after to those before above which they are worse: offsets of pixels that few poses
+#: determine add some of their noise to a file that was right.
 WORSE = 1.05
-#: Errors of the reference instrument, 1-sigma, by which distances may come to differ more from the scene.
+#: Errors of the reference instrument, in 1-sigma, by which differences from the scene may increase.
 _REFERENCE = 3.0
-#: Ratio of the errors of poses to those stated from which on the scene is not what was recorded.
+#: Ratio of the errors of poses to those stated above which the scene is not the one that was recorded.
 TENFOLD = 10.0
-#: Last step of a number of the camera file, in units of its sigma, from which on it has no value yet.
+#: Last step of a number of the camera file, in units of its sigma, above which it has not converged.
 _MOVES = 1.0
 
 
 def refusals(fitted: Fit, accuracy: Accuracy, stated: Scene) -> list[str]:
     """Return the reasons not to use a calibration, in words; none where it is a good one.
 
-    ``accuracy`` of the poses that it was not fitted to, ``stated`` the scene as its file describes it.
+    ``accuracy`` is that of held-out poses, ``stated`` the scene as its file describes it.
     """
     return [*_unsettled(fitted), *_worse(accuracy), *_widened(fitted, stated), *_err_alike(fitted, stated)]
 
@@ -57,8 +57,8 @@ def _worse(accuracy: Accuracy) -> list[str]:
     whose = f"{accuracy.poses} held-out poses" if accuracy.held_out else "the poses that it was fitted to"
     if accuracy.rigid_after > WORSE * accuracy.rigid_before:
         return [
-            f"it does not improve {whose}: {accuracy.rigid_after * 1e3:.2f} mm RMS beside offset and tilts "
-            f"of each pose, {accuracy.rigid_before * 1e3:.2f} mm by the file before"
+            f"it does not improve {whose}: {accuracy.rigid_after * 1e3:.2f} mm RMS apart from offset and "
+            f"tilts of each pose, {accuracy.rigid_before * 1e3:.2f} mm by the file before"
         ]
     if (
         accuracy.after > WORSE * accuracy.before
@@ -78,17 +78,17 @@ def _widened(fitted: Fit, stated: Scene) -> list[str]:
         if ratio >= TENFOLD:
             result.append(
                 f"it takes poses of '{surface}' to err {ratio:.0f} times as much as stated: distances, poses "
-                "and effects cannot be told apart here"
+                "and effects cannot be distinguished here"
             )
     return result
 
 
-#: Units of a thousandth of what poses err by in common, which else are tilts.
+#: Units of a thousandth of an error that poses share (mrad for the others, which are tilts).
 _THOUSANDTHS = {"offset": "mm", "scale": "mm/m"}
 
 
 def _err_alike(fitted: Fit, stated: Scene) -> list[str]:
-    """Return which surfaces' poses all err alike by far more than stated: poses that are alike allow that."""
+    """Return which surfaces' poses share an error far beyond the stated one: similar poses allow that."""
     sizes = {regressor.label: regressor.prior for regressor in common_pose_block(stated).regressors}
     worst: dict[str, tuple[float, str]] = {}
     for label, value in fitted.parameters.items():
@@ -98,22 +98,22 @@ def _err_alike(fitted: Fit, stated: Scene) -> list[str]:
             worst[surface] = max(worst.get(surface, (0.0, "")), (abs(value) / sizes[label], size))
     return [
         f"it takes all poses of '{surface}' to err alike, by {size}, {ratio:.0f} times as much as stated: "
-        "poses that are alike do not tell that from offsets of the pixels; record other distances and tilts"
+        "similar poses cannot distinguish that from offsets of the pixels; record other distances and tilts"
         for surface, (ratio, size) in worst.items()
         if ratio >= TENFOLD
     ]
 
 
-#: Range of the curve's departures from the form [m] below which it does not matter.
+#: Range of the curve's deviations from the form [m] below which they do not matter.
 _MATTERS = 0.001
-#: Steps of the fit with both: linear equations at a wrong hyperbola do not show the curve.
+#: Iterations of the fit with both: linear equations at a wrong hyperbola do not show the curve.
 _ITERATIONS = 6
 
 
 def beyond_form(problem: Problem, solution: Solution) -> str | None:
     """Return in words by how much a smooth curve fits better than a fitted term of the amplitude.
 
-    None where it does not, where it departs by less than a millimetre, and where there are too few poses to
+    None where it does not, where it deviates by less than a millimetre, and where there are too few poses to
     hold any out. ``problem`` is that of the solution's fit.
     """
     fitted = solution.fit
@@ -145,7 +145,7 @@ def beyond_form(problem: Problem, solution: Solution) -> str | None:
     count = len(labels)
     base = range(count)
     instead = [*(i for i in base if i not in own), *range(count, count + len(block.regressors))]
-    # the term stays where it is in these equations, so that the curve is what departs from it
+    # the term is held in these equations, so that the curve is the deviation from it
     factor, held = solution.factor, wide.at_bounds
     by_curve = Scores(wide.equations, instead, temper=factor, held=held)
     gain = by_curve.held_out() - Scores(wide.equations, base, temper=factor, held=held).held_out()

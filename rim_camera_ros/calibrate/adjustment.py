@@ -1,4 +1,4 @@
-"""The adjustment of a calibration: on a grid of pixels, until no assumption is shown to be wrong."""
+"""The adjustment of a calibration: on a grid of pixels, until no assumption is contradicted by the fit."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from rim_camera_ros.scene import Scene
 
 @dataclass(frozen=True)
 class Adjustment:
-    """The ``outcome``, the ``problem`` with the assumptions that hold, and ``notes`` of those given up.
+    """The ``outcome``, the ``problem`` with the assumptions that hold, and ``notes`` on those given up.
 
-    ``large`` where parameters were fitted on a coarser grid. Pixels within ``edges_within`` [px] of edges
-    took no part.
+    ``large`` is set where parameters were fitted on a coarser grid. Pixels within ``edges_within`` [px] of
+    edges were excluded.
     """
 
     outcome: Outcome
@@ -56,9 +56,9 @@ def adjust(
 ) -> Adjustment:
     """Fit effects to stations: those that ``words`` name, None: those that the recordings need.
 
-    ``steps`` as `steps_of` returns them: where neighbours share their errors, a coarser grid tells as much,
-    and takes the time and memory of its pixels. ``surfaces`` of a recording, at most; ``geometry`` estimates
-    the optics, too.
+    ``steps`` as `steps_of` returns them: where neighbours share their errors, a coarser grid contains as much
+    information and takes less time and memory. ``surfaces`` is the greatest number of surfaces of a
+    recording; ``geometry`` estimates the optics, too.
 
     Raises `InputError` where the recordings determine none of the effects that are named.
     """
@@ -103,7 +103,7 @@ def _on_grid(
     seed: int,
     watch: Watch,
 ) -> Adjustment | float:
-    """Fit on one grid; return the size of errors that neighbours share [m], which are for a coarser one."""
+    """Fit on one grid; return a size of errors that neighbours share [m] where they need a coarser grid."""
     dataset, scene = problem.dataset, problem.scene
     notes = [] if large is None else [large.note]
     facts = Facts.of(dataset, moves=scene.camera_motion.moves, surfaces=surfaces, camera=camera)
@@ -115,7 +115,7 @@ def _on_grid(
     if problem.geometry:
         problem = replace(problem, patches=forward.patches_seen())
     if gross:
-        notes.append(f"left out: {gross} distances that are far from any surface of the scene")
+        notes.append(f"excluded: {gross} distances that are far from any surface of the scene")
     beside = beside_in_view if large is None else large.beside_edges
     refinement = Refinement(problem, masks, beside=beside, coarser=coarser)
     problem = refinement.first(problem)
@@ -137,7 +137,7 @@ def _on_grid(
         else:
             outcome = exactly(problem, camera, facts, words, views=views, say=watch.say, begin=begin)
         is_first = False
-        # a search is long: what it found shows all assumptions that it was wrong about before the next one
+        # a search is long: all assumptions that its result contradicts are given up before the next search
         settled = refinement.settled(problem, outcome.problem, outcome.solution.fit, say=watch.say)
         if settled is None:
             part = outcome.part

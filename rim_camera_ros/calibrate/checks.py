@@ -1,4 +1,4 @@
-"""Can these recordings calibrate this camera before this scene? One-line errors that say what to do."""
+"""Whether recordings of a scene can calibrate a camera: errors in one line, with a remedy."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ from rim_camera_ros.scene import Scene, ScenePose
 
 Array = NDArray[Any]
 
-#: A pose off by more than this [m] from the others is no pose of this scene; all of them off by more than
-#: `WHOLE_SCENE` [m] is another scene.
+#: A pose that deviates by more than this [m] from the others is no pose of this scene; if all of them deviate
+#: by more than `WHOLE_SCENE` [m], it is another scene.
 FAR_POSE = 0.3
 WHOLE_SCENE = 0.8
-#: Share of the poses that may be left out before the scene is refused.
+#: Share of the poses that may be excluded before the scene is refused.
 MOST_LEFT_OUT = 0.2
 #: Spread of the distances that a pixel sees over the poses [m], below which they are all the same.
 LEAST_DEPTH = 0.05
-#: Changes of a surface's recorded pose up to which it may be said to be still: [m], and of its normal [rad].
+#: Changes of a surface's recorded pose up to which it counts as fixed: [m], and of its normal [rad].
 _STILL_METRES, _STILL_RADIANS = 0.02, 0.02
-#: Pixels of a surface from which on its distance in a pose counts, and poses that an error names.
+#: Least pixels of a surface whose distance in a pose counts, and most poses that an error names.
 LEAST_PIXELS = 20
 _NAMED = 4
-#: Poses of one setting from which on their distances are looked at over the amplitude.
+#: Least poses of one setting for a line of their distances over the amplitude.
 _LEAST_POSES = 8
 
 
 @dataclass(frozen=True)
 class RecordingFacts:
-    """What a recording says of itself, before its images are read."""
+    """Metadata of a recording, before its images are read."""
 
     path: Path
     frames: int
@@ -68,7 +68,7 @@ def examine(path: str | PathLike[str], camera: Camera, topics: Topics | None) ->
             raise InputError(
                 "it holds no complete frame" + (f": {why}" if why else ""),
                 file=path,
-                remedy="was the recording ended properly? rim info tells what is in it",
+                remedy="was the recording ended properly? rim info shows what is in it",
             )
         try:
             check_frame(first, camera)
@@ -88,11 +88,11 @@ def agree(recordings: Sequence[RecordingFacts]) -> list[str]:
     """Return notes on recordings of one camera. Raises `InputError` for recordings of several cameras."""
     notes: list[str] = []
     known = [recording for recording in recordings if recording.device]
-    for one in known[1:]:
-        if one.device != known[0].device:
+    for other in known[1:]:
+        if other.device != known[0].device:
             raise InputError(
-                f"it was made by '{one.device}', but {known[0].path} by '{known[0].device}'",
-                file=one.path,
+                f"it was made by '{other.device}', but {known[0].path} by '{known[0].device}'",
+                file=other.path,
                 remedy="calibrate each camera by itself",
             )
     with_geometry = [recording for recording in recordings if recording.intrinsics is not None]
@@ -113,7 +113,7 @@ def agree(recordings: Sequence[RecordingFacts]) -> list[str]:
 
 
 def scenes_of(recordings: Sequence[RecordingFacts], given: Scene | Sequence[Scene] | None) -> list[Scene]:
-    """Return the scene of each recording: the one of all, or theirs in order. Raises as `require_scene`."""
+    """Return the scene of each recording: the common one, or one each in order. Raises as `require_scene`."""
     if given is None or isinstance(given, Scene):
         return [require_scene(recordings, given)] * len(recordings)
     if len(given) == 1:
@@ -158,9 +158,9 @@ def require_scene(recordings: Sequence[RecordingFacts], scene: Scene | None) -> 
 
 
 def require_fixed_poses(dataset: Dataset, scene: Scene, path: str | PathLike[str] | None = None) -> None:
-    """Raise `InputError` where the recording holds different poses of a surface that the scene has still.
+    """Raise `InputError` where the recording holds different poses of a surface that is fixed in the scene.
 
-    ``path`` of the recording, for the error.
+    ``path`` is that of the recording, for the error.
     """
     if scene.camera_motion.moves:
         return
@@ -170,8 +170,8 @@ def require_fixed_poses(dataset: Dataset, scene: Scene, path: str | PathLike[str
         ]
         if not isinstance(surface.pose, ScenePose) or len(stated) < 2:
             continue
-        positions = np.array([one.position for one in stated])
-        axes = np.array([rotation_matrix(one.orientation)[:, 2] for one in stated])
+        positions = np.array([pose.position for pose in stated])
+        axes = np.array([rotation_matrix(pose.orientation)[:, 2] for pose in stated])
         moved, turned = (
             float(np.linalg.norm(position - position[0], axis=1).max()) for position in (positions, axes)
         )
@@ -186,13 +186,13 @@ def require_fixed_poses(dataset: Dataset, scene: Scene, path: str | PathLike[str
 
 
 def with_plausible_poses(dataset: Dataset, scene: Scene, camera: Camera, tick: Callable[[], None]) -> Dataset:
-    """Return the stations whose distances agree with the scene within a few decimetres, and say which do not.
+    """Return the stations whose distances agree with the scene within a few decimetres; note the others.
 
-    Poses are compared with the median of all of their setting, with a line over one by the amplitude, and
-    with what the camera file predicts, so that an unknown offset of the camera does not count, nor one that
-    grows as the light goes, nor stray light that the file knows.
+    Poses are compared with the median of all of their setting, with a line over the inverse of the amplitude,
+    and with the prediction by the camera file. So an unknown offset of the camera does not count, nor one
+    that grows as the light falls, nor stray light that the file contains.
     ``tick`` is called for each station. Raises `InputError` for a scene that describes another
-    recording, naming the poses that are off, and how far.
+    recording, naming the poses that deviate, and how far.
     """
     found = list(_medians(dataset, scene, camera, tick))
     if not found:
@@ -240,7 +240,7 @@ def with_plausible_poses(dataset: Dataset, scene: Scene, camera: Camera, tick: C
         )
     kept = [station for station in dataset.stations if (station.recording, station.pose) not in bad]
     note = (
-        f"{file}: left out {len(bad)} of {dataset.poses} poses that are off from what was recorded: {which}"
+        f"{file}: excluded {len(bad)} of {dataset.poses} poses that are off from what was recorded: {which}"
     )
     return replace(
         dataset, stations=kept, notes=[*dataset.notes, note], frames=sum(one.frames for one in kept)
@@ -248,10 +248,10 @@ def with_plausible_poses(dataset: Dataset, scene: Scene, camera: Camera, tick: C
 
 
 def _beside_amplitudes(setting: Array, value: Array, amplitude: Array, off: Array) -> Array:
-    """Return how far poses are off, less what an error in proportion to one by the amplitude explains.
+    """Return the deviations of poses, or those from a line over the inverse of the amplitude where smaller.
 
-    The line of each setting is Siegel's, which half of its poses may not be on. Settings of few poses stay
-    as they are.
+    The line of each setting is Siegel's, for which up to half of the poses may be outliers. Deviations of
+    settings with few poses are returned unchanged.
     """
     from scipy.stats import siegelslopes
 
@@ -269,9 +269,9 @@ def _beside_amplitudes(setting: Array, value: Array, amplitude: Array, off: Arra
 def _beside_predictions(
     dataset: Dataset, scene: Scene, camera: Camera, tick: Callable[[], None]
 ) -> dict[tuple[int, str], float]:
-    """Return the median residual [m] of each station and surface by the camera file, beside that of all.
+    """Return the median residual [m] of each station and surface by the camera file, less that of all.
 
-    Surfaces that are too dark to be judged are not among them.
+    Surfaces that are too dark to be judged are not included.
     """
     forward = Forward(dataset, scene, camera)
     forward.estimate_amplitudes()
@@ -306,7 +306,7 @@ def _medians(
 def require_variety(dataset: Dataset, scene: Scene, camera: Camera, effects: Sequence[str] | None) -> None:
     """Raise `InputError` for one pose only, or for all poses at one distance.
 
-    Not where all that is asked for changes with time or setting.
+    No error is raised where all requested effects change with time or setting.
     """
     if effects and set(effects) <= set(without_poses()):
         return
@@ -314,8 +314,8 @@ def require_variety(dataset: Dataset, scene: Scene, camera: Camera, effects: Seq
     file = dataset.files[0] if len(dataset.files) == 1 else None
     if dataset.poses < 2:
         raise InputError(
-            "only one pose: nothing that depends on distance, amplitude or angle can be told from the offset "
-            "of each pixel",
+            "only one pose: nothing that depends on distance, amplitude or angle can be distinguished from "
+            "the offset of each pixel",
             file=file,
             remedy=f"record the surface at 20 poses or more; one pose does for --effects {only}",
         )

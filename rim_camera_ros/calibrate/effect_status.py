@@ -1,4 +1,4 @@
-"""What the recordings say of each effect: fitted, absent up to a size, or not determined by them."""
+"""The status of each effect by the recordings: fitted, absent up to a size, or not determined."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from rim_camera_ros.select.evidence import Scores
 Array = NDArray[Any]
 Status = Literal["fitted", "kept", "absent", "undetermined", "left out"]
 
-#: An effect is determined where the data make its likely size this many times smaller than its prior.
+#: Ratio of an effect's likely size given the data to that by its prior, below which it is determined.
 DETERMINED = 0.3
 #: Below this [m] (or this relative amplitude) an effect of common strength does not show in the recordings.
 LEAST_EFFECT = 0.0002
 LEAST_BRIGHTNESS = 0.002
-#: Posterior over prior sigma of all parameters beyond which an effect of the camera file is kept as it is.
+#: Ratio of posterior to prior sigma of all parameters above which an effect of the camera file is kept.
 KEPT = 0.7
 
-#: Stations from which sizes are taken, evenly, where there are more.
+#: Most stations from which sizes are computed, evenly chosen.
 MOST_STATIONS = 60
 
 
 @dataclass(frozen=True)
 class EffectStatus:
-    """What the recordings say of one effect.
+    """The status of one effect by the recordings.
 
     ``bound`` is the 95 % limit of its RMS over the recordings' distances [m] where it is absent,
-    ``brightness`` that of the relative amplitude for effects that hardly move distances, ``text`` says it
-    in words with what to record.
+    ``brightness`` that of the relative amplitude for effects that hardly move distances. ``text`` states the
+    status in words, with what to record.
     """
 
     effect: str
@@ -49,7 +49,7 @@ class EffectStatus:
 
 
 def undetermined_effects(scores: Scores, names: Sequence[str]) -> list[str]:
-    """Return those of the fitted effects of whose parameters the data say hardly anything."""
+    """Return the fitted effects about whose parameters the data contain hardly any information."""
     base = scores.base
     sigma = np.sqrt(np.diag(scores.covariance(base))) / scores.prior[base]
     owners = [scores.regressors[int(i)].owner for i in base]
@@ -64,7 +64,7 @@ def undetermined_effects(scores: Scores, names: Sequence[str]) -> list[str]:
 class _Size:
     """Mean products (K, K) of a candidate's columns over the values used: distances [m], log amplitudes.
 
-    Of distances without the mean of each pixel, which its offset takes up.
+    Those of distances are without the mean of each pixel, which its offset absorbs.
     """
 
     distance: Array
@@ -122,8 +122,9 @@ def statuses(
 ) -> list[EffectStatus]:
     """Return the status of every effect of the vocabulary, in its order.
 
-    ``spans`` are the regressors of each candidate; ``kept`` the effects that stay as in the file with the
-    reason; ``ties`` for a fitted effect those that these recordings cannot tell it from.
+    ``spans`` are the regressors of each candidate; ``kept`` are the effects that stay as in the file, with
+    the reason; ``ties`` are, for a fitted effect, those from which it is indistinguishable in these
+    recordings.
     """
     sizes = sizes_of(fitted, candidates, tick)
     owners = {scores.regressors[int(i)].owner for i in scores.base}
@@ -139,7 +140,7 @@ def statuses(
             words = "fitted" if name in start.effects or name in OPTICS else "fitted; not in the file before"
             tied = (ties or {}).get(name, ())
             if tied:
-                words += f"; these recordings cannot tell it from {' and '.join(tied)}"
+                words += f"; these recordings cannot distinguish it from {' and '.join(tied)}"
             result.append(EffectStatus(name, "fitted", words))
         elif vocabulary()[name].estimated != "joint":
             why = vocabulary()[name].estimated_elsewhere
@@ -174,7 +175,7 @@ def _absent(
         )
         posterior = _posterior(scores, span)
         size = sizes[k]
-        # what offsets of pixels take on entirely is 0 up to rounding, on either side
+        # an effect that offsets of pixels absorb entirely is 0 up to rounding of either sign
         typical = float(np.sqrt(max(np.sum(size.distance * prior), 0.0)))
         bright = float(np.sqrt(max(np.sum(size.brightness * prior), 0.0)))
         visible = typical > LEAST_EFFECT or bright > LEAST_BRIGHTNESS
@@ -205,7 +206,7 @@ def _absent(
         limits.append(f"{brightness * 100:.2g} % of the amplitude")
     text = f"absent: at most {' and '.join(limits)}"
     if gain > threshold:
-        text = text.replace("absent: at", "left out, at") + f", though with it {likelier(gain)}"
+        text = text.replace("absent: at", "not fitted, at") + f", though with it {likelier(gain)}"
         return EffectStatus(name, "left out", text, bound, brightness, gain)
     return EffectStatus(name, "absent", text, bound, brightness, gain)
 
@@ -216,7 +217,7 @@ def likelier(gain: float) -> str:
 
 
 def _posterior(scores: Scores, span: Array) -> Array:
-    """Return the posterior covariance of a candidate's coefficients after all that is fitted."""
+    """Return the posterior covariance of a candidate's coefficients, jointly with all that is fitted."""
     columns = scores.columns(span.tolist())
     place = np.searchsorted(columns, span)
     try:
@@ -232,5 +233,5 @@ def _bound(size: Array, values: Array, posterior: Array) -> float:
 
 
 def undeterminable(name: str) -> str:
-    """Return, for an effect that was asked for and has no overlap with the data, what is missing."""
+    """Return what is missing to determine a requested effect on which the data have no information."""
     return f"{vocabulary()[name].lacking}; {vocabulary()[name].record()}"

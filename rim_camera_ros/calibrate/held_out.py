@@ -1,7 +1,7 @@
-"""How accurate are corrected distances of poses that took no part in the fit?
+"""The accuracy of corrected distances in poses that took no part in the fit.
 
-The stations' mean frames go through the correction that a user runs, by a camera that was fitted without
-their fold of poses, and are compared with the scene.
+The stations' mean frames are corrected by the correction that a user runs, with a camera that was fitted
+without their fold of poses, and are compared with the scene.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ class ErrorClass:
 class Accuracy:
     """Errors of corrected mean frames against the scene, RMS in m.
 
-    ``raw`` of the distances as measured, ``before`` corrected by the camera file that was given, ``after`` by
-    the new one. ``noise`` is what the noise of the mean frames makes of it by the predicted sigma, and
-    ``reference`` what the stated errors of the reference instrument make. ``systematic`` is the RMS beyond
-    both (0 where nothing is left), each value weighted by how well it tells, so that noise of dark pixels
-    does not hide it. ``single`` is the predicted noise of one frame, its median. ``held_out`` is false where
-    there were too few poses to leave any out. ``rigid_before`` and ``rigid_after`` are what offset and tilts
-    of each pose leave of ``before`` and ``after``: no error of the reference instrument is in them.
-    ``samples``: covariates and both errors of some of the values, by name; ``maps``: mean errors over the
-    array (H, W).
+    ``raw`` is that of the distances as measured, ``before`` corrected by the given camera file, ``after`` by
+    the new one. ``noise`` is the part by the noise of the mean frames, from the predicted sigma;
+    ``reference`` the part by the stated errors of the reference instrument. ``systematic`` is the RMS in
+    excess of both (0: none), with weights by the accuracy of each value, so that noise of dark pixels does
+    not hide it. ``single`` is the median of the predicted noise of one frame. ``held_out`` is false where
+    there were too few poses to hold any out. ``rigid_before`` and ``rigid_after`` are ``before`` and
+    ``after`` without offset and tilts of each pose: they contain no error of the reference instrument.
+    ``samples`` are covariates and both errors of some of the values, by name; ``maps`` are mean errors over
+    the array (H, W).
     """
 
     raw: float
@@ -94,10 +94,11 @@ def evaluate(
     held_out: bool = True,
     tick: Callable[[], None] | None = None,
 ) -> Accuracy:
-    """Correct every station by the camera that did not see its fold, and compare with the scene.
+    """Correct every station by the camera that was fitted without its fold, and compare with the scene.
 
-    ``views`` of the scene; ``cameras`` by fold; ``masks`` (H, W) the pixels of each station that count (clean
-    geometry, enough light); ``tick`` is called for each station and may raise to end the work.
+    ``views`` are those of the scene, ``cameras`` are by fold. ``masks`` (H, W) are the pixels of each station
+    that count (clean geometry, enough light); ``tick`` is called for each station and may raise to end the
+    work.
     """
     corrections = {fold: Correction(camera) for fold, camera in cameras.items()}
     old = Correction(before)
@@ -171,7 +172,7 @@ class _Sums:
         camera: Camera,
     ) -> None:
         truth = view.geometry.distance
-        errors = [wrapped(one - truth, camera) for one in (station.distance, old, new)]
+        errors = [wrapped(distance - truth, camera) for distance in (station.distance, old, new)]
         with np.errstate(invalid="ignore"):
             expected = sigma / np.sqrt(np.maximum(station.count, 1))
         reference = np.zeros(truth.shape)
@@ -193,7 +194,7 @@ class _Sums:
             if not pose_column.path.startswith("scene.")
         ]
         rigid = [_without(error, columns, expected, known) for error in (before, after)]
-        self._rigid += [float(np.sum(one**2)) for one in rigid]
+        self._rigid += [float(np.sum(error**2)) for error in rigid]
         known_variance = expected[valid].astype(float) ** 2 + reference[valid]
         weight = known_variance**-2
         self._beyond += [np.sum(weight * (after[valid] ** 2 - known_variance)), np.sum(weight)]
@@ -272,7 +273,7 @@ class _Sums:
 
 
 def _without(error: Array, columns: Sequence[Array], sigma: Array, pixels: Array) -> Array:
-    """Return what a weighted fit of ``columns`` leaves of errors [m] at some pixels; images are (H, W)."""
+    """Return the residuals of errors [m] at some pixels after a weighted fit of ``columns``, all (H, W)."""
     rest = error[pixels]
     if not columns or not rest.size:
         return rest

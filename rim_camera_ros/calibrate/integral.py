@@ -2,7 +2,7 @@
 
 Errors of distance over column, row and distance as a tensor product of cubic B-splines with penalised second
 differences (P-splines, Eilers & Marx 1996), from the same stations as the joint fit, with the errors of the
-poses as random effects and an offset per pixel on top. How smooth it is, held-out poses decide.
+poses as random effects and an additional offset per pixel. Its smoothness is chosen by held-out poses.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from rim_camera_ros.parameters import ArrayFile
 Array = NDArray[Any]
 Key = tuple[int, int]
 
-#: Intervals of the splines over columns and rows; over the distance, their length [m] and most of them.
+#: Intervals of the splines over columns and rows; over the distance, their length [m] and greatest number.
 _ACROSS = (4, 3)
 _ALONG = 0.25
 _MOST_ALONG = 20
@@ -37,7 +37,7 @@ _MOST_ALONG = 20
 _PATCHES = 700
 #: Smoothness that is tried, relative to the data's information on a coefficient.
 _PENALTIES = tuple(10.0**k for k in range(-6, 3))
-#: Step of the table's knots [m], and most of them: the correction costs a look at each.
+#: Step of the table's knots [m], and their greatest number: the time of a correction grows with it.
 _STEP = 0.05
 _MOST_KNOTS = 48
 _DEGREE = 3
@@ -74,9 +74,9 @@ class _Fold:
 class IntegralFit:
     """Tables from all poses, or from all but a fold of them.
 
-    Takes two passes over the stations: equations of the splines, then the offsets of the pixels, which
-    each table needs. ``masks`` (H, W) are the pixels of each station to use; ``tick`` is called for each
-    station and may raise to end the work.
+    It takes two passes over the stations: one for the equations of the splines, one for the offsets of pixels
+    of each table. ``masks`` (H, W) are the pixels of each station to use; ``tick`` is called for each station
+    and may raise to end the work.
     """
 
     def __init__(
@@ -143,9 +143,7 @@ class IntegralFit:
             finish(key)
 
     def _patches(self, predicted: Prediction, mask: Array) -> tuple[Array, Array, Array, Array]:
-        """Return design (N, K), pose columns (N, 12), of which few are not 0, residuals and weights of
-        patches.
-        """
+        """Return design (N, K), pose columns (N, 12; mostly 0), residuals and weights of patches."""
         width = mask.shape[1]
         v, u = np.nonzero(mask)
         cell = (v // self._patch) * (-(-width // self._patch)) + u // self._patch
@@ -232,7 +230,7 @@ class IntegralFit:
         for fold, (total, weight) in sums.items():
             with np.errstate(divide="ignore", invalid="ignore"):
                 pattern = np.where(weight > 0, total / weight, 0.0)
-                # a pixel's mean over poses holds what the table misses as well as noise
+                # a pixel's mean over poses contains errors of the table as well as noise
                 variance = np.where(weight > 0, 1.0 / weight, np.inf)
             camera = with_effects(self._camera, {PositionTable.name: tables[fold]})
             result[fold] = with_pattern(camera, pattern, variance)
@@ -254,7 +252,7 @@ class IntegralFit:
         return int(np.clip(np.ceil((axis.high - axis.low) / _STEP) + 1, 2, _MOST_KNOTS))
 
 
-#: Errors of poses that a station may have: offset and two tilts of up to four surfaces.
+#: Most errors of poses of a station: offset and two tilts of up to four surfaces.
 _POSE_COLUMNS = 12
 
 

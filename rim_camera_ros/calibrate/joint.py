@@ -1,4 +1,4 @@
-"""Which effects take part, and the joint fit of all of them: by search, or exactly those asked for."""
+"""The selection of effects and their joint fit: by search, or exactly the requested ones."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
 Say = Callable[[str], None]
 Key = tuple[int, int]
 
-#: Pixel values on which effects are tried that are not fitted.
+#: Most pixel values by which effects are tried that are not fitted.
 MOST_VALUES = 3_000_000
-#: Kept as in the file because the recordings do not speak of it.
+#: Reasons to keep an effect as in the file: the recordings do not determine it, or it was not requested.
 _KEPT_UNDETERMINED = "as in the file: these recordings do not determine it"
 _KEPT_UNASKED = "as in the file: not among --effects"
 _LAMBERT = (
@@ -62,9 +62,9 @@ _LAMBERT = (
 
 @dataclass
 class Outcome:
-    """The solution of a problem, and which effects joined; ``effect_statuses`` returns the status of each.
+    """The solution of a problem, and its effects; ``effect_statuses`` returns the status of each effect.
 
-    ``part`` is what a search of some of the poses found, where not all were searched.
+    ``part`` is the result of a search of some of the poses, where not all were searched.
     """
 
     solution: Solution
@@ -86,23 +86,23 @@ def by_search(
     part_is_enough: bool = False,
     begin: Result | None = None,
 ) -> Outcome:
-    """Fit what the camera file has and the recordings determine, and add what held-out poses ask for.
+    """Fit the effects of the camera file that the recordings determine, and add those that a search finds.
 
-    Large recordings are searched by some of their poses first; the search goes on with all, unless the
-    ``part_is_enough``. ``begin`` is what they found, where that is known.
+    Large recordings are searched by some of their poses first; the search goes on with all poses, unless
+    ``part_is_enough``. ``begin`` is the result by some of the poses, where it is known already.
     """
     kept = _undetermined(problem, camera, say)
     names = [name for name in [*effects_of(camera), *OPTICS] if name not in kept and _is_fitted(name)]
     free = replace(problem, effects=tuple(names))
     asked = [name for name in names if name not in camera.effects and name not in problem.geometry]
-    # surfaces that do not reflect as Lambert says would lend their light to other effects
+    # surfaces that deviate from Lambert's law could otherwise be mistaken for other effects
     asked += sorted(OF_SURFACES)
     few = subsample_of(free, seed=seed, hold=MANY_PIXELS)
     if few is not None and begin is None:
         say(f"{len(few)} of {len(free.dataset.stations)} stations first")
         some = at_stations(free, few)
         begin = search(some, camera, facts, effects=asked, seed=seed, views=views, progress=say)
-        # what it came to is all that is needed of it; its predictions are large
+        # only its result is needed; its predictions are large
         begin = replace(begin, explorations=[])
     if begin is not None:
         say("all stations")
@@ -251,7 +251,7 @@ def _is_fitted(name: str) -> bool:
 
 
 def _undetermined(problem: Problem, camera: Camera, say: Say) -> dict[str, str]:
-    """Return the effects of the camera file of which these recordings say nothing."""
+    """Return the effects of the camera file that these recordings do not determine, with the reason."""
     names = [name for name in camera.effects if _is_fitted(name)]
     if not names:
         return {}
@@ -271,9 +271,10 @@ def _with_absent(
     views: Views,
     say: Say,
 ) -> tuple[Camera, list[str]]:
-    """Return the camera with the effects that it lacks, and which of them nothing in the data shows.
+    """Return the camera with the effects that it lacks, and which of them do not show in the data.
 
-    One after the other, the one that explains most first, each by its best variant beside all so far.
+    They are added one after the other, the one that explains most first, each by its best variant conditional
+    on those added before.
     """
     missing = [n for n in names if n not in camera.effects and _is_fitted(n) and n not in OPTICS]
     unseen = [n for n in missing if not candidates(camera, facts, effects=[n])]
@@ -301,7 +302,7 @@ def _with_empirical(problem: Problem, camera: Camera, covariates: tuple[str, ...
 
 
 def _some_stations(problem: Problem, folds: Mapping[Key, int]) -> tuple[Problem, dict[Key, int]]:
-    """Return the problem with so many of its stations, evenly, as candidates can be tried on in a minute."""
+    """Return the problem with evenly chosen stations, so few that candidates are tried within a minute."""
     stations = problem.dataset.stations
     pixels = stations[0].distance.size
     step = -(-len(stations) * pixels // MOST_VALUES)
@@ -314,7 +315,7 @@ def _some_stations(problem: Problem, folds: Mapping[Key, int]) -> tuple[Problem,
 
 
 def _restored(camera: Camera, before: Camera, names: Sequence[str]) -> Camera:
-    """Return the camera with some effects as they were before, or without them where they were not."""
+    """Return the camera with some effects as they were before, or without those that were absent before."""
     effects = {name: effect for name, effect in camera.effects.items() if name not in names}
     effects |= {name: before.effects[name] for name in names if name in before.effects}
     return with_effects(camera, effects)

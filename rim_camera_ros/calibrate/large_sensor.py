@@ -1,7 +1,7 @@
-"""A calibration of a large sensor: parameters from every k-th pixel, offsets from all of them.
+"""A calibration of a large sensor: parameters from every k-th pixel, offsets from all pixels.
 
-Hundreds of thousands of pixels tell a dozen parameters no better than a tenth of them, because the errors of
-poses limit both. What each pixel has of its own, the fixed pattern, needs them all, but one pass.
+Hundreds of thousands of pixels determine a dozen parameters no better than a tenth of them, because errors of
+poses limit both. The fixed pattern, which each pixel has by itself, needs all pixels, but a single pass.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class LargeSensor:
 
     @property
     def note(self) -> str:
-        """What is looked at, in words."""
+        """The pixels that are used, in words."""
         return (
             f"parameters are fitted to one of {self.step} x {self.step} pixels, their offsets to all; with "
             f"{PixelMap.name} among --effects everything is"
@@ -74,9 +74,8 @@ class LargeSensor:
     ) -> tuple[Camera, Array]:
         """Return the camera of all pixels with their offsets, and the offsets' variance (H, W) [m^2].
 
-        The variance is infinite where no pose was seen. Pixels within ``edges_within`` [px] of edges take
-        no part;
-        ``tick`` is called for each station and may raise to end the work.
+        The variance is infinite where no pose was seen. Pixels within ``edges_within`` [px] of edges are
+        excluded. ``tick`` is called for each station and may raise to end the work.
         """
         fitted = solution.fit
         small = fitted.camera
@@ -114,7 +113,7 @@ class LargeSensor:
         return with_pattern(camera, offsets, variance), variance
 
     def covariance(self, paths: Sequence[str], matrix: Array) -> Array:
-        """Return a covariance of parameters of the coarser grid's camera as that of the full one's."""
+        """Convert a covariance of parameters from the camera of the coarser grid to the full camera."""
         scale = np.array([full_number(path, 1.0, self.step) for path in paths])
         return np.asarray(matrix * scale[:, None] * scale[None, :])
 
@@ -124,7 +123,7 @@ class LargeSensor:
             return coarse
         height, width = self.camera.shape
         u0, v0, u1, v1 = coarse.region
-        # a pixel that was looked at stands for those around it, the last ones for the rim
+        # a pixel of the grid represents those around it, the last ones the rim
         last = [
             size - 1.0
             if end >= len(range(self.step // 2, size, self.step)) - 1

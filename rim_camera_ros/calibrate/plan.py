@@ -31,7 +31,7 @@ Array = NDArray[Any]
 SUFFIX = "_experiment"
 #: An effect is determined where the data narrow its parameters by this factor (geometric mean).
 NARROWED = 5.0
-#: Columns of the coarse sensor that is looked through, stations of an experiment, experiments of a plan.
+#: Columns of the coarse sensor of a plan, most stations of an experiment, most experiments of a plan.
 _COLUMNS = 44
 _STATIONS = 40
 _MOST_EXPERIMENTS = 4
@@ -39,7 +39,7 @@ _MOST_EXPERIMENTS = 4
 
 @dataclass(frozen=True)
 class Experiment:
-    """What an experiment tells: its duration [min] and the equations of all parameters (K, K)."""
+    """An experiment: its duration [min], and the normal matrix of all parameters (K, K)."""
 
     name: str
     minutes: float
@@ -48,7 +48,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Plan:
-    """The experiments with what each determines alone, and the shortest set with what it determines.
+    """The experiments, with the effects that each determines alone, and the shortest set of experiments.
 
     ``determined`` maps effects to the factor by which the set narrows their parameters.
     """
@@ -70,8 +70,8 @@ def plan(
 ) -> Plan:
     """Find the shortest set of experiments that determines as many effects as all of them together.
 
-    All effects are unknown at once: those of the camera file about their values, the others about zero.
-    Errors of poses and powers and an offset per pixel are unknown in every experiment.
+    All effects are estimated jointly: those of the camera file about their values, the others about zero.
+    Errors of poses and powers and an offset per pixel are nuisances in every experiment.
     """
     small, step = planning_camera(camera)
     built = {name: planned_dataset(scene, small, decimation=step) for name, scene in scenes.items()}
@@ -104,8 +104,8 @@ def plan(
 def narrowing(regressors: Sequence[Regressor], gram: Array) -> dict[str, float]:
     """Return by effect the factor by which data narrow its parameters (geometric mean of their sigmas).
 
-    ``gram`` (K, K): the normal matrix of the ``regressors``, from which nuisances are eliminated. All effects
-    are unknown at once, within their priors.
+    ``gram`` (K, K) is the normal matrix of the ``regressors``, from which nuisances are eliminated. All
+    effects are estimated jointly, within their priors.
     """
     prior = priors_of(regressors)
     covariance = np.linalg.inv(gram * prior[:, None] * prior[None, :] + np.eye(len(prior)))
@@ -122,7 +122,7 @@ def narrowing(regressors: Sequence[Regressor], gram: Array) -> dict[str, float]:
 def blocks_of(camera: Camera, dataset: Dataset) -> list[Block]:
     """Return the regressors of the camera file's effects, the power, and the effects that it may lack.
 
-    The middle of each family of variants stands for it.
+    Each family of variants is represented by its middle one.
     """
     facts = Facts.of(dataset, moves=False, surfaces=1, camera=camera)
     variants: dict[str, list[Candidate]] = {}
@@ -165,10 +165,10 @@ def _equations(
 def planned_dataset(
     scene: Scene, camera: Camera, *, most: int = _STATIONS, decimation: int = 1
 ) -> tuple[Dataset, float]:
-    """Return the stations of a schedule with the amplitudes expected of them, and its duration in minutes.
+    """Return the stations of a schedule with their expected amplitudes, and its duration in minutes.
 
-    Of more than about ``most`` stations some are left out, and the others get their frames. The camera has
-    every ``decimation``-th pixel of the sensor's.
+    Of more than about ``most`` stations some are skipped, and the others get their frames. The camera has
+    every ``decimation``-th pixel of the sensor.
     """
     groups = [
         list(group) for _, group in groupby(Timeline(scene, camera), key=lambda exposure: exposure.station)
@@ -224,7 +224,7 @@ def planned_station(
 
 
 def with_expected_light(dataset: Dataset, scene: Scene, camera: Camera) -> Dataset:
-    """Return planned stations with the amplitudes that are expected of them."""
+    """Return planned stations with their expected amplitudes."""
     predictions = Forward(dataset, scene, camera).predictions(slopes=False)
     expected = [
         replace(prediction.station, amplitude=np.nan_to_num(prediction.model_reading).astype(np.float32))

@@ -36,8 +36,8 @@ def checksum(path: str | os.PathLike[str], *, tick: Callable[[], None] | None = 
         if path.is_file():
             return _of_file(path, tick)
         whole = hashlib.sha256()
-        for one in sorted(p for p in path.rglob("*") if p.is_file()):
-            whole.update(f"{one.relative_to(path).as_posix()} {_of_file(one, tick)}\n".encode())
+        for file in sorted(p for p in path.rglob("*") if p.is_file()):
+            whole.update(f"{file.relative_to(path).as_posix()} {_of_file(file, tick)}\n".encode())
         return whole.hexdigest()
     except OSError as error:
         problem = f"cannot be read: {error.strerror or error}"
@@ -67,7 +67,7 @@ def provenance(
 ) -> dict[str, Any]:
     """Return the section ``provenance`` of a calibrated camera file, plain data.
 
-    ``left_out`` says of each effect why it is not among the ``fitted``.
+    ``left_out`` states for each effect why it is not among the ``fitted``.
     """
     found: dict[str, Any] = {
         "program": f"rim_camera_ros {__version__}",

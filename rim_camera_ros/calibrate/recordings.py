@@ -18,7 +18,7 @@ from rim_camera_ros.frame import Pose, RawFrame
 from rim_camera_ros.scene import TRUTH, Scene, ScenePose, Surface
 from rim_camera_ros.select.trials import Workers
 
-#: What is done, how much of it, of how much (None: unknown).
+#: Reports progress: the task, how much of it is done, of how much (None: unknown).
 Progress = Callable[[str, int | None, int | None], None]
 #: Reduces the recordings to stations, in their order.
 Reducer = Callable[[Sequence[Path], Camera, Topics | None, Sequence[Scene]], Sequence[Dataset]]
@@ -29,7 +29,7 @@ class Cancelled(RimError):
 
 
 class Watch:
-    """Tells progress and ends the work where it is cancelled."""
+    """Reports progress and ends the work where it is cancelled."""
 
     def __init__(self, progress: Progress | None, cancelled: Callable[[], bool] | None) -> None:
         self._progress = progress
@@ -41,13 +41,13 @@ class Watch:
             raise Cancelled("cancelled; nothing was written")
 
     def say(self, text: str) -> None:
-        """Tell what begins now. Raises `Cancelled`."""
+        """Report the task that begins now. Raises `Cancelled`."""
         self.tick()
         if self._progress is not None:
             self._progress(text, None, None)
 
     def ticking(self, text: str) -> Callable[[], None]:
-        """Tell what begins now, and return what its loop is to call."""
+        """Report the task that begins now, and return the function that its loop must call."""
         self.say(text)
         return self.tick
 
@@ -74,18 +74,18 @@ class Watch:
         return reduce_all
 
 
-#: Times that a work is given to another worker when one is lost.
+#: Times that a task is given to another worker when one is lost.
 _RETRIES = 3
 _CONNECT_SECONDS = 10
 
 
 @contextmanager
 def on_workers(scheduler: str | None) -> Iterator[Workers]:
-    """Give what calls a function for each of some things on a cluster, in the order of the things.
+    """Yield a function that maps a function over items on a cluster, with results in the order of the items.
 
-    Without a ``scheduler`` they are called here, one after the other. Raises `InputError` where
-    dask.distributed is not installed or the scheduler does not answer; calls raise what the function raises,
-    and `RimError` where the cluster fails.
+    Without a ``scheduler`` the calls are made in this process, one after the other. Raises `InputError` where
+    dask.distributed is not installed or the scheduler does not answer; the map raises what the function
+    raises, and `RimError` where the cluster fails.
     """
     if scheduler is None:
         yield map
@@ -107,7 +107,7 @@ def on_workers(scheduler: str | None) -> Iterator[Workers]:
         ) from None
 
     def call(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
-        futures = [client.submit(function, one, retries=_RETRIES, pure=False) for one in items]
+        futures = [client.submit(function, item, retries=_RETRIES, pure=False) for item in items]
         for future in futures:
             try:
                 yield future.result()
@@ -151,7 +151,7 @@ def _done(work: Callable[[], Dataset]) -> Dataset:
 
 
 class JoinedScene(Scene):
-    """The surfaces of several scenes. A surface without a known pose is not there."""
+    """The surfaces of several scenes. A surface without a known pose is absent."""
 
     def poses_for(self, truth: Mapping[str, Pose]) -> dict[str, Pose]:
         """Return the poses of those surfaces that the recording sees."""
@@ -198,9 +198,9 @@ def takes_schedule(scene: Scene, recorded: Set[str], recordings: int) -> bool:
 
 
 def placed_by_schedule(datasets: Sequence[Dataset], scenes: Sequence[Scene]) -> list[str]:
-    """Give recordings that hold no pose, one for each station of their scene's schedule, the poses of it.
+    """Give recordings without poses, one for each station of their scene's schedule, the poses of that.
 
-    The recordings are those of the stations in their order. Returns what is to be said of it.
+    The recordings must be in the order of the stations. Returns notes on this.
     """
     scene = scenes[0]
     needed = scene.needs_truth

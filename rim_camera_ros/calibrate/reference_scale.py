@@ -29,15 +29,16 @@ PATHS = (f"effects.{NAME}.nominal", f"effects.{NAME}.scale")
 _FEWEST = 6
 #: Spread of the readings in units of their noise below which they do not move.
 _LEAST_SPREAD = 2.0
-#: Least 1-sigma [m] of a station's drift: noise is not all that differs between stations.
+#: Least 1-sigma [m] of a station's drift: stations differ by more than noise.
 _LEAST_SIGMA = 2e-5
 
 
 @dataclass(frozen=True)
 class ReferenceDrift:
-    """What the scene drifted and what the reference read, station by station (N,), in m.
+    """The drift of the scene's distances and the readings of the reference, by station (N,) [m].
 
-    ``fold`` (N,) of the station's pose; ``sigma`` of the drift, ``reading_sigma`` of the reading.
+    ``fold`` (N,) is that of the station's pose, ``sigma`` that of the drift, ``reading_sigma`` that of a
+    reading.
     """
 
     drift: Array
@@ -49,7 +50,7 @@ class ReferenceDrift:
     def scale(self, *, leave_out: int | None = None) -> ReferenceScale:
         """Return scale and nominal from all stations, or from those of all folds but one.
 
-        Raises `InputError` where they do not tell the scale.
+        Raises `InputError` where they do not determine the scale.
         """
         spread = float(np.std(self.reading))
         if spread < _LEAST_SPREAD * self.reading_sigma:
@@ -69,9 +70,9 @@ class ReferenceDrift:
 
 @dataclass(frozen=True)
 class FittedReference:
-    """The fitted path, also without each fold of poses, and what is said of it.
+    """The fitted path, also without each fold of poses, and its status.
 
-    ``effect`` None: the recordings do not tell it. ``covariance`` (2, 2) of `PATHS`.
+    ``effect`` is None where the recordings do not determine it. ``covariance`` (2, 2) is that of `PATHS`.
     """
 
     status: EffectStatus
@@ -89,12 +90,12 @@ def with_reference(camera: Camera, path: FittedReference | None, *, leave_out: i
 
 
 def fit_reference(solution: Solution, *, asked: bool) -> FittedReference | None:
-    """Estimate the reference path after the joint fit, in whose drift terms and residuals the drift is.
+    """Estimate the reference path after the joint fit, whose drift terms and residuals contain the drift.
 
-    The readings are those of the camera's reference pixels, else of the reference topic. ``asked``: the
-    path is to be fitted by name; else it is where the file has it or the topic was recorded. None where
-    nothing speaks of a reference. A reading is taken as it is, so that the scale holds the slope of the
-    reference's own cyclic error (eq. 4.5), as in the correction.
+    The readings are those of the camera's reference pixels, else of the reference topic. With ``asked`` the
+    path was requested by name; otherwise it is fitted where the file has it or the topic was recorded. None
+    without any reference. Readings are not corrected, so that the scale contains the slope of the reference's
+    own cyclic error (eq. 4.5), as in the correction.
     """
     start = solution.fit.camera.effects.get(NAME)
     assert start is None or isinstance(start, InternalReference)
@@ -115,8 +116,8 @@ def fit_reference(solution: Solution, *, asked: bool) -> FittedReference | None:
     words = "fitted" if start is not None else "fitted; not in the file before"
     start = InternalReference(nominal=found.nominal) if start is None else start
     folds = {}
-    for k in {int(one) for one in measured.fold}:
-        with contextlib.suppress(InputError):  # too little is left: that fold takes the path of all
+    for k in {int(number) for number in measured.fold}:
+        with contextlib.suppress(InputError):  # too few stations remain: that fold uses the path of all
             part = measured.scale(leave_out=k)
             folds[k] = replace(start, nominal=part.nominal, scale=part.scale)
     status = EffectStatus(
@@ -176,7 +177,7 @@ def _drifts(solution: Solution, readings: Sequence[float | None]) -> ReferenceDr
 
 
 def _scatter(values: Array, recording: Array) -> float:
-    """Return the 1-sigma of values [m] by how they depart from a line through their neighbours (robustly)."""
+    """Return the 1-sigma of values [m] by their deviations from a line through neighbours (robustly)."""
     same = (recording[2:] == recording[:-2]) if len(values) > 2 else np.zeros(0, bool)
     second = np.diff(values, 2)[same]
     if not second.size:

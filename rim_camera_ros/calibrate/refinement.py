@@ -1,4 +1,4 @@
-"""What a fit shows of its own assumptions, one after the other: pixels, errors of poses, weights, offsets."""
+"""Tests of a fit's own assumptions, one after the other: pixels, errors of poses, weights, offsets."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ Array = NDArray[Any]
 
 
 class Refinement:
-    """The assumptions of a calibration, each given up at most once, where a fit shows it to be wrong.
+    """The assumptions of a calibration, each given up at most once, where a fit contradicts it.
 
     ``masks`` are the pixels of each station and channel (H, W) to begin with; ``beside`` as in
-    `without_edges`. ``coarser``: errors that neighbours share are adjusted on a coarser grid, where all else
-    begins anew. ``edges`` tells whether pixels beside edges take part still, ``edges_within`` how far from
-    edges [px] they do not.
+    `without_edges`. With ``coarser`` errors that neighbours share are fitted on a coarser grid, where
+    everything else begins anew. ``edges`` says whether pixels beside edges still take part, ``edges_within``
+    up to which distance from edges [px] they are excluded.
     """
 
     def __init__(
@@ -59,11 +59,11 @@ class Refinement:
     def settled(
         self, problem: Problem, solved: Problem, fitted: Fit, *, say: Callable[[str], None]
     ) -> tuple[Problem, Fit] | None:
-        """Return the problem and a fit that shows none of its assumptions wrong; None: this one does not.
+        """Return the problem and a fit that contradicts none of its assumptions; None: this is such a fit.
 
-        ``fitted`` solves the problem ``solved``, the given one with the effects that were found; they are
-        fitted again with each assumption that is given up. With errors that neighbours share, where they are
-        for a ``coarser`` grid, they are not.
+        ``fitted`` solves the problem ``solved``, which is the given one with the effects that were found. The
+        effects are fitted again after each assumption that is given up; not where errors that neighbours
+        share require the ``coarser`` grid.
         """
         found: tuple[Problem, Fit] | None = None
         while (refined := self.next(problem, fitted)) is not None:
@@ -85,7 +85,7 @@ class Refinement:
         return found
 
     def next(self, problem: Problem, fitted: Fit) -> tuple[Problem, str] | None:
-        """Return the problem to fit next and in words what is new in it; None: nothing is left to doubt."""
+        """Return the problem to fit next, and its change in words; None: no assumption is contradicted."""
         inner = without_edges(fitted, self._masks, beside=self._beside) if self.edges else None
         if inner is not None:
             masks, self.edges_within, note = inner
@@ -103,7 +103,7 @@ class Refinement:
         wider = settled_poses(problem, fitted) if problem.scene is self._stated else None
         if wider is not None:
             return replace(problem, scene=wider), "wider errors of poses"
-        # where pixels have many looks, weights would hide from chi-square an effect that is missing
+        # where pixels have many values, weights would hide a missing effect from chi-square
         few_looks = self._first_size != PATTERN_PRIOR and not problem.correlated_error
         weighed = self._weighed(problem, fitted) if few_looks else None
         if weighed is not None:
@@ -122,7 +122,7 @@ class Refinement:
         return None if factors is None else (replace(problem, variance_factors=factors), "weights of poses")
 
     def notes(self, problem: Problem, fitted: Fit) -> list[str]:
-        """Return what was given up on the way to a problem, whose solution is ``fitted``, in words."""
+        """Return notes on the assumptions that were given up in a problem, whose solution is ``fitted``."""
         result = list(self._edges_note)
         if problem.pattern_prior != PATTERN_PRIOR:
             result.append(pattern_prior_note(problem.pattern_prior))

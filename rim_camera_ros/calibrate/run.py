@@ -1,4 +1,4 @@
-"""Calibrate a camera from recordings: what the command ``rim calibrate`` and the node call."""
+"""The calibration of a camera from recordings, as the command ``rim calibrate`` and the node call it."""
 
 from __future__ import annotations
 
@@ -39,22 +39,20 @@ Array = NDArray[Any]
 
 _INTEGRAL = PositionTable.name
 _REPLACED = "the table stands in the place of all effects"
-#: Common variation of frames beyond which something changes all pixels from frame to frame.
+#: Common variation of frames above which something changes all pixels from frame to frame.
 _COMMON = 3.0
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be calibrated.
+    """The input of a calibration.
 
-    ``recordings`` of one camera, ``camera`` its file so far, ``scene`` what it saw: one scene for all
-    recordings, or one for each in their order. ``effects`` None: those
-    of the camera file and those that the recordings ask for; else exactly those (``empirical:COVARIATE``
-    for a
-    smooth function of it; ``integral_table`` alone for a table by position). ``geometry`` estimates the
-    optics with them. ``camera_name``, ``scene_name`` and ``command`` go into the provenance, and so do the
-    ``originals`` of recordings that were made of others for this. The result is the same with any number of
-    ``threads``.
+    ``recordings`` are of one camera, ``camera`` is its file so far, ``scene`` is one scene for all
+    recordings, or one for each in their order. ``effects`` None: those of the camera file and those that the
+    recordings require; else exactly those (``empirical:COVARIATE`` for a smooth function of it;
+    ``integral_table`` alone for a table by position). ``geometry`` estimates the optics jointly with them.
+    ``camera_name``, ``scene_name`` and ``command`` go into the provenance, and so do the ``originals`` from
+    which recordings were made for this. The result is the same with any number of ``threads``.
     """
 
     recordings: tuple[Path, ...]
@@ -73,12 +71,12 @@ class Request:
 
 @dataclass
 class Calibration:
-    """The result: ``camera`` to be written, what it was before, and all that the report tells.
+    """The result: the ``camera`` to be written, the camera before, and the contents of the report.
 
-    ``paths`` and ``covariance`` of the fitted parameters that the data determine; ``accuracy`` of the camera
-    on held-out poses and ``integral_accuracy`` that of a table by position from the same poses (None where it
-    was not made); ``refused`` the reasons not to use it (none: it is a good one);
-    ``correlations`` above 0.9; ``pattern_variance`` (H, W) [m^2] of the offsets of pixels.
+    ``paths`` and ``covariance`` are those of the fitted parameters that the data determine. ``accuracy`` is
+    that of the camera on held-out poses, ``integral_accuracy`` that of a table by position by the same poses
+    (None: not made). ``refused`` are the reasons not to use it (none: it is a good one); ``correlations``
+    those above 0.9; ``pattern_variance`` (H, W) [m^2] is that of the offsets of pixels.
     """
 
     camera: Camera
@@ -102,7 +100,7 @@ class Calibration:
 
     @property
     def chi_square(self) -> float | None:
-        """Chi-square per value of held-out poses by their predictive distribution; None: nothing left out."""
+        """Chi-square per value of held-out poses by their predictive distribution; None: none held out."""
         return self.solution.held_out_chi_square()
 
     @property
@@ -121,9 +119,9 @@ def calibrate(
 ) -> Calibration:
     """Calibrate, all in memory; nothing is written.
 
-    ``progress`` is told what is done; ``cancelled`` is asked between frames, stations and iterations.
-    ``reducer`` replaces the reduction of recordings to stations (to do it elsewhere). ``integral`` makes
-    the table by position, too, for comparison.
+    ``progress`` is called with the progress; ``cancelled`` is called between frames, stations and iterations.
+    ``reducer`` replaces the reduction of recordings to stations (to do it elsewhere). ``integral`` also makes
+    the table by position, for comparison.
 
     Raises `InputError` for recordings, scene or effects that do not go together (one line with a remedy),
     `Cancelled`, and `RimError` where the adjustment finds no solution.
@@ -302,7 +300,7 @@ def _owner(path: str) -> str:
 
 
 def _stated_accuracy(accuracy: Accuracy, solution: Solution | None) -> Mapping[str, Any]:
-    """Return what the camera file states; without a solution of effects, the errors alone."""
+    """Return the accuracy that the camera file states; without a solution of effects, the errors alone."""
     by_fit = {} if solution is None else _of_fit(solution)
     return {
         "held_out_poses": accuracy.poses if accuracy.held_out else 0,

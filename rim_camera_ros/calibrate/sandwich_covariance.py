@@ -1,9 +1,9 @@
-"""Do poses scatter as the model says? What they scatter more widens the intervals of an effect.
+"""Excess scatter between poses, which widens the intervals of an effect: a sandwich covariance.
 
-Within a pose all pixels share what the model leaves out: texture that an error of the pose moves, a surface
-that is not quite flat or not quite matt. The covariance of the adjustment does not know it. The scores of the
-poses (their shares in the gradient) do: their products, poses taken as clusters, give the sandwich estimator
-of the covariance (Liang & Zeger 1986), which is compared with what it would be if the model were right.
+Within a pose all pixels share errors of the model: texture that an error of the pose moves, a surface that is
+not quite flat or not quite matt. The covariance of the adjustment does not contain these errors. The scores
+of the poses (their terms of the gradient) do: their products, with poses as clusters, give the sandwich
+estimator of the covariance (Liang & Zeger 1986). It is compared with its expected value under the model.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from rim_camera_ros.select.evidence import Scores
 Array = NDArray[Any]
 Key = tuple[int, int]
 
-#: Poses that it takes to judge their scatter; and how many independent looks at the ratio its expectation
-#: of 1 is worth, and a parameter in each pose.
+#: Least number of poses to estimate their scatter; weights of the expected ratio 1, and of a parameter in
+#: each pose, in numbers of independent values.
 LEAST_POSES = 10
 _PRIOR_LOOKS = 10.0
 _LOOKS_PER_POSE = 0.5
@@ -34,10 +34,11 @@ _LEAST_SHARED = 0.2
 
 
 def widening(fitted: Fit, scores: Scores, blocks: Sequence[Block]) -> dict[str, float]:
-    """Return the factors, at least 1, by which parameters' variances are larger than the model's, by label.
+    """Return the factors, at least 1, by which parameters' variances exceed those of the model, by label.
 
-    The larger of a parameter's own and of its effect's, which has more to judge by. ``blocks`` give the
-    columns of regressors of the base; those without stay as they are. Empty for too few poses.
+    A factor is the larger of the parameter's own and of its effect's, which is estimated from more values.
+    ``blocks`` give the columns of regressors of the base; regressors without columns have no factor. Empty
+    for too few poses.
     """
     labels = [scores.regressors[int(i)].label for i in scores.base]
     own = [(k, regressor) for block in blocks for k, regressor in enumerate(block.regressors)]
@@ -62,9 +63,9 @@ def widening(fitted: Fit, scores: Scores, blocks: Sequence[Block]) -> dict[str, 
     for key, gradient in gradients.items():
         found += (covariance @ gradient) ** 2
         gram = grams[key]
-        # residuals are smaller than errors by what the pose itself drew the fit
+        # residuals are smaller than errors, as the pose itself draws the fit
         expected += np.diag(covariance @ (gram - gram @ covariance @ gram) @ covariance)
-    # what one pose alone determines, that pose follows: its residuals tell nothing of the scatter of poses
+    # a parameter that one pose alone determines follows that pose: its residuals show no scatter of poses
     shared = expected > _LEAST_SHARED * np.diag(covariance)
     ratio = found / np.where(shared, expected, 1.0)
     owners = [scores.regressors[int(scores.base[i])].owner for i in place]
@@ -81,7 +82,7 @@ def widening(fitted: Fit, scores: Scores, blocks: Sequence[Block]) -> dict[str, 
 
 
 def _level(ratios: Array, poses: int) -> float:
-    """Return the mean of ratios, drawn towards its expectation of 1 by how little they have to say."""
+    """Return the mean of ratios, shrunk towards its expected value 1, the more the fewer there are."""
     looks = _LOOKS_PER_POSE * poses * len(ratios)
     return (looks * float(np.mean(ratios)) + _PRIOR_LOOKS) / (looks + _PRIOR_LOOKS)
 
@@ -100,7 +101,7 @@ def _pixel_means(fitted: Fit, scores: Scores, place: Sequence[int]) -> Array | N
 def _scores_of(
     predicted: Prediction, fitted: Fit, blocks: Sequence[Block], labels: Sequence[str], mean: Array | None
 ) -> tuple[Array, Array]:
-    """Return gradient (K,) and information (K, K) of a station beyond its pose's errors and the pattern."""
+    """Return gradient (K,) and information (K, K) of a station, given its pose's errors and the pattern."""
     pairs = [
         pair
         for block in blocks

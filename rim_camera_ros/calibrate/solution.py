@@ -1,4 +1,4 @@
-"""A finished adjustment with what follows from it: cameras of folds, shrunk pattern, stated covariance."""
+"""A finished adjustment and its results: cameras of folds, shrunk pattern, stated covariance."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from rim_camera_ros.select.evidence import Scores
 Array = NDArray[Any]
 Key = tuple[int, int]
 
-#: Posterior over prior sigma beyond which the data say nothing of a parameter.
+#: Ratio of posterior to prior sigma above which the data do not determine a parameter.
 BARELY_NARROWED = 0.9
-#: Correlations beyond this are named.
+#: Correlations above this are reported.
 HIGH_CORRELATION = 0.9
 #: Width [px] over which the smooth part of the fixed pattern is averaged.
 _SMOOTH = 3.0
-#: Weight, as a share of that of an area that was seen, at which the mean about a pixel is drawn half-way to
-#: that of all pixels, and its slope half-way to none. At the rim of what was seen that takes 5 % of a slope;
-#: six pixels beyond it two thirds, where it would be drawn out from the noise of the rim.
+#: Weight, as a share of that of an area that was seen, at which the mean about a pixel is shrunk half-way to
+#: that of all pixels, and its slope half-way to 0. At the rim of the area seen that reduces a slope by 5 %;
+#: six pixels beyond it by two thirds, where it would be an extrapolation of the noise at the rim.
 _FEW = 1e-3
 _FEW_OF_LINES = 0.01
 #: Share of a change of parameters below which none of it is made.
@@ -45,9 +45,9 @@ _LEAST_SHARE = 1e-3
 class Solution:
     """The fit, its scores (base: all that is fitted), the folds of poses, chi-square per value held out.
 
-    ``factor`` is the variance factor a posteriori, at least 1: by it the covariance is scaled, and by
-    ``widened`` that of each parameter by label (`clusters.widening`). ``outliers`` is the number of
-    distances beyond the robust limit among ``values``.
+    ``factor`` is the variance factor a posteriori, at least 1. It scales the covariance, and ``widened`` that
+    of each parameter by label (`sandwich_covariance.widening`). ``outliers`` is the number of distances
+    beyond the robust limit among ``values``.
     """
 
     fit: Fit
@@ -108,7 +108,7 @@ class Solution:
             return np.asarray(self.factor / weight.reshape(shape))
 
     def covariance(self) -> tuple[list[str], Array]:
-        """Return the paths and the covariance of those parameters of which the data say something."""
+        """Return the paths and the covariance of the parameters that the data determine."""
         scale = np.array([self._unit(label) for label in self.labels])
         matrix = self.scores.covariance(self.scores.base) * self.factor
         wider = scale * np.sqrt([self.widened.get(label, 1.0) for label in self.labels])
@@ -116,14 +116,14 @@ class Solution:
             self.factor
         )
         matrix = matrix * wider[:, None] * wider[None, :]
-        # how surfaces reflect is no number of the camera file
+        # reflectances of surfaces are no numbers of the camera file
         keep = np.flatnonzero(
             narrowed & [not of_light(label) and not is_linear(label) for label in self.labels]
         )
         return [self.labels[i] for i in keep], np.asarray(matrix[np.ix_(keep, keep)])
 
     def undetermined(self) -> list[str]:
-        """Return the paths of fitted parameters of which the data say nothing: they stay as in the file."""
+        """Return the paths of fitted parameters that the data do not determine: they stay as in the file."""
         determined, _ = self.covariance()
         own = [label for label in self.labels if not of_light(label) and not is_linear(label)]
         return [label for label in own if label not in set(determined)]
@@ -135,8 +135,8 @@ class Solution:
 def moved_by(camera: Camera, changes: Mapping[str, float]) -> Camera:
     """Return the camera with its numbers changed by the values of regressors, kept within bounds.
 
-    So much of the change is made as leads to a possible camera (falloff that leaves light in every corner,
-    say). Errors of scene poses among the changes are passed over.
+    The change is halved until the camera is a valid one (for example with a falloff that leaves light in
+    every corner). Errors of scene poses among the changes are ignored.
     """
     share = 1.0
     while True:
@@ -171,9 +171,9 @@ def _moved_by(camera: Camera, changes: Mapping[str, float]) -> Camera:
 def with_pattern(camera: Camera, pattern: Array, variance: Array) -> Camera:
     """Return the camera with a pattern (H, W) [m] added to its fixed pattern, shrunk by its variance [m^2].
 
-    The pattern is split into a smooth part and the rest of each pixel; the rest is weighed by its own
-    variance over pixels against that of its estimate (empirical Bayes). Pixels that were never seen get the
-    smooth part of their neighbourhood.
+    The pattern is split into a smooth part and the remainder of each pixel. The remainder is shrunk by its
+    variance over pixels and the variance of its estimate (empirical Bayes). Pixels that were never seen get
+    the smooth part of their neighbourhood.
     """
     seen = np.isfinite(variance)
     if not seen.any():
@@ -203,9 +203,9 @@ def shrink(pattern: Array, variance: Array) -> Array:
 def _smooth_part(values: Array, weight: Array, level: float) -> Array:
     """Return the weighted mean (H, W) of values about each pixel, by a Gaussian of `_SMOOTH` pixels.
 
-    A line in both directions is fitted with it (local linear regression; Fan 1992), or where pixels were seen
-    on one side only the mean would be that of the other place. Far from any pixel that was seen the
-    ``level`` is the best guess.
+    A slope in both directions is fitted jointly with it (local linear regression; Fan 1992): otherwise, where
+    pixels were seen on one side only, the mean would be that of another place. Far from any pixel that was
+    seen it is the ``level``.
     """
     usual = float(np.median(weight[weight > 0]))
     few = _FEW * usual
@@ -216,12 +216,12 @@ def _smooth_part(values: Array, weight: Array, level: float) -> Array:
 
     total = blurred(weight)
     safe = np.maximum(total, 1e-6 * few)
-    mean, row, column = (blurred(weight * one) / safe for one in (values, rows, columns))
+    mean, row, column = (blurred(weight * image) / safe for image in (values, rows, columns))
 
     def moment(a: Array, b: Array, of_a: Array, of_b: Array) -> Array:
         return np.asarray(total * (blurred(weight * a * b) / safe - of_a * of_b))
 
-    # lines that few pixels tell are level
+    # slopes that few pixels determine are shrunk to 0
     held = _FEW_OF_LINES * usual * _SMOOTH**2
     rr = np.maximum(moment(rows, rows, row, row), 0.0) + held
     cc = np.maximum(moment(columns, columns, column, column), 0.0) + held
@@ -236,7 +236,7 @@ def _smooth_part(values: Array, weight: Array, level: float) -> Array:
 
 
 def stated(camera: Camera, paths: list[str], matrix: Array) -> Camera:
-    """Return the camera with a covariance; what its file stated of other parameters is kept beside it."""
+    """Return the camera with a covariance; the one that its file states of other parameters is kept in it."""
     known = camera_numbers(camera)
     own = [i for i, path in enumerate(paths) if path in known]
     names = [paths[i] for i in own]
@@ -263,7 +263,7 @@ def high_correlations(paths: list[str], matrix: Array) -> list[tuple[str, str, f
         for i, j in zip(*np.triu_indices(len(paths), 1), strict=True)
         if abs(correlation[i, j]) > HIGH_CORRELATION
     ]
-    return sorted(pairs, key=lambda one: -abs(one[2]))
+    return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
 
 def count_outliers(fitted: Fit, *, limit: float) -> tuple[int, int]:

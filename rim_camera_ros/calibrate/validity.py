@@ -1,4 +1,4 @@
-"""Within which ranges a calibration holds: those that its data support."""
+"""The ranges within which a calibration is valid: those that its data support."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from rim_camera_ros.fit.forward import Forward
 
 Array = NDArray[Any]
 
-#: Share of the values that may lie beyond each end of a range: too few of them to support it.
+#: Share of the values that may lie beyond each end of a range: too few to support it.
 BEYOND = 0.002
 #: Poses in which a pixel must be used to count as calibrated, and the share of such pixels that a row or
 #: column of the region needs.
 LEAST_POSES = 2
 LEAST_SHARE = 0.5
-#: Bins of the histograms from which the ends are taken, so that memory does not grow with the data.
+#: Bins of the histograms by which the ends are computed, so that memory does not grow with the data.
 _BINS = 4000
 _DISTANCES = (0.0, 200.0)
 _LOG_AMPLITUDES = (np.log(0.1), np.log(1e6))
@@ -27,9 +27,9 @@ _LOG_AMPLITUDES = (np.log(0.1), np.log(1e6))
 def supported(forward: Forward) -> Validity:
     """Return the ranges of distance [m], amplitude [counts], settings, temperature and the image region.
 
-    From the pixels that the fit used: distance and amplitude between the quantiles `BEYOND` and 1 - `BEYOND`,
-    rounded outwards; the region is the largest frame of rows and columns of which at least half the
-    pixels were used in `LEAST_POSES` poses.
+    They are those of the pixels that the fit used: distance and amplitude between the quantiles `BEYOND` and
+    1 - `BEYOND`, rounded outwards. The region is the largest frame of rows and columns of which at least half
+    of the pixels were used in `LEAST_POSES` poses.
     """
     distances = np.zeros(_BINS, np.int64)
     amplitudes = np.zeros(_BINS, np.int64)
@@ -75,7 +75,7 @@ def region(calibrated: NDArray[np.bool_]) -> tuple[float, float, float, float] |
         by_row = np.flatnonzero(inside.mean(axis=1) >= LEAST_SHARE)
         by_column = np.flatnonzero(inside.mean(axis=0) >= LEAST_SHARE)
         if not by_row.size or not by_column.size:
-            # a band or a disc: bound what there is
+            # a band or a disc: its bounding box
             by_row, by_column = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
             if not by_row.size:
                 return None

@@ -39,8 +39,8 @@ _DEFAULTS = {
     "apriltag": (3, 4, 0.05),
     "circles": (7, 4, 0.03),
 }
-#: Pixels that a cell of the design takes where it is just found: squares are 2 cells, circles' spacings 16,
-#: modules of markers 1 (simulated boards tilted by up to 30 deg).
+#: Least number of pixels of a cell of the design with which it is found: squares are 2 cells, spacings of
+#: circles 16, modules of markers 1 (simulated boards tilted by up to 30 deg).
 _LEAST_PIXELS = {"checkerboard": 2.0, "charuco": 1.4, "apriltag": 1.4, "circles": 0.375}
 #: Focal length [px] for which the greatest distance is stated: a SwissRanger's.
 _FOCAL = 200.0
@@ -143,7 +143,7 @@ def run(given: argparse.Namespace) -> int:
 def _design(given: argparse.Namespace, shape: tuple[int, int], square: float) -> tuple[BoardDesign, float]:
     """Return the board of ``shape`` columns and rows, and the side [m] of its squares.
 
-    That is the one asked for, else the largest that fits the paper asked for, else ``square``.
+    The side is the requested one, else the largest that fits the requested paper, else ``square``.
     """
 
     def made(side: float) -> BoardDesign:
@@ -164,7 +164,7 @@ def _design(given: argparse.Namespace, shape: tuple[int, int], square: float) ->
 
 
 def _reach(design: BoardDesign, square: float, asked: str | None) -> str:
-    """Return how far away the board is found, and squares that fit A4 where no paper was asked for."""
+    """Return how far away the board is found, and squares that fit A4 where no paper was requested."""
 
     def distance(side: float) -> str:
         return f"about {_FOCAL * design.cell * side / square / _LEAST_PIXELS[design.kind]:.2g} m"

@@ -92,7 +92,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="A,B",
         help="fit exactly these effects; empirical:COVARIATE[:COVARIATE] fits a smooth function, "
         "integral_table alone a table by position (default: those of the camera file and those that the "
-        "recordings ask for)",
+        "recordings require)",
     )
     parser.add_argument(
         "--geometry", action="store_true", help="fit camera constant, principal point and distortion, too"
@@ -146,8 +146,8 @@ def _calibrated(
     with _Line(quiet=given.quiet) as line:
         try:
             for part in measurement.parts(request.camera):
-                one = _of_part(request, part)
-                result = calibrate(one, progress=line.show, reducer=_reducer(given.scheduler))
+                own = _of_part(request, part)
+                result = calibrate(own, progress=line.show, reducer=_reducer(given.scheduler))
                 result.notes = [named(note) for note in result.notes]
                 if not given.force_result:
                     _require_a_good_one(given, result)
@@ -217,7 +217,7 @@ def _checked(given: argparse.Namespace) -> tuple[Request, Path | None]:
     check_file(given.out, force=given.force)
     same = given.out.exists() and given.out.resolve() == source.resolve()
     names = given.scene or ([given.board] if given.board is not None else [])
-    scenes = [find_scene(one) for one in names]
+    scenes = [find_scene(name) for name in names]
     inputs: list[str | Path | None] = [*given.bags, *dict.fromkeys(scenes), *([] if same else [source])]
     report = None if given.no_report else given.out.with_name(f"{given.out.stem}.report.html")
     camera = camera_of(given.camera)
@@ -244,7 +244,7 @@ def _checked(given: argparse.Namespace) -> tuple[Request, Path | None]:
     request = Request(
         recordings=tuple(given.bags),
         camera=camera,
-        scene=tuple(scene_of(one) for one in names) if names else None,
+        scene=tuple(scene_of(name) for name in names) if names else None,
         effects=effects,
         geometry=given.geometry,
         topics=topics_of(given),
@@ -268,15 +268,15 @@ def _command_line(given: argparse.Namespace) -> list[str]:
     words += ["--geometry"] * given.geometry
     words += ["--force-result"] * given.force_result
     words += ["--seed", str(given.seed)] if given.seed else []
-    for one in given.topic:
-        words += ["--topic", one]
+    for topic in given.topic:
+        words += ["--topic", topic]
     if given.namespace != DEFAULT_NAMESPACE:
         words += ["--namespace", given.namespace]
     return words
 
 
 class _Line:
-    """One line on a terminal that says what is done; nothing in a pipe or with --quiet."""
+    """One line on a terminal with the progress; nothing in a pipe or with --quiet."""
 
     def __init__(self, *, quiet: bool) -> None:
         self._shown = not quiet and sys.stderr.isatty()
@@ -292,7 +292,7 @@ class _Line:
             sys.stderr.flush()
 
     def show(self, words: str, done: int | None, total: int | None) -> None:
-        """Say what is done; counts at most ten times a second."""
+        """Show the progress; counts at most ten times a second."""
         now = time.monotonic()
         if not self._shown or (done is not None and now - self._last < _PACE):
             return

@@ -89,7 +89,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 
 def run(given: argparse.Namespace) -> int:
-    """Read the recording, write the file, say what it rests on."""
+    """Read the recording, write the file, and print the sources of its values."""
     check_outputs({"--out": given.out}, [given.bag])
     check_file(given.out, force=given.force)
     if given.reflectivity is not None and given.reflectivity > 1:
@@ -124,7 +124,7 @@ def run(given: argparse.Namespace) -> int:
     text = camera_text(found.camera, why=found.why, heading=_HEADING.format(bag=given.bag.name))
     write_whole(given.out, lambda stream: stream.write(text.encode()))
     load_camera(given.out)
-    # what the reader says of absent settings is said here with its remedy
+    # notes of the reader on absent settings are replaced by notes with a remedy
     say(given, [*found.notes, *(note for note in reading_notes(bag) if "camera file" not in note)])
     if not given.quiet:
         print(_summary(found, given.out))

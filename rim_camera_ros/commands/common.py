@@ -1,4 +1,4 @@
-"""What the commands share: options, inputs, progress, notes."""
+"""Parts that commands share: options, inputs, progress, notes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 class Parser(argparse.ArgumentParser):
-    """Bad usage is an `InputError`, one line like all others; options are not abbreviated."""
+    """A parser for which wrong usage is an `InputError`, in one line; options are not abbreviated."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**{"allow_abbrev": False, **options})
@@ -63,7 +63,7 @@ def add_topics(parser: argparse.ArgumentParser) -> None:
 
 
 def add_profile(parser: argparse.ArgumentParser) -> None:
-    """Add the option that reads another driver's topics as they are, beside those of `add_topics`."""
+    """Add the option that reads another driver's topics as they are, in addition to `add_topics`."""
     parser.add_argument(
         "--profile",
         metavar="NAME|FILE",
@@ -176,8 +176,8 @@ def scene_of(name: str) -> Scene:
 
 
 def reading_notes(bag: Recording) -> list[str]:
-    """Return what was assumed of a recording and what of it did not become a frame."""
-    return [*bag.assumptions, *(f"{bag.path}: left out: {n} {why}" for why, n in bag.skipped.items() if n)]
+    """Return notes on assumptions about a recording, and on messages that did not become frames."""
+    return [*bag.assumptions, *(f"{bag.path}: excluded: {n} {why}" for why, n in bag.skipped.items() if n)]
 
 
 def say(given: argparse.Namespace, notes: Iterable[str]) -> None:
@@ -188,7 +188,7 @@ def say(given: argparse.Namespace, notes: Iterable[str]) -> None:
 
 
 class Progress:
-    """One line on a terminal that says how far the work is; nothing in a pipe or with --quiet."""
+    """One line on a terminal with the progress of the work; nothing in a pipe or with --quiet."""
 
     def __init__(self, words: str, total: int | None, *, quiet: bool) -> None:
         self._words, self._total = words, total
@@ -213,7 +213,7 @@ class Progress:
             self.show(done)
 
     def show(self, done: int) -> None:
-        """Say that so many are done, at most ten times a second."""
+        """Show that so many are done, at most ten times a second."""
         now = time.monotonic()
         if not self._shown or now - self._last < 0.1:
             return
@@ -226,7 +226,7 @@ class Progress:
 
 
 class Stages:
-    """One line on a terminal that says what is being done; nothing in a pipe or with --quiet."""
+    """One line on a terminal with the current task; nothing in a pipe or with --quiet."""
 
     def __init__(self, *, quiet: bool) -> None:
         self._shown = not quiet and sys.stderr.isatty()
@@ -243,7 +243,7 @@ class Stages:
             sys.stderr.flush()
 
     def show(self, text: str) -> None:
-        """Say what is being done, and for how long the work has gone on."""
+        """Show the current task, and for how long the work has gone on."""
         if self._shown:
             sys.stderr.write(f"\r\033[K{time.monotonic() - self._start:.0f} s: {text}"[:120])
             sys.stderr.flush()

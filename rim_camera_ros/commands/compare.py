@@ -24,7 +24,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         commands,
         "compare",
         "Say where and by how much two camera files differ. Corrected distances of a wall over the image and "
-        "the distance, what each effect has in it, rays, and every number that differs.",
+        "the distance, the share of each effect in it, rays, and every number that differs.",
         _EXAMPLES,
     )
     parser.add_argument("one", metavar="A", help="camera file, or the name of a shipped one")

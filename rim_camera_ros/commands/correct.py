@@ -81,7 +81,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 
 def run(given: argparse.Namespace) -> int:
-    """Correct, and write what was asked for."""
+    """Correct, and write the requested outputs."""
     camera = _checked(given)
     without = [word.strip() for word in given.without.split(",") if word.strip()]
     correction = measurement_of(camera).correction(
@@ -183,7 +183,7 @@ def _write_frame(
             "points": points,
             "stamp": np.int64(corrected.stamp),
         }
-        # a zip file that cannot be closed would say so on its own
+        # a zip file that cannot be closed would print its own message
         packed = io.BytesIO()
         np.savez_compressed(packed, **arrays)
         write_whole(given.npz, lambda stream: stream.write(packed.getvalue()))

@@ -1,4 +1,4 @@
-"""``rim diagnose``: where a recording differs from its simulation, and what physics was left out."""
+"""``rim diagnose``: where a recording differs from its simulation, and which physics is missing."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         type=_numbers,
         default=(),
         metavar="N,N,...",
-        help="poses to leave out, by the numbers that a report of an inconsistent setup names",
+        help="poses to exclude, by the numbers that a report of an inconsistent setup names",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the simulated nulls (0)")
     add_scheduler(parser, "the recordings are read and candidates are fitted")
@@ -115,10 +115,10 @@ def run(given: argparse.Namespace) -> int:
     check_outputs({"--out": given.out}, inputs)
     camera, scene = camera_of(given.camera), scene_of(given.scene)
     parts = measurement_of(camera).parts(camera)
-    own = {MODEL, REPORT, PAGE, WHERE, *(one.name for one in parts)}
+    own = {MODEL, REPORT, PAGE, WHERE, *(part.name for part in parts)}
     folder = OutputFolder(given.out, own=own, of="a diagnosis", mark=REPORT)
     folder.check(force=given.force)
-    # before the work: what is not installed is said at once
+    # before the work: a library that is not installed is an error at once
     try:
         from rim_camera_ros.reports.diagnosis.page import write_page
     except ImportError as error:
@@ -164,7 +164,7 @@ def run(given: argparse.Namespace) -> int:
             except InputError as error:
                 raise error.located(given.bag) from None
             results.append((part, result))
-    improved = measurement.joined(reviewed, tuple(one.camera for _, one in results))
+    improved = measurement.joined(reviewed, tuple(result.camera for _, result in results))
     with folder.written() as temporary:
         comment = f"Diagnosis of {given.bag} with camera {given.camera} and scene {given.scene}."
         for part, result in results:
@@ -184,7 +184,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _frames(path: Path, topics: Topics) -> Iterator[RawFrame]:
-    """Yield the frames of a recording, which is opened only where they are asked for."""
+    """Yield the frames of a recording, which is opened only when the first is requested."""
     with Recording(path, topics=topics) as recording:
         yield from recording.frames()
 
@@ -220,11 +220,11 @@ def _stations(given: argparse.Namespace, path: Path, part: Part, scene: Scene, t
         )
     if poses and poses <= set(given.without_poses):
         raise InputError(
-            "all poses are left out", file=path, place="--without-poses", remedy="name fewer of them"
+            "all poses are excluded", file=path, place="--without-poses", remedy="name fewer of them"
         )
     if given.without_poses:
         keys = {(station.recording, station.pose) for station in dataset.stations}
         dataset = dataset.without({key for key in keys if key[1] in given.without_poses})
-        left_out = ", ".join(map(str, sorted(set(given.without_poses))))
-        dataset.notes.append(f"poses left out as asked for: {left_out}")
+        excluded = ", ".join(map(str, sorted(set(given.without_poses))))
+        dataset.notes.append(f"poses excluded on request: {excluded}")
     return dataset

@@ -1,4 +1,4 @@
-"""What the commands share that find poses in images: options, and a recording with poses for others."""
+"""Parts of the commands that find poses in images: options, and recordings with poses for other commands."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def _sigma(text: str) -> float:
 
 
 def add_known(parser: argparse.ArgumentParser, *, of_board: bool = False) -> None:
-    """Add the options that declare what is known of optics and board.
+    """Add the options that declare errors of the optics and the board.
 
-    ``of_board``: for commands in which ``--board`` asks for poses from the images, and the optics are held.
+    ``of_board``: for commands in which ``--board`` requests poses from the images, and the optics are held.
     """
     also = "with --board: " if of_board else ""
     if not of_board:
@@ -74,13 +74,13 @@ def add_known(parser: argparse.ArgumentParser, *, of_board: bool = False) -> Non
 
 
 def declared(given: argparse.Namespace) -> dict[str, float]:
-    """Return what the options of `add_known` declare, by their names."""
+    """Return the values of the options of `add_known`, by their names."""
     found = {f"--{name}-sigma": getattr(given, f"{name}_sigma") for name in ("board", "focal", "centre")}
     return {name: value for name, value in found.items() if value is not None}
 
 
 def require_board(given: argparse.Namespace) -> None:
-    """Raise `InputError` where something is declared of poses from the images without ``--board``."""
+    """Raise `InputError` where options for poses from the images are given without ``--board``."""
     if given.board is None:
         for name in declared(given):
             raise InputError(
@@ -91,7 +91,7 @@ def require_board(given: argparse.Namespace) -> None:
 
 
 def known_of(given: argparse.Namespace) -> Known:
-    """Return what the options declare known."""
+    """Return the knowledge of optics and board that the options declare."""
     board = DEFAULT_BOARD_SIGMA if given.board_sigma is None else given.board_sigma
     return Known(focal_sigma=given.focal_sigma, centre_sigma=given.centre_sigma, board_sigma=board)
 
@@ -133,9 +133,9 @@ def board_as_remedy(scene: Scene, name: str) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Posed:
-    """Recordings with poses of a board that were made of ``originals``, in their order.
+    """Recordings with poses of a board that were made from ``originals``, in their order.
 
-    ``scene``: the board, with what the poses have in common.
+    ``scene`` has the board, with the errors that the poses share.
     """
 
     recordings: tuple[Path, ...]
@@ -157,10 +157,10 @@ def posed_recordings(
 ) -> Iterator[Posed]:
     """Recordings with the poses of a board found in their images, for as long as the context lasts.
 
-    Says what was found. They are in a folder that is removed, by the next run where this one is killed.
-    Errors name the originals. The share of the poses' variance that is the same in all of a recording, the
-    mean over several of them, takes the place of ``pose_common`` in the scene file, and the scale of all
-    that of ``pose_scale_sigma``.
+    The result is printed. The recordings are in a folder that is removed afterwards (by the next run where
+    this one is killed). Errors name the originals. ``pose_common`` of the scene file is replaced by the share
+    of the poses' variance that all poses of a recording have in common, as a mean over the recordings, and
+    ``pose_scale_sigma`` by the scale error of all.
     """
     known = known_of(given)
     with closing(temporary_folder(Path(tempfile.gettempdir()), _FOLDER)) as folder:
@@ -181,7 +181,7 @@ def posed_recordings(
                 print("\n".join(found.words()))
             shares.append(found.poses.common_share)
             scales.append(found.poses.scale_sigma)
-        # one camera and one board: what scales one recording scales all
+        # one camera and one board: all recordings have the same error of scale
         there = found.scene_of(board, share=sum(shares) / len(shares), scale=max(scales))
         posed = Posed(tuple(made), bags, there)
         try:

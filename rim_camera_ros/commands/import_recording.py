@@ -116,7 +116,7 @@ def run(given: argparse.Namespace) -> int:
         total = recording.prepare(sources)
         with Progress("imported", total, quiet=given.quiet) as progress:
             done = convert(recording, given.out, force=given.force, counted=progress.over)
-    skipped = [f"left out: {number} {why}" for why, number in recording.skipped.items() if number]
+    skipped = [f"excluded: {number} {why}" for why, number in recording.skipped.items() if number]
     say(given, [*recording.notes, *skipped])
     if not given.quiet:
         poses = f" and {several(done.poses, 'true pose')}" if done.poses else ""
@@ -166,6 +166,6 @@ def _listed() -> str:
         profile = load_profile(name)
         meaning = {"z": "depth along z", "radial": "radial", "points": "points"}[profile.distance.kind]
         rows.append([name, profile.device, profile.distance.topics[0], meaning, profile.amplitude.topics[0]])
-        sources += [f"  {name}: {one}" for one in profile.source]
+        sources += [f"  {name}: {source}" for source in profile.source]
     head = ["profile", "camera", "distance", "is", "amplitude"]
     return f"{table(head, rows, left=5)}\n\nread from\n" + "\n".join(sources)

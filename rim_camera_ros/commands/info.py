@@ -26,9 +26,9 @@ from rim_camera_ros.info.usb import usb_facts, usb_text
 from rim_camera_ros.scene import SCENE_FORMAT, load_scene
 from rim_camera_ros.yaml_files import read_yaml
 
-#: Bytes at the beginning of a file that tell what it is.
+#: Bytes at the beginning of a file that determine its kind.
 _BEGIN = 1 << 16
-#: The word that asks for the cameras on USB; a file of that name is ./usb.
+#: The word that requests the cameras on USB; a file of that name is ./usb.
 _USB = "usb"
 
 _EXAMPLES = """
@@ -45,8 +45,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser = add_command(
         commands,
         "info",
-        "Tell what is in a recording, a camera file or a scene file. The kind is found by the content. Of a "
-        "recording that is damaged or lacks images, what can be read is told, and the error after it. The "
+        "Show what is in a recording, a camera file or a scene file. The kind is found by the content. Of a "
+        "recording that is damaged or lacks images, the readable part is shown, and the error after it. The "
         "word usb: the cameras that are connected.",
         _EXAMPLES,
     )
@@ -64,7 +64,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 
 def run(given: argparse.Namespace) -> int:
-    """Find the kind, gather, print; what a recording's fault leaves readable is told before the error."""
+    """Find the kind, gather, print; of a faulty recording the readable part is printed before the error."""
     if given.what == _USB:
         return _run_usb(given)
     kind, path = find_kind(given.what)
@@ -149,9 +149,9 @@ def _shipped(name: str) -> tuple[str, Path]:
 def _finite(value: Any) -> Any:
     """Return plain data without NaN and infinity, which JSON has not."""
     if isinstance(value, dict):
-        return {str(key): _finite(one) for key, one in value.items()}
+        return {str(key): _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
+        return [_finite(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value if isinstance(value, str | int | float | bool | None) else str(value)

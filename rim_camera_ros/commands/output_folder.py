@@ -1,4 +1,4 @@
-"""A folder that a command writes whole, or leaves as it is."""
+"""A folder that a command either replaces as a whole or does not change."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rim_camera_ros.temporary import temporary_folder
 class OutputFolder:
     """The folder ``path``, which holds the files ``own`` and arrays or pictures (npy, png) ``of`` something.
 
-    ``mark`` is the file by which an older one is known.
+    ``mark`` is the file by which an older output is recognised.
     """
 
     path: Path
@@ -24,7 +24,7 @@ class OutputFolder:
     mark: str
 
     def check(self, *, force: bool) -> None:
-        """Check before the work that it can be written after it. Raises `InputError`."""
+        """Check, before the work, that the folder can be written afterwards. Raises `InputError`."""
         path = self.path
         if not path.exists():
             return
@@ -32,7 +32,7 @@ class OutputFolder:
             raise InputError("is a file, not a folder", file=path, remedy="give another name")
         if path.resolve() == Path.cwd():
             raise InputError("is the folder you work in", file=path, remedy="name a folder within it")
-        content = {one.name for one in path.iterdir()}
+        content = {entry.name for entry in path.iterdir()}
         if content and not force:
             raise InputError("exists already", file=path, remedy="--force replaces it")
         older = self.mark in content
@@ -47,7 +47,7 @@ class OutputFolder:
 
     @contextmanager
     def written(self) -> Iterator[Path]:
-        """Give a new folder to write into, which then takes the place of the old one, whole or not at all."""
+        """Yield a new folder to write into, which then replaces the old one as a whole, or not at all."""
         path = self.path.resolve()
         temporary = temporary_folder(path.parent, path.name)
         try:

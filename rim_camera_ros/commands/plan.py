@@ -20,7 +20,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         commands,
         "plan",
         "Find the recordings that determine a camera. Says before recording which of the shipped experiments "
-        "determine which effects, all of them unknown at once, and prints the shortest set that "
+        "determine which effects, all of them estimated jointly, and prints the shortest set that "
         "determines as much as all together.",
         _EXAMPLES,
     )

@@ -117,7 +117,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _known(given: argparse.Namespace) -> tuple[Path, Path] | None:
-    """Return the files of scene and camera of which the coverage is said, None where it is not asked for."""
+    """Return the files of scene and camera for the coverage, None where no coverage is requested."""
     if given.scene is None and given.camera is None:
         return None
     if given.scene is None or given.camera is None:
@@ -125,5 +125,5 @@ def _known(given: argparse.Namespace) -> tuple[Path, Path] | None:
         raise InputError(
             f"{missing} is missing", place="record", remedy="the coverage needs both --scene and --camera"
         )
-    scene_of(given.scene), camera_of(given.camera)  # what is wrong with them is said before the work
+    scene_of(given.scene), camera_of(given.camera)  # raises errors in them before the work
     return find_scene(given.scene), find_camera(given.camera)

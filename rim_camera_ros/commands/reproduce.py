@@ -1,4 +1,4 @@
-"""``rim reproduce``: the thesis' experiments simulated and reduced, beside its numbers."""
+"""``rim reproduce``: the thesis' experiments simulated and reduced, compared with its numbers."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _folder(path: Path) -> OutputFolder:
 
 
 def _write_folder(done: Sequence[Done], folder: Path) -> None:
-    """Write pictures, page and rows beside the folder first: what is there stays until all is written."""
+    """Write pictures, page and rows into a new folder first: the old one stays until all is written."""
     from rim_camera_ros.reproduce.pictures import png
     from rim_camera_ros.reproduce.report import file_name, html_page, json_report
 

@@ -125,7 +125,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _chosen(frame: RawFrame, *, samples: bool) -> RawFrame:
-    """Return the frame with its samples only where they are asked for: they are a hundred times its size."""
+    """Return the frame with its samples only on request: they are a hundred times its size."""
     if samples:
         return frame
     return replace(frame, images={role: image for role, image in frame.images.items() if role not in SAMPLES})

@@ -1,1 +1,1 @@
-"""Diagnosis: where simulation and recording differ, what physics was left out, and a model of it."""
+"""Diagnosis: where simulation and recording differ, which physics is missing, and a model of it."""

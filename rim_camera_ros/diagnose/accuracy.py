@@ -1,4 +1,4 @@
-"""Does the model help? Residuals of poses that it was not fitted to, before and after."""
+"""The accuracy of the improved camera: residuals of held-out poses, before and after."""
 
 from __future__ import annotations
 
@@ -22,37 +22,38 @@ from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.evidence import Scores
 
 Array = NDArray[Any]
-#: Changes of parameters, errors of poses and powers, fixed pattern (H, W) in m, NaN where it is not known.
+#: Changes of parameters, errors of poses and powers, fixed pattern (H, W) [m], NaN where it is not known.
 _Parameters = tuple[Mapping[str, float], Mapping[str, float], Array]
 
-#: Ratio of held-out distances' RMS above which the improved camera is none, and what is said then.
+#: Ratio of the RMS of held-out distances above which the improved camera is refused, and the note on it.
 _WORSE = 1.1
 _NO_BETTER = (
     "distances of held-out poses got worse although amplitudes got better: what is named stands for "
     "something else, do not use camera.yaml"
 )
-#: Chi-square per value of held-out poses from which on a model that makes distances worse is none at all.
+#: Chi-square per value of held-out poses above which a model that makes distances worse describes nothing.
 _GROSS = 50.0
-#: Chi-square per value of held-out poses above which something is left.
+#: Chi-square per value of held-out poses above which something remains unexplained.
 LEFT = 1.1
-#: Share of what does not fit that parameters, or another set-up, must explain to be what differs.
+#: Share of the misfit that parameters, or another set-up, must explain to count as its cause.
 LEAST_EXPLAINED = 0.5
-#: Values of a table that are estimated again without each part of the poses, at most.
+#: Most values of a table that is estimated again without each fold of the poses.
 _MOST_VALUES = 150
 _OF_ALL = (
-    "the table of what is unknown is of all poses, also of those that it is compared with: it has too many "
-    "values to be estimated without them"
+    "the table of unknown physics was fitted to all poses, also to those that it is compared with: it has "
+    "too many values to be estimated without them"
 )
-#: Factor on chi-square per value of held-out poses above which it is said that it rose.
+#: Factor on chi-square per value of held-out poses above which it counts as risen.
 _RISEN = 1.05
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """RMS [m] of the residuals of held-out poses and their chi-square per value, before and after;
-    ``noise_floor`` [m]: RMS that the noise of the stations' means makes. ``table_of_all``: the table of what
-    is unknown is of all poses, as it has too many values to be estimated again without each part of them.
-    ``all_before`` and ``all_after`` are chi-squares by which names are judged (`judged_by_all_errors`).
+    """RMS [m] of the residuals of held-out poses and their chi-square per value, before and after.
+
+    ``noise_floor`` [m] is the RMS by the noise of the stations' means. ``table_of_all``: the table of unknown
+    physics was fitted to all poses, as it has too many values to be estimated again without each fold.
+    ``all_before`` and ``all_after`` are the chi-squares by which names are judged (`judged_by_all_errors`).
     """
 
     rms_before: float
@@ -67,18 +68,18 @@ class Accuracy:
 
     @property
     def hopeless(self) -> bool:
-        """Whether a gross mismatch became worse: nothing that was fitted describes the recording."""
+        """Whether a gross misfit became worse: no fitted model describes the recording."""
         return self.held_out and self.chi2_before > _GROSS and self.rms_after > _WORSE * self.rms_before
 
     @property
     def got_worse(self) -> bool:
-        """Whether held-out poses speak against the improved camera."""
+        """Whether held-out poses are evidence against the improved camera."""
         risen = self.chi2_after > _RISEN * max(self.chi2_before, 1.0)
         return self.held_out and (risen or self.rms_after > _WORSE * self.rms_before)
 
     @property
     def explained(self) -> float:
-        """Share of the excess of chi-square over 1 that the model explains; 1 where nothing is left."""
+        """Share of the excess of chi-square over 1 that the model explains; 1 where there is no excess."""
         if not self.held_out or self.chi2_after <= LEFT or self.chi2_before <= LEFT:
             return 1.0
         before, after = self.judged
@@ -86,13 +87,13 @@ class Accuracy:
 
     @property
     def judged(self) -> tuple[float, float]:
-        """Chi-squares per value of held-out poses before and after, of which `explained` is."""
+        """Chi-squares per value of held-out poses, before and after, from which `explained` is computed."""
         if self.all_before is None or self.all_after is None:
             return self.chi2_before, self.chi2_after
         return self.all_before, self.all_after
 
     def notes(self) -> list[str]:
-        """Return what speaks against the improved camera or is left of it, in words."""
+        """Return evidence against the improved camera, and misfit that it leaves, in words."""
         return [*self._of_poses(), *([_OF_ALL] if self.held_out and self.table_of_all else [])]
 
     def _of_poses(self) -> list[str]:
@@ -103,12 +104,12 @@ class Accuracy:
         if self.got_worse:
             return [
                 f"chi-square per value of held-out poses rose from {self.chi2_before:.3g} to "
-                f"{self.chi2_after:.3g}: what is left is larger than the errors stated for it; the form "
-                "named is not quite the true one, or something else is left out"
+                f"{self.chi2_after:.3g}: the residuals are larger than the stated errors; the form that is "
+                "named is not quite the true one, or something else is missing"
             ]
         if self.chi2_after <= LEFT or self.chi2_after == self.chi2_before:
             return []
-        further = "or something else is left out, which intervals do not allow for"
+        further = "or something else is missing, which intervals do not allow for"
         if self.all_after is not None and self.all_after <= LEFT:
             further = f"which intervals do not allow for; changed a little, it leaves {self.all_after:.3g}"
         return [
@@ -118,13 +119,13 @@ class Accuracy:
 
 
 def accuracy(camera: Camera, model: Camera, result: Result, unknown: Fit | None = None) -> Accuracy:
-    """Compare two cameras on the poses that their parameters were not fitted to.
+    """Compare two cameras on held-out poses.
 
-    ``unknown`` is the fit of the table of what is unknown, where that is the model: the table is estimated
+    ``unknown`` is the fit of a table of unknown physics, where that is the model: the table is estimated
     again without the poses that it is compared with.
-    The camera before is as its file says; errors of the poses, poses that are free in the scene, powers and
-    the fixed pattern are estimated for both, the pattern from the other folds. Cameras of different geometry
-    are compared at the pixels that stay away from edges by both.
+    ``camera`` keeps the values of its file. Errors of poses, free poses of the scene, powers and the fixed
+    pattern are estimated for both cameras, the pattern from the other folds. Cameras with different optics
+    are compared by the pixels that are clean of edges by both.
     """
     compared = _Compared.of(result.problem, camera, model, result, unknown)
     rms_before, chi_before = _held_out(compared.before, compared.frozen, result.folds)
@@ -150,11 +151,11 @@ def accuracy(camera: Camera, model: Camera, result: Result, unknown: Fit | None 
 def judged_by_all_errors(
     measure: Accuracy, camera: Camera, model: Camera, result: Result, unknown: Fit | None = None
 ) -> Accuracy:
-    """Return an accuracy with chi-squares of held-out poses that say how much a model explains of all errors.
+    """Return an accuracy with chi-squares of held-out poses that measure how much of all errors is explained.
 
-    Errors that neighbours share (`correlated_errors`) count as what does not fit: an effect takes from their
-    variance, too. What the forms of named effects may do otherwise, within its priors, is theirs. Arguments
-    are those of `accuracy`. A measure that nothing of it changes is returned as it is.
+    Errors that neighbours share (`correlated_errors`) count as misfit here: an effect reduces their variance
+    as well. Changes of the forms of named effects, within their priors, count as explained by the effects.
+    Arguments are those of `accuracy`. A measure to which neither applies is returned unchanged.
     """
     correlated = result.problem.correlated_error > 0
     if not correlated and measure.explained == 1.0:
@@ -169,7 +170,7 @@ def judged_by_all_errors(
 
 @dataclass(frozen=True)
 class _Compared:
-    """Fits of the camera as its file says, ``before``, and of another, with their problems."""
+    """Fits of the camera with the values of its file, ``before``, and of another one, with their problems."""
 
     frozen: Problem
     before: Fit
@@ -190,7 +191,7 @@ class _Compared:
         views = result.fit.forward.views
         if model.optics != camera.optics:
             problem = clean_by(model, problem, result.fit.scene, views=views)
-        # chi-squares are compared by the same noise
+        # compared chi-squares require the same noise
         problem = replace(problem, amplitude_error=result.fit.forward.amplitude_model.tau)
         frozen = replace(
             problem,
@@ -202,7 +203,7 @@ class _Compared:
             reflectance=False,
             response=None,
         )
-        # powers and reflectivities from where they fit, poses that are free as they were found
+        # powers and reflectivities begin at their fitted values, free poses at those found
         begin = replace(result.explorations[0].fit.point, parameters={})
         before = fit(frozen, camera, fold_of=result.folds, iterations=1, views=views, warm=begin)
         same_distances = model.effects == camera.effects and model.optics == camera.optics
@@ -218,7 +219,7 @@ class _Compared:
             if isinstance(table, CovariateTable) and len(set(result.folds.values())) > 1:
                 of_all = table.values.values.size > _MOST_VALUES
                 if not of_all:
-                    # what other poses do not say of it is nothing, and not what the held-out ones said
+                    # values that the other poses do not determine are 0, not those of the held-out poses
                     nothing = replace(table, values=NestedList(np.zeros_like(table.values.values)))
                     start, steps = with_effects(model, {**model.effects, table.name: nothing}), 0
                     own = replace(own, effects=tuple(model.effects))
@@ -233,7 +234,7 @@ class _Compared:
 
 
 def _scores(fitted: Fit, forms: Sequence[Block] = ()) -> Scores:
-    """Return the scores of a fit's parameters, and of changes of forms that follow them."""
+    """Return the scores of a fit's parameters, and of the changes of forms that follow them."""
     count = len(fitted.parameters) + sum(len(form.regressors) for form in forms)
     return Scores(fitted.equations, range(count), held=fitted.at_bounds)
 
@@ -247,8 +248,8 @@ def _chi_square(scores: Scores) -> float:
 def _held_out(fitted: Fit, problem: Problem, folds: Mapping[tuple[int, int], int]) -> tuple[float, float]:
     """Return RMS [m] and chi-square per value of held-out poses.
 
-    A pose's own errors and power are found beside the parameters and the fixed pattern of the other folds,
-    in whose pixels they are judged: of the others nothing is known.
+    A pose's own errors and power are estimated given the parameters and the fixed pattern of the other
+    folds. Only pixels that the other folds saw count, as the offsets of the others are not known.
     """
     scores = _scores(fitted)
     others: list[_Parameters] = []

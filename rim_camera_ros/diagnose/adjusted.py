@@ -1,4 +1,4 @@
-"""Known terms whose parameters moved."""
+"""Known terms whose parameters differ from the camera file."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from rim_camera_ros.select.thresholds import ALARM_RATE
 
 Array = NDArray[Any]
 
-#: A term has moved where chance would do so once in this many times.
+#: A term has moved where the probability of such a change by chance is less than this.
 _CHANCE = 1e-4
 #: A relative change of the radiometric gain that matters, and in units of its 1-sigma.
 LEAST_GAIN = 0.03
@@ -72,7 +72,7 @@ def adjusted_terms(camera: Camera, fitted: Fit) -> list[Adjusted]:
     gain = fitted.parameters.get(GAIN)
     if gain is not None:
         ratio = gain / camera.radiometry.gain - 1
-        # a gain is known as well as reflectivities and powers are
+        # the error of the gain includes those of reflectivities and powers
         limit = max(LEAST_GAIN, _FAR * fitted.sigma[GAIN] / gain)
         if abs(ratio) > limit:
             result.append(Adjusted(Radiometry.section, {"gain": camera.radiometry.gain}, {"gain": gain}))
@@ -88,9 +88,9 @@ def _in_sigmas(change: Array, covariance: Array) -> float:
 
 
 def beyond_file(camera: Camera, fitted: Fit) -> bool:
-    """Return whether known terms together differ from their file by more than fit and file know them.
+    """Return whether known terms together differ significantly from their file, given fit and file errors.
 
-    By chance so with `ALARM_RATE` (Wald's test of all parameters that the file has).
+    By Wald's test of all parameters that the file has, at the rate `ALARM_RATE`.
     """
     before, after = camera_numbers(camera), camera_numbers(fitted.camera)
     paths = list(fitted.parameters)
@@ -102,12 +102,13 @@ def beyond_file(camera: Camera, fitted: Fit) -> bool:
 
 
 def file_covariance(camera: Camera, fitted: Fit, own: Sequence[int]) -> Array:
-    """Return the covariance (K, K) to which a camera file knows some parameters of a fit, by their numbers.
+    """Return the covariance (K, K) of the camera file's values of some parameters of a fit, by their numbers.
 
-    As the file states it. Of a file that states none it is what plain least squares of a recording like this
-    one, with errors of poses and offsets of pixels that it does not know of, leave: no more was done where
-    nothing is said, and to take it for exact would call errors of poses of another day wrong parameters. In
-    the units of the parameters; the sandwich of White (1980) with the stated errors in place of residuals.
+    It is the stated one where the file states one. Otherwise it is the covariance of plain least squares of
+    a recording like this one, which ignores errors of poses and offsets of pixels: nothing better can be
+    assumed of such a file, and if it counted as exact, errors of poses of another day would be called wrong
+    parameters. It is in the units of the parameters: the sandwich of White (1980) with the stated errors in
+    place of residuals.
     """
     equations, count = fitted.equations, len(fitted.equations.regressors)
     gram, nuisances = stacked(equations.folds, count)
@@ -143,7 +144,7 @@ def file_covariance(camera: Camera, fitted: Fit, own: Sequence[int]) -> Array:
 
 
 def _moved(camera: Camera, fitted: Fit, name: str) -> float:
-    """RMS [m] over the pixels of the change of one term, without its mean over the stations of each."""
+    """RMS [m] over pixels and stations of the change of one term, without each pixel's mean over stations."""
     return _varying(
         camera,
         fitted,
@@ -152,7 +153,7 @@ def _moved(camera: Camera, fitted: Fit, name: str) -> float:
 
 
 def _varying(camera: Camera, fitted: Fit, change_of: Callable[[Prediction, Prediction], Array]) -> float:
-    """RMS of a change over pixels and stations, its mean over the stations of each pixel removed."""
+    """RMS of a change over pixels and stations, without each pixel's mean over stations."""
     before = fitted.by_another(camera)
     shape = camera.shape
     total, square, count = np.zeros(shape), np.zeros(shape), np.zeros(shape)
@@ -177,11 +178,11 @@ def _varying(camera: Camera, fitted: Fit, change_of: Callable[[Prediction, Predi
 def parameters_matter(camera: Camera, result: Result, adjusted: Sequence[Adjusted]) -> bool:
     """Return whether freeing the known terms that moved gains on held-out poses, conditional on the others.
 
-    As much as an effect must gain to enter beside others, where all terms together differ from their file
-    by more than it knows them.
+    They must gain the entry threshold of an effect, and all terms together must differ significantly from
+    their file.
 
-    A wrong radiometric gain matters by itself: fits of poses take up a power that is wrong in all of them, so
-    that no likelihood tells it.
+    A wrong radiometric gain matters by itself: a power that is wrong in all poses is absorbed by the powers
+    of the poses, so that no likelihood shows it.
     """
     if any(term.effect == Radiometry.section for term in adjusted):
         return True

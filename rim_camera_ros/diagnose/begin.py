@@ -1,4 +1,4 @@
-"""How a diagnosis begins: what it is made of, what repeated frames and covariates say, and the search."""
+"""The beginning of a diagnosis: its inputs, the evidence of repeated frames and covariates, the search."""
 
 from __future__ import annotations
 
@@ -32,25 +32,26 @@ from rim_camera_ros.select.search import MOST_EFFECTS, search
 from rim_camera_ros.select.trials import Workers, silent
 
 Array = NDArray[Any]
-#: 1-sigma of light that all pixels share, as a share of the median amplitude, once it is known to be there.
+#: 1-sigma of light that all pixels share, as a share of the median amplitude, once it was detected.
 _COMMON_LIGHT = 0.1
 _ONE_POSE = (
-    "only one pose: what depends on distance, amplitude or angle cannot be told from an offset of each "
-    "pixel, so none of it is named, and nothing is held out; record 20 poses or more at different distances"
+    "only one pose: effects that depend on distance, amplitude or angle cannot be distinguished from an "
+    "offset of each pixel, so none is named, and nothing is held out; record 20 poses or more at different "
+    "distances"
 )
-#: Poses below which what is named rests on little.
+#: Poses below which names have little evidence.
 _FEW_POSES = 6
 _OF_FEW_POSES = (
-    "only {} poses: what is named or not, and what is left of held-out poses, rests on little; record 20 or "
-    "more at different distances"
+    "only {} poses: there is little evidence for or against names, and for the residuals of held-out poses; "
+    "record 20 or more at different distances"
 )
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a diagnosis is made of.
+    """The inputs of a diagnosis.
 
-    ``against`` is a recording of the simulation. ``spare`` is how many poses may still be left out (None: not
+    ``against`` is a recording of the simulation. ``spare`` is how many poses may still be excluded (None: not
     decided), ``setups`` are those that were compared already, ``correlated_error`` [m] is the 1-sigma of
     errors that neighbours share.
     """
@@ -68,7 +69,7 @@ class Inputs:
     correlated_error: float = 0.0
 
     def decimated(self, step: int) -> Inputs:
-        """Return the same of every so many pixels along rows and columns."""
+        """Return the inputs with every ``step``-th pixel along rows and columns."""
         if step == 1:
             return self
         return replace(
@@ -81,9 +82,9 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Begun:
-    """What is known before physics is looked for.
+    """What is known before the search for physics.
 
-    The ``dataset`` with notes; what repeated frames say, the ``variance``; the ``problem`` of all fits.
+    ``dataset`` has the notes, ``variance`` is the evidence of repeated frames, ``problem`` that of all fits.
     """
 
     dataset: Dataset
@@ -95,7 +96,7 @@ class Begun:
 
     @property
     def beside_second_camera(self) -> bool:
-        """Whether a second camera shines in: its pattern and phase can be imitated by many effects."""
+        """Whether there is light of a second camera: many effects can imitate its pattern and phase."""
         return self.variance.pixels_vary_together
 
     @cached_property
@@ -109,10 +110,10 @@ class Begun:
         return self.dataset.poses < 2
 
     def may_have_moved(self, inputs: Inputs) -> MayHaveMoved:
-        """Return how many poses may stand elsewhere.
+        """Return in how many poses surfaces may be displaced.
 
-        None of another simulation, which has the same poses, none beside the light of a second camera, which
-        looks like anything, and none where first frames differ, which are in the means of poses.
+        In none where another simulation is compared, which has the same poses; with the light of a second
+        camera, which can look like anything; or where first frames differ, which are in the means of poses.
         """
         nothing = self.beside_second_camera or self.variance.begins or inputs.against is not None
         return NONE_MOVED if nothing else few_of(self.dataset)
@@ -132,7 +133,7 @@ def setups_of(inputs: Inputs) -> list[Hypothesis]:
 
 
 def begun(inputs: Inputs) -> Begun:
-    """Return what repeated frames and covariates say."""
+    """Return the evidence of repeated frames and covariates, and the problem of all fits."""
     dataset, scene, camera = inputs.dataset, inputs.scene, inputs.camera
     facts = Facts.of(dataset, moves=scene.camera_motion.moves, surfaces=len(scene.surfaces), camera=camera)
     shifts = None
@@ -158,7 +159,7 @@ def begun(inputs: Inputs) -> Begun:
 
 
 def searched(inputs: Inputs, begin: Begun) -> Result | None:
-    """Return what a search for missing physics finds; None where nothing can be fitted."""
+    """Return the result of a search for missing physics; None where nothing can be fitted."""
     smooth = [] if begin.one_pose else [*single_terms(begin.samples), *gradient_terms(begin.samples)]
     nothing = begin.beside_second_camera or (begin.one_pose and len(begin.dataset.stations) < 2)
     try:

@@ -1,7 +1,7 @@
-"""Mixed pixels as they measure: which pixels measure a distance between two surfaces, and by how far.
+"""Mixed pixels by their measurements: which pixels measure a distance between two surfaces, and how far off.
 
-A blur of what the centres of pixels see misses which pixels an edge crosses; the measurement itself shows
-it (Kahlmann 2007, sec. 3.3.10, fig. 3.58).
+A simulation by the centres of pixels and a blur does not know exactly which pixels an edge crosses; the
+measurements show it (Kahlmann 2007, sec. 3.3.10, fig. 3.58).
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ Array = NDArray[Any]
 
 #: Standard deviations from every surface beyond which a distance lies between them.
 _SIGNIFICANT = 2.0
-#: So far from every surface [m] a distance tells which of them fills more of the pixel; nearer to one, slopes
-#: and errors of poses do as much.
+#: Distance from every surface [m] beyond which a measurement determines which surface fills more of the
+#: pixel; below, slopes and errors of poses are as large.
 _TELLING = 0.02
-#: Times the distance from the nearer surface that a pixel is believed to be moved, at most: what measures
-#: close to one surface, metres from the other, is more likely an error of the pose.
+#: Greatest change of a pixel's distance as a multiple of that from the nearer surface: a measurement close to
+#: one surface, metres from the other, is more likely an error of the pose.
 _MOST = 5.0
 #: Share of the ambiguity range up to which the phases of two surfaces have an order.
 _ORDERED = 0.45
@@ -33,13 +33,13 @@ _ORDERED = 0.45
 def measured_between(
     prediction: Prediction, moved: Array, pattern: Array, nuisances: Mapping[str, float]
 ) -> Array:
-    """Return what mixed pixels do to the distances of a station [m], (H, W), signed.
+    """Return the changes of a station's distances [m] by mixed pixels, (H, W), signed.
 
-    ``moved`` (H, W) [m] is what the effect of the camera does, which holds where no pixel measures
-    between the nearest and the farthest surface beside it; ``pattern`` (H, W) [m] and ``nuisances`` are
+    ``moved`` (H, W) [m] is the contribution of the camera's effect; it is kept for pixels that do not measure
+    between the nearest and the farthest surface beside them. ``pattern`` (H, W) [m] and ``nuisances`` are
     those of the fit. A pixel that measures one of its surfaces is not mixed, whichever of them its centre
-    should see: the poses may be a tenth of a pixel off. Without the noise's own share, and where less light
-    than predicted was measured, as a part of the noise that this light has.
+    should see: the poses may be a tenth of a pixel off. The variance of the noise is subtracted. Where less
+    light than predicted was measured, the change is divided by the ratio of their noises.
     """
     geometry = prediction.view.geometry
     own = np.where(geometry.hit, geometry.distance, np.nan)
@@ -77,21 +77,21 @@ def _neighbours(distance: Array, light: Array, *, nearest: bool) -> tuple[Array,
     """
     nothing = np.inf if nearest else -np.inf
     around = [
-        np.lib.stride_tricks.sliding_window_view(np.pad(one, 1, constant_values=fill), (3, 3))
-        for one, fill in ((np.nan_to_num(distance, nan=nothing), nothing), (light, 0.0))
+        np.lib.stride_tricks.sliding_window_view(np.pad(image, 1, constant_values=fill), (3, 3))
+        for image, fill in ((np.nan_to_num(distance, nan=nothing), nothing), (light, 0.0))
     ]
-    distances, lights = (one.reshape(*distance.shape, 9) for one in around)
+    distances, lights = (windows.reshape(*distance.shape, 9) for windows in around)
     chosen = distances.argmin(axis=-1) if nearest else distances.argmax(axis=-1)
     at = chosen[..., None]
     return np.take_along_axis(distances, at, -1)[..., 0], np.take_along_axis(lights, at, -1)[..., 0]
 
 
 def _noise_by_light(prediction: Prediction) -> Array:
-    """Return how many times noisier than predicted the measured light is, (H, W), at least 1."""
+    """Return the ratio of noise at the measured light to that at the predicted one, (H, W), 1 at least."""
     camera = prediction.context.camera
     predicted = prediction.model_amplitude
     with np.errstate(invalid="ignore", divide="ignore"):
         measured = predicted * prediction.station.amplitude / prediction.model_reading
-        sigmas = [camera.sigma_distance(np.maximum(one, 1.0)) for one in (measured, predicted)]
+        sigmas = [camera.sigma_distance(np.maximum(light, 1.0)) for light in (measured, predicted)]
         ratio = sigmas[0] / sigmas[1]
     return np.asarray(np.fmax(np.nan_to_num(ratio, nan=1.0, posinf=1.0), 1.0))

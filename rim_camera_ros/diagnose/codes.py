@@ -1,4 +1,4 @@
-"""Counts that never occur: a read-out that leaves out codes."""
+"""Counts that never occur: a read-out with missing codes."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
 
-#: A code that occurred so often has neighbours that occurred, where the noise is wider than a few counts.
+#: Occurrences of a code above which its neighbours must have occurred, if the noise exceeds a few counts.
 _OFTEN = 30
 #: Noise [counts] below which neighbours need not occur.
 LEAST_NOISE = 3.0
-#: Measurements that the codes within half a noise of a range hold, on either side.
+#: Least number of measurements in the codes within half a noise of a range, on either side.
 _BESIDE = 100
 #: Share of the frequent codes without a neighbour that matters.
 LEAST_SHARE = 0.02
 #: Step of a regular grid over the noise below which rounding adds less than 1 % to its variance.
 _FINE = 0.35
-#: Share of the codes of a regular grid that lie where it says, to one count.
+#: Least share of the codes that lie on a regular grid, to one count.
 _REGULAR = 0.98
 
 
 @dataclass(frozen=True)
 class MissingCodes:
-    """Counts that are left out.
+    """Counts that are missing.
 
-    ``share`` of the frequent codes that lack a neighbour, and the median ``step`` in counts between codes
-    that occur, where they are frequent. Of ``ranges`` of codes that are left out (how many; 0: single ones)
-    the share of the measurements that belong there, and the median width. ``grid`` [counts] is the distance
-    of the codes that occur where it is the same throughout (0: it is not).
+    For single codes ``share`` is that of the frequent codes which lack a neighbour, and ``step`` [counts] the
+    median spacing of codes that occur, where they are frequent. For ``ranges`` of missing codes (their
+    number; 0: single codes) ``share`` is that of the measurements that belong there, and ``step`` the median
+    width. ``grid`` [counts] is the spacing of the codes where it is regular (0: it is not).
     """
 
     share: float
@@ -40,12 +40,12 @@ class MissingCodes:
     grid: float = 0.0
 
     def is_fine_grid(self, noise: float) -> bool:
-        """Whether the codes are a regular grid that adds next to nothing to a noise [counts]."""
+        """Whether the codes are a regular grid that adds next to nothing to the ``noise`` [counts]."""
         return 0 < self.grid < _FINE * noise
 
 
 def note_on_grid(codes: MissingCodes, camera: Camera) -> str:
-    """Return in words that the distances come in coarser steps than the camera file says."""
+    """Return in words that distances have coarser steps than the camera file states."""
     step = codes.grid * camera.sensor.lsb
     return (
         f"distances come in steps of {step * 1e3:.3g} mm, {codes.grid:.3g} times those of the camera file: "
@@ -57,9 +57,9 @@ def note_on_grid(codes: MissingCodes, camera: Camera) -> str:
 def missing_codes(histogram: NDArray[Any] | None, *, noise: float) -> MissingCodes | None:
     """Examine how often each distance count (65536,) occurred; None where nothing is missing.
 
-    ``noise`` [counts] is the smallest standard deviation of a distance. Beside a code that occurred 30
-    times, with noise wider than three counts, none at all has a probability below 1e-9. Nor do frequent codes
-    end within a fraction of the noise, on both sides of a range in which none occurs.
+    ``noise`` [counts] is the smallest standard deviation of a distance. Where a code occurred 30 times and
+    the noise exceeds three counts, the probability that its neighbour never occurs is below 1e-9. Equally
+    improbable are frequent codes that end within a fraction of the noise, on both sides of an empty range.
     """
     if histogram is None or noise < LEAST_NOISE:
         return None
@@ -82,21 +82,21 @@ def missing_codes(histogram: NDArray[Any] | None, *, noise: float) -> MissingCod
 
 
 def _grid(codes: NDArray[Any]) -> float:
-    """Return the step [counts] of codes that lie on a regular grid, which need not be whole; 0 for others."""
+    """Return the step [counts, not always whole] of codes on a regular grid; 0 where there is no grid."""
     steps = np.diff(codes)
     usual = float(np.median(steps))
-    # codes that nothing hit leave a step of two or three
+    # codes that happened not to occur leave steps of two or three
     places = np.cumsum(np.where(np.abs(steps - usual) <= 1, 1.0, np.maximum(np.rint(steps / usual), 1.0)))
     step = float(np.sum(steps) / places[-1])
-    beside = codes[1:] - step * places
-    regular = float(np.mean(np.abs(beside - np.median(beside)) <= 1.0))
+    deviation = codes[1:] - step * places
+    regular = float(np.mean(np.abs(deviation - np.median(deviation)) <= 1.0))
     return step if step > 1.0 and regular >= _REGULAR else 0.0
 
 
 def _ranges(occurred: NDArray[Any], *, width: int) -> MissingCodes | None:
-    """Return the ranges wider than ``width`` [counts] that are left out amid frequent codes.
+    """Return the empty ranges wider than ``width`` [counts] among frequent codes.
 
-    The codes beside a range may hold what belongs in it and do not count.
+    The codes next to a range may hold measurements that belong in it and do not count.
     """
     present = np.flatnonzero(occurred)
     below, above = present[:-1], present[1:]
@@ -104,7 +104,7 @@ def _ranges(occurred: NDArray[Any], *, width: int) -> MissingCodes | None:
     inside = (above - below > width) & (below >= width) & (above + width < len(occurred))
     below, above = below[inside], above[inside]
     beside = np.minimum(sums[below] - sums[below - width], sums[above + 1 + width] - sums[above + 1])
-    below, above, beside = (one[beside >= _BESIDE] for one in (below, above, beside))
+    below, above, beside = (values[beside >= _BESIDE] for values in (below, above, beside))
     missed = float(np.sum(beside / width * (above - below - 1)))
     share = missed / float(sums[-1])
     if share < LEAST_SHARE:

@@ -1,8 +1,8 @@
-"""The comparison of set-ups: robust and coarse, so that physics is not taken for one.
+"""The comparison of set-ups: robust and coarse, so that physics is not mistaken for another set-up.
 
-Neighbouring pixels of a tile count as one observation. Errors of distances up to those of a camera that
-nobody calibrated cost little, and so do errors of reflectivities up to those that the scene states. Models
-are compared by the paired differences of their poses (Vehtari, Gelman & Gabry 2017).
+Neighbouring pixels of a tile count as one observation. Errors of distances are penalised little up to those
+of an uncalibrated camera, errors of reflectivities up to those that the scene states. Models are compared by
+the paired differences of their poses (Vehtari, Gelman & Gabry 2017).
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from rim_camera_ros.scene import Scene
 
 #: Hypotheses about the tiles of a surface.
 _OF_PATTERN = frozenset({"turned_180", "mirrored", "inverted", "turned_90", "other_pattern", "scale"})
-#: Poses on which hypotheses are compared, at most, and about how many pixels of each.
+#: Most poses by which hypotheses are compared, and about how many pixels of each.
 _MOST_POSES = 8
 _ENOUGH_PIXELS = 1600
 
 
 def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypothesis]:
-    """Return the set-ups by what they gain over the files as given, the best first; these gain 0."""
+    """Return the set-ups by their gain over the files as given, whose gain is 0; the best first."""
     files = _coarse(dataset, scene, camera)
     views = Views(files[2], files[1], decimation=files[0].decimation)
     given = predicted(files, views=views)
     poses = dataset.poses
     found = [Hypothesis(AS_GIVEN, "", 0.0, 0.0, value=given.offset)]
     found += _compared(trials_of(*files), files, given, poses, views)
-    # a surface of which neither size nor pattern is right fits with neither of them alone
+    # a surface with wrong size and wrong pattern fits only where both are changed
     patterned = {
         hypothesis.surface
         for hypothesis in found
@@ -55,7 +55,7 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
     for name in sorted(patterned):
         found += _compared(other_boards(files, name), files, given, poses, views)
     best = _best_of_each(found)
-    # sizes and focal lengths may be any, not only those that are tried
+    # sizes and focal lengths between the tried ones
     near = next((hypothesis for hypothesis in best if hypothesis.is_better and hypothesis.at), None)
     if near is not None and near.at is not None:
         around = refined(near.at, near, lambda trials: _compared(trials, files, given, poses, views))
@@ -68,12 +68,12 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
 
 
 def _board_beside(best: Sequence[Hypothesis]) -> Hypothesis | None:
-    """Return the board of another size in the place of one whose pattern explains too little, or None."""
+    """Return the board of another size for a leader whose other pattern explains too little, or None."""
     leader = best[0]
     if not leader.is_better or leader.wins or not leader.is_repainted:
         return None
-    own = (one for one in best if one.sides is not None and one.surface == leader.surface)
-    return next(own, None)
+    boards = (board for board in best if board.sides is not None and board.surface == leader.surface)
+    return next(boards, None)
 
 
 def against_physics(
@@ -84,12 +84,12 @@ def against_physics(
     *,
     found: Camera,
 ) -> list[Hypothesis]:
-    """Return set-ups by what they gain over the files as given with the camera ``found``, the best first.
+    """Return set-ups by their gain over the files as given with the camera ``found``, the best first.
 
-    Those that gained nothing over the files alone, and those that are fitted, stay as they are. Of the others
-    each is taken with the camera of the file and with that which was found, as both may be wrong. A camera
-    constant that is found to be another lens' is no physics but that set-up, and neither are effects that are
-    possible by its rays alone.
+    Set-ups that gained nothing over the files alone, and those that are parameters of the fit, stay as they
+    are. Each of the others is compared with the camera of the file and with that found, as both may be wrong.
+    A focal length of another lens in the camera found is that set-up and no physics; effects that are valid
+    only with its rays are no physics either.
     """
     try:
         if abs(found.optics.fx / camera.optics.fx - 1) > LEAST_LENS:
@@ -115,7 +115,7 @@ def against_physics(
 def _decided(
     found: Iterable[Hypothesis], dataset: Dataset, scene: Scene, camera: Camera
 ) -> Iterator[Hypothesis]:
-    """Yield set-ups; those that gain, but some poses do not tell whether by chance, by all poses."""
+    """Yield set-ups; those whose gain by some of the poses is not significant are compared by all poses."""
     if dataset.poses <= _MOST_POSES:
         yield from found
         return
@@ -133,7 +133,7 @@ def _decided(
 
 
 def _coarse(dataset: Dataset, scene: Scene, camera: Camera, *, most: int | None = None) -> Files:
-    """Return files of about `_ENOUGH_PIXELS` pixels of so many poses at ``most``; None: `_MOST_POSES`."""
+    """Return files with about `_ENOUGH_PIXELS` pixels of ``most`` poses at most (None: `_MOST_POSES`)."""
     chosen = _some_poses(dataset, most or _MOST_POSES)
     step = round(np.sqrt(camera.sensor.width * camera.sensor.height / _ENOUGH_PIXELS))
     if step > 1:
@@ -153,12 +153,12 @@ def _best_of_each(found: Iterable[Hypothesis]) -> list[Hypothesis]:
 def _compared(
     trials: Iterable[Trial], files: Files, given: SetupPrediction, poses: int, views: Views
 ) -> list[Hypothesis]:
-    """Return what trials gain over the files as ``given``, for a recording of so many ``poses``.
+    """Return the gains of trials over the files as ``given``, for a recording of so many ``poses``.
 
     ``views`` are those of the files.
 
-    One that gains at none of a few poses, and loses there as much as it would have to gain in all, is not
-    taken any further.
+    A trial that gains in none of a few poses, and loses there as much as it would have to gain in all, is not
+    compared any further.
     """
     found = []
     few, others = _split(files)
@@ -177,7 +177,7 @@ def _compared(
         error = float(np.std(own.poses, ddof=1) * np.sqrt(count)) if count > 1 else np.inf
         # the poses are a sample of those of the recording, the tiles are the same in all of them
         share = poses / count
-        # sizes that were chosen (Schwarz, The Annals of Statistics 6, 1978)
+        # penalty for sizes that were chosen (Schwarz, The Annals of Statistics 6, 1978)
         chosen = 0.5 * trial.free * float(np.log(max(own.count * share, 1.0)))
         found.append(
             Hypothesis(
@@ -201,7 +201,7 @@ def _is_worse(own: Difference) -> bool:
 
 
 def _split(files: Files) -> tuple[Files, Files | None]:
-    """Return the files with the first, a middle and the last station, and those with the others, if any."""
+    """Return files with the first, a middle and the last station, and files with the others, if any."""
     dataset, scene, camera = files
     count = len(dataset.stations)
     few = {0, count // 2, count - 1}
@@ -214,7 +214,7 @@ def _split(files: Files) -> tuple[Files, Files | None]:
 
 
 def _some_poses(dataset: Dataset, most: int) -> Dataset:
-    """Return the dataset with one station of each of so many poses at ``most``, spread over the recording."""
+    """Return the dataset with one station each of ``most`` poses at most, spread over the recording."""
     first: dict[tuple[int, int], Station] = {}
     for station in dataset.stations:
         first.setdefault((station.recording, station.pose), station)

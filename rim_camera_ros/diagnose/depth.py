@@ -1,8 +1,9 @@
-"""Surfaces that stand nearer or farther than their poses say, held against physics by the same likelihood.
+"""Surfaces that stand nearer or farther than their poses state, compared with physics by the same likelihood.
 
 An error that all poses of a surface share moves its distances by an amount that depends on rays and normals
-alone. Offsets of pixels take most of it up, and a table of unknown physics the rest: so it is scored as a
-candidate is, beside the same nuisance parameters and on the same held-out poses, and then fitted anew.
+alone. Offsets of pixels absorb most of it, and a table of unknown physics the rest. So such an error is
+scored like a candidate, conditional on the same nuisance parameters and by the same held-out poses, and
+fitted then.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from rim_camera_ros.select.subsample import dominated
 
 Array = NDArray[Any]
 
-#: 1-sigma of the prior of a depth [m]: of surfaces that stand elsewhere nothing is known.
+#: 1-sigma of the prior of a depth [m]: as good as free.
 _SIGMA = 0.5
 #: Iterations of the fits that are compared.
 _ITERATIONS = 8
@@ -41,7 +42,7 @@ _AXIS = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class _Direction:
-    """A direction in which a surface may stand off: its ``normal`` in each pose, or the optical axis."""
+    """A direction in which a surface may be displaced: its ``normal`` in each pose, or the optical axis."""
 
     surface: str
     normal: bool
@@ -55,7 +56,7 @@ class _Direction:
         return normal_of(pose) if self.normal else _AXIS
 
     def column(self, number: int, prediction: Prediction) -> Column:
-        """Return the derivatives of the readings (H, W) of the surface of a ``number`` by its depth."""
+        """Return the derivatives of the readings (H, W) by the depth of the surface ``number``."""
         view = prediction.view
         mine = view.geometry.surface == number
         if not mine.any():
@@ -66,10 +67,10 @@ class _Direction:
 
 
 def depths(baseline: Exploration, problem: Problem, folds: Mapping[tuple[int, int], int]) -> list[Hypothesis]:
-    """Return how much each surface with recorded poses gains over the files [nats] if it stands elsewhere.
+    """Return for each surface with recorded poses the gain of its displacement over the files [nats].
 
-    Beside what is fitted in the ``baseline``, linear in the depth; the best of two directions, the best
-    surface first.
+    The gain is conditional on what is fitted in the ``baseline``, linear in the depth, and that of the better
+    of two directions; the best surface is first.
     """
     choices = [
         (number, _Direction(surface.name, normal))
@@ -114,17 +115,17 @@ def depths(baseline: Exploration, problem: Problem, folds: Mapping[tuple[int, in
 def standing_elsewhere(
     result: Result, final: Fit, problem: Problem, camera: Camera, *, say: Callable[[str], None]
 ) -> list[Hypothesis]:
-    """Return the surfaces that stand elsewhere, by what that gains over the files with the physics found.
+    """Return displaced surfaces by the gain of that over the files with the physics found.
 
-    Those by which these are worse in all folds of poses. ``final`` is the fit with that physics, ``problem``
-    and ``camera`` are those as given. Surfaces whose linear gain is enough are moved in the recording, which
-    is fitted with the files as given. Pixels are those that see one tile by all poses that are compared: at
-    the others it is edges that decide, not depths. The depth is one number of all poses; what is left of it
-    beside the stated errors is fitted without the held-out ones.
+    Only displacements that are better than that physics in all folds of poses are returned. ``final`` is the
+    fit with that physics; ``problem`` and ``camera`` are those as given. Surfaces whose linear gain is enough
+    are moved in the recording, and the files as given are fitted to it. The pixels are those that see the
+    same tile by all poses that are compared: the others depend on edges, not on depths. The depth is one
+    number for all poses; its remainder within the stated errors is fitted without the held-out poses.
     """
     baseline = result.explorations[0]
     masks = baseline.fit.forward.pixels_used()
-    # known terms begin where they fitted: what the file states of them is about its own values
+    # known terms begin at their fitted values; their priors stay about the values of the file
     alone = replace(problem, origin=camera, masks=masks, patches=baseline.fit.forward.patches_seen())
     leading = [depth for depth in depths(baseline, alone, result.folds) if depth.is_better]
     if not leading:

@@ -1,4 +1,4 @@
-"""What no effect of the vocabulary explains: found, fitted as a table, and put into words."""
+"""Physics that no effect of the vocabulary explains: found, fitted as a table, and described in words."""
 
 from __future__ import annotations
 
@@ -35,13 +35,16 @@ Array = NDArray[Any]
 
 
 _LEAST_UNKNOWN = 20.0
-#: A smooth rest must gain this share of what the named effects gained before they are doubted.
+#: Share of the gain of the named effects that a smooth remainder must gain before they are in doubt.
 DOUBT = 0.15
 
 
 @dataclass(frozen=True)
 class Rest:
-    """The best description that is not of the vocabulary: its gain over the baseline, covariates, camera."""
+    """The best description outside the vocabulary: its gain over the baseline, covariates, and camera.
+
+    ``on_top`` is its gain conditional on the effects found, ``threshold`` its entry threshold.
+    """
 
     gain: float
     covariates: tuple[str, ...]
@@ -52,7 +55,7 @@ class Rest:
 
 
 def best_rest(result: Result, samples: Mapping[str, Array], seed: int) -> Rest | None:
-    """Find the best smooth term or fine structure, over the baseline and on top of what was named."""
+    """Find the best smooth term or fine structure, over the baseline and conditional on the effects named."""
     baseline, final = result.explorations[0], result.explorations[-1]
     options: list[Rest] = []
     best = final.best_further()
@@ -97,13 +100,13 @@ def best_rest(result: Result, samples: Mapping[str, Array], seed: int) -> Rest |
 
 
 def explained_share(result: Result, unknown: Rest | None) -> float:
-    """Return the share of the excess chi-square that the final fit explains, each step at its pixels."""
+    """Return the share of the excess chi-square that the final fit explains, each step by its own pixels."""
     chi_squares = [exploration.scores.chi_square() for exploration in result.explorations]
     after, rows = chi_squares[-1]
     at = result.beside_edges
     explained = chi_squares[0][0] - after
     if at is not None:
-        # there are more pixels from there on
+        # from that step on there are more pixels
         explained += chi_squares[at][0] - chi_squares[at - 1][0]
     excess = explained + after - rows
     if excess <= 0:
@@ -113,10 +116,10 @@ def explained_share(result: Result, unknown: Rest | None) -> float:
 
 
 def is_unknown(unknown: Rest, named: float, final: Exploration, result: Result) -> bool:
-    """Return whether what is left is more than the forms of the named effects leave."""
+    """Return whether the remainder is more than inexact forms of the named effects leave."""
     if unknown.on_top < max(_LEAST_UNKNOWN, 1.5 * unknown.threshold):
         return False
-    # a named effect whose form is not quite the true one leaves a smooth rest in its own covariates
+    # an inexact form of a named effect leaves a smooth remainder over its own covariates
     curve = None if unknown.fine is not None else curve_of_forms(final, result.found)
     of_forms = 0.0 if curve is None else max(curve[0], 0.0)
     return unknown.on_top - of_forms > DOUBT * named
@@ -145,7 +148,7 @@ def describe(unknown: Rest, baseline: Exploration, result: Result, seed: int) ->
         model, fitted = _refit_table(unknown, baseline, result, seed)
         where = of_terms(fitted, [CovariateTable.name], start)
     elif unknown.fine is not None:
-        # slopes that differ from pixel to pixel are no table of two covariates, but have a place and a size
+        # slopes per pixel are no table of two covariates, but have a place and a size
         fine = unknown.fine
         where = of_values(fitted, lambda predicted: fine_image(fine, predicted))
     curve = next(iter(where.curves.items()), None)
@@ -187,7 +190,7 @@ def describe(unknown: Rest, baseline: Exploration, result: Result, seed: int) ->
 
 
 def unexplained(fitted: Fit, chi_square: float) -> tuple[Missing, Where]:
-    """Return what is said of a mismatch that no effect and no smooth function explains, and where it is."""
+    """Return the entry for a misfit that no effect and no smooth function explains, and where it is."""
     where = of_residuals(fitted)
     names = tuple(name for name, _ in where.covariates)
     most = f"; they vary most over {' and '.join(names)}" if names else ""
@@ -200,7 +203,7 @@ def unexplained(fitted: Fit, chi_square: float) -> tuple[Missing, Where]:
 
 
 def of_correlated_errors(fitted: Fit) -> tuple[Missing, Where]:
-    """Return what is said of errors that neighbours share in a fit, in each pose anew, and where they are."""
+    """Return the entry for errors that neighbours share in a fit, independent by pose, and where they are."""
     where = of_values(fitted, lambda predicted: correlated_error_of(predicted, fitted.nuisances))
     sentence = f"unknown physics: {correlated_error_note(fitted)}"
     return Missing(UNKNOWN, 1.0, {}, {}, sentence, magnitude=correlated_error_rms(fitted)), where
@@ -214,7 +217,7 @@ def _variances(fitted: Fit) -> Array:
 
 
 def _refit_table(unknown: Rest, baseline: Exploration, result: Result, seed: int) -> tuple[Camera, Fit]:
-    """Estimate the table jointly with the baseline, without the effects that had stood in for it."""
+    """Estimate the table jointly with the baseline, without the effects that were named before."""
     from rim_camera_ros.diagnose.smooth import Axis, smooth_candidate
 
     table: Any = unknown.camera.effects[CovariateTable.name]

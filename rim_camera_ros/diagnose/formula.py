@@ -1,4 +1,4 @@
-"""The closed form of a curve: found sparsely, written as a line of text, and read again."""
+"""The closed form of a curve: a sparse fit, written as a line of text, and read again."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _FORMS: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
     }
 )
 _NUMBER = re.compile(r"^([+-]?[0-9.]+(?:e[+-]?[0-9]+)?)$")
-#: Share of a curve's range to which a formula must describe it: no class of pixels counts for more.
+#: Share of a curve's range to which a formula must describe it: limits the weight of a class of pixels.
 _COARSE = 0.02
 
 
@@ -42,9 +42,9 @@ def require_formulas() -> None:
 
 
 def product_form(names: tuple[str, str], knots: tuple[tuple[float, ...], ...], values: Array) -> str:
-    """Return a bilinear table in metres as the product that it is, without what depends on one name alone.
+    """Return a bilinear table ``values`` (2, 2) in metres as a product of its two covariates.
 
-    Of such a term the parts of one covariate are errors of poses and the fixed pattern; ``values`` (2, 2).
+    Parts that depend on one covariate alone are dropped: they are errors of poses and the fixed pattern.
     """
     (a, b), (c, d) = knots
     slope = (values[1, 1] - values[1, 0] - values[0, 1] + values[0, 0]) / ((b - a) * (d - c))
@@ -53,10 +53,10 @@ def product_form(names: tuple[str, str], knots: tuple[tuple[float, ...], ...], v
 
 
 def closed_form(name: str, x: Array, y: Array, sigma: Array) -> tuple[str, float]:
-    """Return the sparse formula in metres that describes a curve best, and by how much it misses it (RMS, m).
+    """Return the sparse formula in metres that describes a curve best, and its misfit (RMS) [m].
 
-    By orthogonal matching pursuit. A term is added where it lowers chi-square by more than 2 ln N of N
-    classes: twice what the Bayesian information criterion asks, as the term is chosen among several.
+    The fit is by orthogonal matching pursuit. A term is added where it lowers chi-square by more than 2 ln N
+    for N classes: twice the requirement of the Bayesian information criterion, as it is chosen among several.
     """
     from sklearn.linear_model import OrthogonalMatchingPursuit
 
@@ -92,7 +92,7 @@ def closed_form(name: str, x: Array, y: Array, sigma: Array) -> tuple[str, float
 
 
 def formula_terms(formula: str) -> list[tuple[float, str]] | None:
-    """Return coefficients [m] with their forms, the constant's empty; None where it is no such formula."""
+    """Return coefficients [m] and their forms (of the constant: empty); None where it is no such formula."""
     terms: list[tuple[float, str]] = []
     words = formula.split(" [m]")[0].split()
     while words:

@@ -1,4 +1,4 @@
-"""What a search found, what it left, and how the two compare: effects by name, or unknown physics."""
+"""The result of a search compared with its remainder: effects by name, or unknown physics."""
 
 from __future__ import annotations
 
@@ -25,17 +25,19 @@ from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.exploration import Exploration
 
-#: A term outside the vocabulary must gain this share more than the named ones to take their place.
+#: Ratio of the gain of a term outside the vocabulary to that of the named ones above which it replaces them.
 _BEYOND_NAMED = 1.2
-_BESIDE_A_SECOND_CAMERA = "a second camera shines in: nothing else can be told; record with it switched off"
+_BESIDE_A_SECOND_CAMERA = (
+    "there is light of a second camera: nothing else can be determined; record with it switched off"
+)
 
 
 @dataclass(frozen=True)
 class FoundPhysics:
-    """What is missing, as far as held-out poses say: ``result`` of the search, or ``described`` in its place.
+    """The missing physics by held-out poses: the ``result`` of the search, or ``described`` in its place.
 
-    ``rest`` is the best smooth function of what the search left. ``dataset`` has the notes, ``variance`` and
-    ``codes`` are what frames and counts say beside the physics.
+    ``rest`` is the best smooth function of the remainder of the search. ``dataset`` has the notes;
+    ``variance`` and ``codes`` are the evidence of repeated frames and counts, given the physics.
     """
 
     result: Result
@@ -47,46 +49,46 @@ class FoundPhysics:
 
     @property
     def baseline(self) -> Exploration:
-        """The known terms alone."""
+        """The exploration with the known terms alone."""
         return self.result.explorations[0]
 
     @property
     def final(self) -> Exploration:
-        """After all steps of the search."""
+        """The exploration after all steps of the search."""
         return self.result.explorations[-1]
 
     @property
     def best_fit(self) -> Fit:
-        """The fit with what is missing."""
+        """The fit with the missing physics."""
         return self.final.fit if self.described is None else self.described.fit
 
     @property
     def conditional(self) -> Fit:
-        """The fit conditional on what the forms of the physics may do otherwise."""
+        """The fit conditional on changes of the forms of the physics."""
         return conditional_on_physics(self.result) if self.described is None else self.best_fit
 
     @property
     def names(self) -> list[str]:
-        """What is missing, by name."""
+        """Names of the missing effects, or of the table of unknown physics."""
         if self.described is not None:
             return [CovariateTable.name]
         return [finding.effect for finding in self.result.found]
 
     @property
     def explained(self) -> float:
-        """Share of what does not fit that is explained."""
+        """Share of the misfit that is explained."""
         return explained_share(self.result, self.rest)
 
     @property
     def is_modelled(self) -> bool:
-        """Whether it is part of a fit: a function that is not would itself be what neighbours share."""
+        """Whether the physics is part of a fit: otherwise its residuals would be errors of neighbours."""
         return bool(self.result.found) if self.described is None else self.described.missing.modelled
 
 
 def physics_of(inputs: Inputs, begin: Begun, result: Result) -> FoundPhysics:
-    """Return what was found beside what is left.
+    """Return the physics found, with the best description of the remainder.
 
-    Raises `RimError`, or numpy's LinAlgError, where what is unknown cannot be described.
+    Raises `RimError`, or numpy's LinAlgError, where unknown physics cannot be described.
     """
     dataset, camera = begin.dataset, inputs.camera
     if begin.beside_second_camera:
@@ -107,19 +109,19 @@ def physics_of(inputs: Inputs, begin: Begun, result: Result) -> FoundPhysics:
 
 
 def _variance_beside(fitted: Fit, camera: Camera) -> Variance:
-    """Return what repeated frames say beside what a fit found of the response of a camera."""
+    """Return the evidence of repeated frames, given the response of the camera that a fit found."""
     variance = examine_variance(fitted.forward)
     responds = response_of(fitted.camera) is not None and response_of(camera) is None
     if responds and variance.noise_is_wrong:
         scaled = examine_variance(fitted.forward, free_scale=True)
-        # a scale that does not explain all of it says nothing of the noise
+        # a scale that does not explain all of it is no evidence about the noise
         return variance if scaled.noise_is_wrong else scaled
     return variance
 
 
 def _takes_their_place(rest: Rest, result: Result, variance: Variance) -> bool:
-    """Return whether a smooth function of what a search left takes the place of the effects it found."""
-    # a curve of the light that is not refitted leaves a smooth rest by itself, smaller than what it explains
+    """Return whether a smooth function of a search's remainder replaces the effects that were found."""
+    # a curve of the light that is not refitted leaves a smooth remainder, smaller than its own gain
     linear = any(finding.effect in OF_SURFACES for finding in result.found)
     if (linear and rest.on_top < result.gained) or only_noise(result, rest, variance):
         return False

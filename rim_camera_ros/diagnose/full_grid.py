@@ -1,4 +1,4 @@
-"""A diagnosis of every k-th pixel, told in pixels of the whole sensor."""
+"""A diagnosis of every k-th pixel, restated in pixels of the whole sensor."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.fit.decimation import full_camera, full_image, full_number
 
 _ONE_OF = "of every {0} x {0} pixels one was looked at"
-#: Points of a closed form that it is restated from.
+#: Points of a closed form by which it is restated.
 _POINTS = 32
 
 
 def on_full_grid(result: Diagnosis, camera: Camera, step: int) -> Diagnosis:
-    """Restate a diagnosis of every ``step``-th pixel for the ``camera`` of all of them; in place.
+    """Restate a diagnosis of every ``step``-th pixel for the ``camera`` with all pixels; in place.
 
-    That of a coarser grid's coarser grid is restated twice.
+    The diagnosis of a grid that was coarsened twice is restated twice.
     """
     before = _ONE_OF.format(result.step)
     small, full = result.camera, full_camera(result.camera, camera, step)
@@ -35,7 +35,7 @@ def on_full_grid(result: Diagnosis, camera: Camera, step: int) -> Diagnosis:
 
 
 def restated(effect: Missing, small: Camera, full: Camera, step: int) -> Missing:
-    """Return what the ``small`` camera of every ``step``-th pixel found in pixels of the ``full`` one."""
+    """Convert an effect found by the ``small`` camera of every ``step``-th pixel to the ``full`` camera."""
     prefix = _prefix(effect.effect, small)
     low_and_high = {
         path: (full_number(prefix + path, low, step), full_number(prefix + path, high, step))
@@ -76,10 +76,10 @@ def _formula(effect: Missing, small: Camera, full: Camera) -> str | None:
 
 
 def _adjusted(term: Adjusted, step: int) -> Adjusted:
-    def told(values: dict[str, float]) -> dict[str, float]:
+    def converted(values: dict[str, float]) -> dict[str, float]:
         return {path: full_number(f"effects.{term.effect}.{path}", v, step) for path, v in values.items()}
 
-    return Adjusted(term.effect, told(dict(term.before)), told(dict(term.after)))
+    return Adjusted(term.effect, converted(dict(term.before)), converted(dict(term.after)))
 
 
 def _prefix(name: str, camera: Camera) -> str:

@@ -1,8 +1,8 @@
-"""Set-ups as hypotheses: what the scene could be instead, and when another one wins against the files.
+"""Set-ups as hypotheses: alternatives to the files, and when one of them wins against the files.
 
 A board that is turned, mirrored or inverted, a wrong square size, distances along z, another lens: each is a
-change of scene, poses or camera that competes with the files as they are given, before any physics is looked
-for.
+change of scene, poses or camera that competes with the files as they are given, before any search for
+physics.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.scene import Scene
 
 AS_GIVEN = "as_given"
-#: Poses of a surface with another sign of an angle, or poses that stand elsewhere.
+#: Poses of a surface with another sign of an angle, or poses in which a surface is displaced.
 POSE = "pose"
 #: A surface that stands nearer or farther in all poses.
 DEPTH = "depth"
-#: Nats by which another set-up must be better, and standard errors of its paired differences over poses.
+#: Least gain of another set-up [nats], and in standard errors of its paired differences over poses.
 LEAST_GAIN = 20.0
 STANDARD_ERRORS = 2.0
-#: ... and share of what does not fit from which it is the set-up without asking physics, which may imitate a
-#: part of it. Below, the set-up is held against the files as given with the physics that is found.
+#: ... and share of the misfit above which it wins without a comparison with physics, which may imitate a part
+#: of it. Below, it is compared with the files as given and the physics that is found.
 NEARLY_ALL = 0.9
 _WORDS = {
     "turned_180": "the pattern of {0} turned by 180 degrees",
@@ -41,27 +41,27 @@ _WORDS = {
     "z_distance": "distances along the optical axis instead of along the ray",
     "other_lens": "another lens, of {1:.3g} times the focal length",
 }
-#: What else of the scene file may be corrected, where its reflectivities may be guesses.
+#: Another remedy in the scene file, where its reflectivities may be guesses.
 _GUESSES = dict.fromkeys(
     ("other_pattern", "other_board"),
     " (or state a reflectivity_sigma of what it guesses)",
 )
 
 
-#: Recording, scene and camera file of a set-up, and what makes those of another from them.
+#: Recording, scene and camera file of a set-up, and a function that makes those of another from them.
 Files = tuple[Dataset, Scene, Camera]
 Change = Callable[[Dataset, Scene, Camera], Files]
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A set-up: what it changes, of which surface, by how much, and what it gains over the files [nats].
+    """A set-up: its change, the surface, the ``value`` of the change, and its gain over the files [nats].
 
-    ``standard_error`` [nats] of the gain from its paired differences over poses; ``share`` of what does not
-    fit that it explains; ``change`` makes recording, scene and camera of the set-up from those given.
-    ``against_physics``: the gain is over the files with the physics that was found; ``fitted``: what it
-    changes is a parameter of the fit, which decides. ``at`` returns the same with another value. ``sides``:
-    by which factors a board is wider and higher.
+    ``standard_error`` [nats] is that of the gain, from paired differences over poses; ``share`` is the share
+    of the misfit that it explains; ``change`` makes recording, scene and camera of the set-up from those
+    given. ``against_physics``: the gain is over the files with the physics found. ``fitted``: the set-up is
+    also a parameter of the fit, which decides. ``at`` returns the same trial with another value. ``sides``
+    are the factors on width and height of a board.
     """
 
     hypothesis: str
@@ -78,7 +78,7 @@ class Hypothesis:
 
     @property
     def trial(self) -> Trial | None:
-        """What is compared; None where nothing is."""
+        """The trial of this set-up; None where there is none."""
         if self.change is None:
             return None
         return Trial(
@@ -104,7 +104,7 @@ class Hypothesis:
 
     @property
     def _size(self) -> str:
-        """By how much a board is larger, in words."""
+        """The size of a board relative to the scene file, in words."""
         across, down = (f"{side:.3g}" for side in self.sides or (self.value, self.value))
         if across == down:
             return f"{across} times as large"
@@ -112,12 +112,12 @@ class Hypothesis:
 
     @property
     def is_repainted(self) -> bool:
-        """Whether tiles reflect as the recording shows."""
+        """Whether the reflectivities of tiles are taken from the recording."""
         return self.hypothesis in _GUESSES
 
     @property
     def is_of_poses(self) -> bool:
-        """Whether it is that some poses stand elsewhere, each in its own way."""
+        """Whether the set-up is one with surfaces that are displaced in some poses, each differently."""
         return self.hypothesis == POSE and not self.surface
 
     @property
@@ -133,15 +133,15 @@ class Hypothesis:
 
     @property
     def is_better(self) -> bool:
-        """Whether it fits the recording better than the files do."""
+        """Whether it fits the recording significantly better than the files do."""
         significant = self.gain > max(LEAST_GAIN, STANDARD_ERRORS * self.standard_error)
         return self.hypothesis != AS_GIVEN and significant
 
     @property
     def wins(self) -> bool:
-        """Whether it is better also than physics: held against it, or as it explains what does not fit.
+        """Whether it is also better than physics: by comparison, or as it explains nearly all of the misfit.
 
-        One that explains less than half of that is not what differs, as it is with names.
+        A set-up that explains less than half of the misfit is not its cause; the same holds for names.
         """
         least = LEAST_EXPLAINED if self.against_physics else NEARLY_ALL
         return self.is_better and not self.fitted and self.share > least
@@ -149,10 +149,10 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Trial:
-    """A set-up to be compared: its name, the surface, by how much, and what makes its files.
+    """A set-up to be compared: its name, the surface, the value of the change, and the change of the files.
 
-    ``fitted``: it is a parameter of the fit too. ``at`` returns the same with another value, where it may
-    have any. ``sides`` as in `Hypothesis`.
+    ``fitted``: it is also a parameter of the fit. ``at`` returns the same trial with another value, where its
+    value is continuous. ``sides`` as in `Hypothesis`.
     """
 
     hypothesis: str
@@ -165,34 +165,34 @@ class Trial:
 
     @property
     def free(self) -> int:
-        """How many numbers of it are taken from the recording."""
+        """How many of its numbers are estimated from the recording."""
         return 2 if self.sides is not None else int(self.at is not None)
 
 
 def share_explained(gain: float, short: float) -> float:
-    """Return the share that a ``gain`` is of what does not fit, which is at least what is gained."""
+    """Return the share of the misfit ``short`` [nats] that a ``gain`` explains; 1 at most."""
     return gain / max(short, gain, 1e-9)
 
 
 def by_gain(found: Iterable[Hypothesis]) -> list[Hypothesis]:
-    """Return hypotheses by what they gain, the best first."""
+    """Return hypotheses by their gain, the best first."""
     return sorted(found, key=lambda hypothesis: -hypothesis.gain)
 
 
 def poses_elsewhere(gain: float, count: int) -> Hypothesis:
-    """Return the set-up in which ``count`` poses stand elsewhere, which gains so many nats."""
+    """Return the set-up with surfaces displaced in ``count`` poses, with its ``gain`` [nats]."""
     return Hypothesis(POSE, "", gain, 0.0, float(count))
 
 
 def leaving_nothing(
     found: Sequence[Hypothesis], given: Files, left_by_chance: Callable[[Files], float | None]
 ) -> list[Hypothesis]:
-    """Return the set-ups by what they gain, the leader with the share that a fit under it shows.
+    """Return the set-ups by their gain; the leader with the share of the misfit by a fit to its files.
 
-    ``left_by_chance`` returns what an effect would have to gain in nats by the files of a set-up, None where
-    something is missing there as well. Physics of the camera as given can explain no more than all: a set-up
-    that explains all but what chance leaves is not held against it, as no effect imitates so much of
-    another set-up. The search for physics would take minutes there, where every fit is far from its end.
+    ``left_by_chance`` returns the entry threshold [nats] of an effect by the files of a set-up, None where
+    something is missing there as well. A set-up that explains all of the misfit but that threshold is not
+    compared with physics: no effect imitates so much of another set-up. The search for physics would take
+    minutes there, as every fit is far from convergence.
     """
     leader = next((hypothesis for hypothesis in found if hypothesis.is_better), None)
     if leader is None or leader.wins or leader.fitted or leader.change is None:
@@ -200,7 +200,7 @@ def leaving_nothing(
     try:
         left = left_by_chance(leader.change(*given))
     except RimError:
-        left = None  # some poses make no set-up of that kind
+        left = None  # the set-up is not possible with some poses
     if left is None:
         return list(found)
     share = max(leader.share, share_explained(leader.gain, leader.gain + left))
@@ -208,9 +208,9 @@ def leaving_nothing(
 
 
 def best_setup(found: Sequence[Hypothesis]) -> Hypothesis | None:
-    """Return the set-up that explains the recording better than the files do; None: they are the best.
+    """Return the set-up that explains the recording better than the files do; None: the files are best.
 
-    None too where the best is a parameter of the fit, which decides.
+    None also where the best set-up is a parameter of the fit, which decides then.
     """
     leader = next(
         (

@@ -1,4 +1,4 @@
-"""What set-ups make of a diagnosis: where another wins, the files as given are compared, unfitted."""
+"""Diagnoses of another set-up: where one wins, the files as given are compared without a fit."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from rim_camera_ros.select.moved_poses import moved_beside_physics
 
 
 def with_setups(diagnosis: Diagnosis, setups: list[Hypothesis]) -> Diagnosis:
-    """Return the diagnosis with the set-ups, the best first; a reason not to trust the set-up names it.
+    """Return the diagnosis with the set-ups, the best first; a reason against the set-up names the best one.
 
-    Where the set-up is trusted the files as given come first: whatever gained more did not gain enough.
+    Where the set-up is trusted the files as given come first: no other set-up gained enough.
     """
     reason = diagnosis.reason
     if reason is None:
         setups = sorted(setups, key=lambda hypothesis: hypothesis.hypothesis != AS_GIVEN)
     if diagnosis.verdict == "consistent" and setups:
-        # offsets of the pixels took it up
+        # offsets of the pixels absorbed it
         said = offset_beyond(setups[0].value, diagnosis.nuisances)
         diagnosis = replace(diagnosis, notes=[*diagnosis.notes, *([] if said is None else [said])])
     best = setups[0] if setups else None
@@ -50,8 +50,8 @@ def without_search(
 ) -> Diagnosis:
     """Return the diagnosis of a recording to which nothing can be fitted.
 
-    Where the files as given describe not one pixel that can be used, there is no fit to hold set-ups against:
-    the one that gains most is it, however its gain scatters over the poses.
+    Where the files as given describe not a single usable pixel, there is no fit to compare set-ups with: the
+    one that gains most wins, however much its gain scatters over the poses.
 
     Raises `InputError` where none gains enough either.
     """
@@ -69,7 +69,7 @@ def of_another_setup(
 ) -> Diagnosis:
     """Return the diagnosis of a recording of another set-up, compared with the files as they are given.
 
-    Where these describe not one pixel, it is compared with the other set-up.
+    Where these describe not a single pixel, it is compared with the other set-up.
     """
     try:
         return hopeless(problem, camera, variance, seed, reason=other.reason)
@@ -83,9 +83,9 @@ def of_another_setup(
 def hopeless(
     problem: Problem, camera: Camera, variance: Variance, seed: int, *, reason: str | None = None
 ) -> Diagnosis:
-    """Return the diagnosis of a recording for which no parameters can be found: the setup is another.
+    """Return the diagnosis of a recording for which no parameters can be found: it is of another set-up.
 
-    Raises `InputError` where not one pixel can be compared.
+    Raises `InputError` where not a single pixel can be compared.
     """
     frozen = replace(problem, effects=(), gain=False, robust=False)
     folds = folds_of(problem.dataset)

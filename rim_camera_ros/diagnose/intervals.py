@@ -19,20 +19,20 @@ from rim_camera_ros.select.null_replicates import null_scores
 
 Array = NDArray[Any]
 
-#: A jackknife of five folds is itself uncertain: it counts from this many times the bootstrap's spread.
+#: Ratio to the bootstrap's spread above which a jackknife counts: one of five folds is itself uncertain.
 _LEAST_OF_POSES = 2.5
 _LEAST_OF_TIME = 1.5
 _BLOCKS = 8
-#: Parts of the poses from which on a jackknife counts at all.
+#: Least number of folds of the poses for a jackknife.
 _LEAST_PARTS = 4
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Covariances (K, K) of the parameters of a fit, by several ways to know of them.
+    """Covariances (K, K) of the parameters of a fit, by several estimators.
 
-    By replicates (``draws``) and ``posterior``; ``jackknives`` over parts of the poses count where they are
-    so many times as large, as they are uncertain themselves.
+    ``draws`` is that of bootstrap replicates, ``posterior`` the posterior one. ``jackknives`` over folds of
+    the poses count where they exceed these by the stated factor, as they are uncertain themselves.
     """
 
     draws: Array
@@ -66,7 +66,7 @@ def _jackknife(scores: Scores, count: int) -> Array:
 
 
 def _by_time(problem: Problem, fitted: Fit) -> Scores | None:
-    """Return scores of blocks of placements in order of time: they part where a form is not quite true."""
+    """Return scores of blocks of placements in order of time: they disagree where a form is inexact."""
     times: dict[tuple[int, int], float] = {}
     for station in problem.dataset.stations:
         times.setdefault((station.recording, station.placed), station.time)
@@ -83,10 +83,11 @@ def _by_time(problem: Problem, fitted: Fit) -> Scores | None:
 
 
 def uncertainty_of(step: Exploration, problem: Problem, *, seed: int = 0) -> Uncertainty:
-    """Return how well the parameters of the fit of a step are known.
+    """Return the uncertainty of the parameters of the fit of a step.
 
-    From a parametric bootstrap (replicates of noise, errors of poses and powers in the normal equations,
-    around the fit), widened where a jackknife over folds of poses, dealt or in blocks of time, says so.
+    It comes from a parametric bootstrap (replicates of noise, errors of poses and powers in the normal
+    equations, around the fit), widened where a jackknife over folds of poses, or over blocks of time, is
+    wider.
     """
     fitted, scores = step.fit, step.scores
     count = len(fitted.parameters)
@@ -102,9 +103,9 @@ def uncertainty_of(step: Exploration, problem: Problem, *, seed: int = 0) -> Unc
         # the prior shrinks replicates as it shrinks the estimate: its own width belongs to the interval
         np.linalg.inv(inner) * scale[:, None] * scale[None, :],
         tuple(
-            (_jackknife(one, count), least)
-            for one, least in parts
-            if one is not None and len(one.trained) >= _LEAST_PARTS
+            (_jackknife(folded, count), least)
+            for folded, least in parts
+            if folded is not None and len(folded.trained) >= _LEAST_PARTS
         ),
     )
 
@@ -117,7 +118,7 @@ def intervals_of(fitted: Fit, uncertainty: Uncertainty) -> dict[str, tuple[float
     result = {}
     for i, (path, value) in enumerate(fitted.parameters.items()):
         width = 1.96 * spread[i] * (gain if path == GAIN else 1.0)
-        # beyond its bounds no parameter can be
+        # no parameter can be beyond its bounds
         low, high = bounds.lows.get(path, -np.inf), bounds.highs.get(path, np.inf)
         result[path] = (value, max(value - width, min(value, low)), min(value + width, max(value, high)))
     return result
@@ -126,10 +127,10 @@ def intervals_of(fitted: Fit, uncertainty: Uncertainty) -> dict[str, tuple[float
 def distances_known_to(
     fitted: Fit, problem: Problem, uncertainty: Uncertainty, names: Sequence[str]
 ) -> dict[str, float]:
-    """Return to what the distances [m] that effects make are known: RMS over the pixels of the recording.
+    """Return the 1-sigma of the distances [m] that effects cause: RMS over the pixels of the recording.
 
-    But for what is the same for a pixel at all poses, which its offset takes up: a part of the parameters'
-    intervals may be that alone, as the mean of the offsets of all integration times.
+    Apart from what is the same for a pixel in all poses, which its offset absorbs. The parameters' intervals
+    may consist mostly of that, as for the mean of the offsets of all integration times.
     """
     blocks = blocks_of(problem, fitted.camera, fitted.scene)
     starts = np.cumsum([0, *(len(block.regressors) for block in blocks)])

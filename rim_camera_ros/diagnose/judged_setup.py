@@ -1,4 +1,4 @@
-"""Whether a recording is of the set-up that its files state, beside the physics that was found."""
+"""Whether a recording is of the set-up that its files state, given the physics that was found."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from rim_camera_ros.select.moved_poses import moved_beside_physics, total_gain
 
 @dataclass(frozen=True)
 class JudgedSetup:
-    """What is said of the set-up: the ``reason`` not to trust it (None: it is trusted), and bad poses.
+    """The judgement of the set-up: the ``reason`` not to trust it (None: it is trusted), and bad poses.
 
-    ``setups`` are the others with their gains, ``winner`` is one that explains more than the physics.
+    ``setups`` are the alternatives with their gains, ``winner`` is one that explains more than the physics.
     """
 
     setup: Setup
@@ -42,13 +42,13 @@ class JudgedSetup:
     reason: str | None
 
     def without_bad_poses(self, dataset: Dataset) -> Dataset:
-        """Return the recording without its bad poses, which a note tells."""
+        """Return the recording without its bad poses, with a note on them."""
         kept = dataset.without({*self.setup.bad})
-        return replace(kept, notes=[*kept.notes, f"{self.setup.fault}; left out"])
+        return replace(kept, notes=[*kept.notes, f"{self.setup.fault}; excluded"])
 
 
 def judged_setup(inputs: Inputs, begin: Begun, found: FoundPhysics, setups: list[Hypothesis]) -> JudgedSetup:
-    """Judge the set-up beside what was found: poses, other set-ups, surfaces that stand elsewhere, tiles."""
+    """Judge the set-up given the physics found: poses, other set-ups, displaced surfaces, tiles."""
     camera, problem, result = inputs.camera, begin.problem, found.result
     conditional, best_fit = found.conditional, found.best_fit
     moved, form_size = result.moved, SHARE
@@ -75,7 +75,7 @@ def judged_setup(inputs: Inputs, begin: Begun, found: FoundPhysics, setups: list
         reason, setups = _beyond_stated(inputs, found, conditional, setups)
     elif setup.bad and moved:
         setups = by_gain([*setups, poses_elsewhere(total_gain(moved), len(setup.bad))])
-    # what frames and counts show by themselves may look like another set-up
+    # effects that show in repeated frames and counts may look like another set-up
     variance = found.variance
     by_itself = variance.pixels_vary_together or variance.begins or found.codes is not None
     return JudgedSetup(setup, setups, winner, None if by_itself else reason)
@@ -84,7 +84,7 @@ def judged_setup(inputs: Inputs, begin: Begun, found: FoundPhysics, setups: list
 def held_against(
     setups: list[Hypothesis], problem: Problem, camera: Camera, *, found: Camera
 ) -> tuple[list[Hypothesis], Hypothesis | None]:
-    """Return the set-ups held against the camera ``found``, and the one that explains more, if any."""
+    """Return the set-ups compared with the camera ``found``, and the one that explains more, if any."""
     if not any(hypothesis.is_better for hypothesis in setups):
         return setups, None
     setups = against_physics(setups, problem.dataset, problem.scene, camera, found=found)
@@ -99,11 +99,11 @@ def surface_elsewhere(
     setups: list[Hypothesis],
     say: Callable[[str], None],
 ) -> tuple[Hypothesis | None, list[Hypothesis]]:
-    """Return the surface that stands elsewhere, if one does, and the set-ups with all that do."""
+    """Return the displaced surface that gains most, if any, and the set-ups including all such surfaces."""
     try:
         found = standing_elsewhere(result, final, problem, camera, say=say)
     except (RimError, np.linalg.LinAlgError):
-        found = []  # nothing can be fitted to what the poses that are compared see alike
+        found = []  # too few pixels see the same tile by all poses that are compared
     if not found:
         return None, setups
     surfaces = {hypothesis.surface for hypothesis in found}
@@ -118,8 +118,8 @@ def surface_elsewhere(
 def _beyond_stated(
     inputs: Inputs, found: FoundPhysics, conditional: Fit, setups: list[Hypothesis]
 ) -> tuple[str | None, list[Hypothesis]]:
-    """Return why nuisances are beyond what is stated of them (None: they are not), and the set-ups."""
-    # what was so before any physics was fitted, and stays
+    """Return why nuisances are beyond their stated sizes (None: they are not), and the set-ups."""
+    # reflectivities must be beyond both before any physics was fitted and after
     fits = (found.baseline.fit, found.final.fit)
     of_board = [reflectivities_beyond(fitted, inputs.scene) for fitted in fits]
     if all(of_board):

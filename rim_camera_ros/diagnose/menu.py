@@ -1,4 +1,4 @@
-"""What to record next: the shipped experiments, simulated, and how well each would tell rivals apart."""
+"""What to record next: the shipped experiments, simulated, and how well each would distinguish rivals."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from rim_camera_ros.select.exploration import Exploration
 
 Array = NDArray[Any]
 
-#: Stations of an experiment that are looked through.
+#: Stations of an experiment that are simulated.
 _STATIONS = 16
-#: Gain [nats] with which a recording settles it, in units of the threshold of this one.
+#: Gain [nats] with which a recording decides between rivals, in units of the threshold of this one.
 _ENOUGH = 3.0
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """An experiment: its duration [min] and the gain [nats] by which it tells the nearest rivals apart."""
+    """An experiment: its duration [min], and the gain [nats] by which it distinguishes the nearest rivals."""
 
     name: str
     minutes: float
@@ -44,14 +44,14 @@ def told_apart(
     *,
     progress: Callable[[str], None] | None = None,
 ) -> list[Proposal]:
-    """Simulate experiments and return how well each tells effects apart, the best first.
+    """Simulate experiments and return how well each distinguishes effects, the best first.
 
     Each of the effects in turn is taken for the true one, with the strength that fits the recording of
-    ``step`` best. Another effect has the strength that it needs to explain that recording, as well as that is
-    known, so that it speaks against it as well if the experiment does not show it. All known terms, errors
-    of poses and powers and an offset per pixel are fitted anew. The least gain of all pairs counts, as
-    expected from the experiment's normal equations. Experiments that cannot be simulated with this camera
-    are left out.
+    ``step`` best. Its rival has the strength that explains that recording, within its covariance: a rival
+    that should show in the experiment and does not counts as refuted. All known terms, errors of poses and
+    powers and an offset per pixel are fitted anew. The gain is that expected from the experiment's normal
+    equations; the least gain of all pairs counts. Experiments that cannot be simulated with this camera are
+    skipped.
     """
     best = step.best()
     chosen = [step.candidates[best[name]] for name in effects]
@@ -65,7 +65,7 @@ def told_apart(
     proposals = []
     for name, scene in scenes.items():
         if progress is not None:
-            progress(f"would {name.removesuffix(SUFFIX)} tell {' and '.join(effects)} apart?")
+            progress(f"would {name.removesuffix(SUFFIX)} distinguish {' and '.join(effects)}?")
         try:
             dataset, minutes = planned_dataset(scene, camera, most=_STATIONS)
             equations = accumulate(Forward(dataset, scene, camera), blocks)
@@ -92,7 +92,7 @@ def told_apart(
 
 
 def _known(step: Exploration, number: int) -> tuple[Array, Array]:
-    """Return strengths (K,) of an effect alone, and their covariance (K, K), as a recording tells them."""
+    """Return the strengths (K,) of an effect alone, and their covariance (K, K), by the recording."""
     span, scores = step.spans[number], step.scores
     values = scores.values(span)
     columns = scores.columns(span)
@@ -104,7 +104,7 @@ def _known(step: Exploration, number: int) -> tuple[Array, Array]:
 def _gain(
     left: Array, spans: Sequence[Sequence[int]], known: Sequence[tuple[Array, Array]], true: int, other: int
 ) -> float:
-    """Return what the true effect gains [nats] over another, which may move as far as it is not known."""
+    """Return the gain [nats] of the true effect over another with a strength free within its covariance."""
     difference = np.zeros(len(left))
     difference[spans[true]] = known[true][0]
     difference[spans[other]] = -known[other][0]
@@ -115,7 +115,7 @@ def _gain(
 
 
 def recommended(proposals: Sequence[Proposal], *, threshold: float) -> Proposal | None:
-    """Return the shortest experiment that settles it, else the one that tells most; None: none tells more."""
+    """Return the shortest experiment that decides, else the one that gains most; None: none gains a nat."""
     settling = [proposal for proposal in proposals if proposal.gain >= _ENOUGH * threshold]
     if settling:
         return min(settling, key=lambda proposal: (proposal.minutes, -proposal.gain))

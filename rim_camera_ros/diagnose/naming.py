@@ -1,4 +1,4 @@
-"""Names with numbers: what is said of each effect, how likely it is, and what would tell rivals apart."""
+"""Entries of named effects: parameters, probabilities, and recordings that would distinguish rivals."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from rim_camera_ros.select.exploration import Exploration
 
 Array = NDArray[Any]
 
-#: Quantiles of a recording's amplitudes at which a response is told.
+#: Quantiles of a recording's amplitudes at which a response is stated.
 _DARK_TO_BRIGHT = (0.05, 0.5, 0.95)
-#: Relative ripple of the amplitude that is said.
+#: Least relative ripple of the amplitude that is reported.
 _VISIBLE_RIPPLE = 0.005
 
 
@@ -41,9 +41,9 @@ def missing_effect(
     origin: Camera,
     distance_sigma: float | None = None,
 ) -> Missing:
-    """Return what is said of an effect that was found; ``origin`` is the camera file that lacks it.
+    """Return the entry of an effect that was found; ``origin`` is the camera file that lacks it.
 
-    ``distance_sigma`` [m]: that to which the distances that it makes are known.
+    ``distance_sigma`` [m] is the 1-sigma of the distances that it causes.
     """
     camera = fitted.camera
     probability = min(max(probability, 0.0), 1.0)
@@ -81,8 +81,8 @@ def missing_effect(
         sentence += f"; it moves distances by up to {size * 1e3:.3g} mm in this recording (99 % of them less)"
         if distance_sigma is not None:
             sentence += (
-                f", beside offsets of the pixels known to {distance_sigma * 1e3:.2g} mm (1 sigma) if its "
-                "form is the true one"
+                f", known to {distance_sigma * 1e3:.2g} mm (1 sigma) apart from offsets of the pixels, if "
+                "its form is the true one"
             )
     return Missing(
         effect=name,
@@ -96,14 +96,14 @@ def missing_effect(
 
 
 def _response_sentence(effect: Effect, fitted: Fit) -> str | None:
-    """Return what is published of dark, middling and bright light, in counts, if the response is a curve."""
+    """Return the published counts of dark, medium and bright light in words, if the response is a curve."""
     curves = fitted.forward.light_curves
     if not isinstance(effect, ResponseEffect) or curves is None or not curves.responds:
         return None
     values = [station.amplitude[station.count > 0] for station in fitted.forward.dataset.stations]
     published = np.quantile(np.concatenate(values), _DARK_TO_BRIGHT)
     light = curves.light_of(published, effect.compressed)
-    said = [" / ".join(f"{value:,.1f}" for value in one) for one in (light, published)]
+    said = [" / ".join(f"{value:,.1f}" for value in values) for values in (light, published)]
     return f"amplitude response: {said[0]} counts of light are published as {said[1]}"
 
 
@@ -119,7 +119,7 @@ def _size(fitted: Fit, name: str, origin: Camera) -> float | None:
 
 
 def missing_codes_of(codes: MissingCodes, camera: Camera) -> Missing:
-    """Return what is said of distance counts that never occur: unknown physics, their spacing in metres."""
+    """Return the entry for distance counts that never occur: unknown physics, with their spacing [m]."""
     step = codes.step * camera.sensor.lsb
     if codes.ranges:
         what = (
@@ -131,14 +131,14 @@ def missing_codes_of(codes: MissingCodes, camera: Camera) -> Missing:
             f"beside {codes.share:.0%} of the frequent distance counts lie counts that never occur "
             f"(steps of {codes.step:.0f} counts, {step * 1e3:.2g} mm)"
         )
-    sentence = f"unknown physics: {what}: the read-out leaves out codes"
+    sentence = f"unknown physics: {what}: the read-out has missing codes"
     return Missing(
         UNKNOWN, 1.0, {}, {}, sentence, ("distance",), step / np.sqrt(12), "staircase of the distance"
     )
 
 
 def first_frames() -> Missing:
-    """Return what is said of poses whose first frame differs from those after it: unknown physics."""
+    """Return the entry for poses whose first frame differs from those after it: unknown physics."""
     sentence = (
         "unknown physics: the first frame of each pose differs from those after it, which are alike, in what "
         "all pixels share: the camera keeps something of the exposure before, or poses were not yet at rest; "
@@ -148,7 +148,7 @@ def first_frames() -> Missing:
 
 
 def large_gains(gains: GainSpread) -> Missing:
-    """Return what is said of gains of pixels beyond those that the camera file states: unknown physics."""
+    """Return the entry for gains of pixels beyond those that the camera file states: unknown physics."""
     sentence = (
         f"unknown physics: neighbouring pixels see light that differs by {gains.found:.1%} (1 sigma) in all "
         f"poses, where the camera file states gains of {gains.stated:.1%} (radiometry.pattern_sigma): light "
@@ -165,9 +165,9 @@ def large_gains(gains: GainSpread) -> Missing:
 
 
 def ranking_of(baseline: Exploration, result: Result) -> list[Ranked]:
-    """Return every effect alone, the best first.
+    """Return every effect scored alone, the best first.
 
-    The gain of what was fitted non-linearly is that of the fit.
+    The gain of an effect that was fitted non-linearly is that of the fit.
     """
     best = baseline.best()
     gains = {effect: float(baseline.gains[k]) for effect, k in best.items()}
@@ -176,16 +176,18 @@ def ranking_of(baseline: Exploration, result: Result) -> list[Ranked]:
         gains[first.effect] = max(first.gain, gains.get(first.effect, first.gain))
         for finding in result.found[1:]:
             gains.setdefault(finding.effect, finding.gain)
-    told = {effect: baseline.scores.identifiability(baseline.spans[k]) for effect, k in best.items()}
+    identifiability = {
+        effect: baseline.scores.identifiability(baseline.spans[k]) for effect, k in best.items()
+    }
     ranking = [
-        Ranked(name, float(weight), gain, *told.get(name, (None, None)))
+        Ranked(name, float(weight), gain, *identifiability.get(name, (None, None)))
         for (name, gain), weight in zip(gains.items(), _probabilities(gains.values()), strict=True)
     ]
     return sorted(ranking, key=lambda rival: -rival.gain)
 
 
 def with_unknown(ranking: Sequence[Ranked], gain: float) -> list[Ranked]:
-    """Return the ranking with physics that is unknown among the effects, which gains so many nats."""
+    """Return the ranking with unknown physics, which gains so many nats, as one of the effects."""
     ranked = [*ranking, Ranked(UNKNOWN, 0.0, gain)]
     weights = _probabilities([rival.gain for rival in ranked])
     found = [replace(rival, probability=float(p)) for rival, p in zip(ranked, weights, strict=True)]
@@ -193,14 +195,14 @@ def with_unknown(ranking: Sequence[Ranked], gain: float) -> list[Ranked]:
 
 
 def _probabilities(gains: Collection[float]) -> Array:
-    """Return the softmax over gains [nats] and over none of them, without the last."""
+    """Return the softmax over gains [nats] and a gain of 0 for no effect, without that of the latter."""
     values = np.array([*gains, 0.0])
     weights = np.exp(values - values.max())
     return np.asarray(weights[:-1] / weights.sum())
 
 
 def unseen_effects(step: Exploration) -> list[str]:
-    """Return the effects that this recording could not show: less is learnt of them than chance."""
+    """Return the effects on which this recording has less than a nat of information: it cannot show them."""
     seen: dict[str, float] = {}
     for k in range(step.named):
         name = step.candidates[k].effect
@@ -216,9 +218,9 @@ def unseen_effects(step: Exploration) -> list[str]:
 def next_recording(
     ties: Sequence[Sequence[str]], advice: Mapping[tuple[str, ...], Proposal | None]
 ) -> str | None:
-    """Return what to record to tell rivals apart, None where there are none.
+    """Return what to record to distinguish rivals, None where there are none.
 
-    ``advice`` holds for a set of rivals the experiment that was found by simulating the shipped ones.
+    ``advice`` holds the best of the shipped experiments, by simulation, for each set of rivals.
     """
     known = registry()
     parts = []
@@ -227,9 +229,9 @@ def next_recording(
             proposal = advice[tuple(names)]
             rivals = " and ".join(name.replace("_", " ") for name in names)
             parts.append(
-                f"none of the shipped experiments would tell {rivals} apart at their present strength"
+                f"none of the shipped experiments would distinguish {rivals} at their present strength"
                 if proposal is None
-                else f"{proposal.name} ({proposal.minutes:.0f} min) is expected to tell {rivals} apart by "
+                else f"{proposal.name} ({proposal.minutes:.0f} min) is expected to distinguish {rivals} by "
                 f"{proposal.gain:,.0f} nats"
             )
         parts += [f"for {name}: {known[name].observable}" for name in names if name in known]
@@ -237,16 +239,16 @@ def next_recording(
 
 
 def notes_of_refused(result: Result) -> list[str]:
-    """Return what is said of effects that would gain and are not named: one sentence for each reason."""
+    """Return notes on effects that gain and are not named: one sentence for each reason."""
     by_reason: dict[str, list[str]] = {}
     for refused in result.refused:
-        told = f"{refused.effect} ({refused.gain:,.0f} nats, its threshold {refused.threshold:,.0f})"
-        by_reason.setdefault(refused.why, []).append(told)
-    return [f"not added, {why}: {', '.join(told)}" for why, told in by_reason.items()]
+        entry = f"{refused.effect} ({refused.gain:,.0f} nats, its threshold {refused.threshold:,.0f})"
+        by_reason.setdefault(refused.why, []).append(entry)
+    return [f"not added, {why}: {', '.join(entries)}" for why, entries in by_reason.items()]
 
 
 def notes_of_light(fitted: Fit) -> list[str]:
-    """Return what amplitudes do that no camera file describes, in words."""
+    """Return notes on amplitudes that no camera file describes."""
     curves = fitted.forward.light_curves
     notes = []
     if curves is not None and curves.ripple() >= _VISIBLE_RIPPLE:

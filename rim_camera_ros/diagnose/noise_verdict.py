@@ -1,4 +1,4 @@
-"""What the noise of repeated frames adds to a verdict: unmodulated light, another noise."""
+"""The evidence of the noise of repeated frames in a verdict: unmodulated light, another noise."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.exploration import Exploration
 
 _NOISE = NoiseSection.name
-#: What may be named by repeated frames alone, though no distance moves.
+#: Effects that may be named by repeated frames alone, though no distance moves.
 OF_NOISE = frozenset(name for name, effect in vocabulary().items() if effect.shows_in == "noise")
 #: Relative deviation of the variance below which it may be due to light that no named physics predicts.
 _OF_UNKNOWN_LIGHT = 0.2
-#: Covariates that the light of a surface goes with.
+#: Covariates that correlate with the light of a surface.
 _OF_LIGHT = frozenset({"amplitude", "distance", "contrast"})
-#: Share of what too small a noise costs, in nats, below which the unmodulated light that makes the noise is
-#: taken to make a shift as well, and what else differs to be nothing.
+#: Share of the likelihood [nats] lost by too small a noise below which other differences count as the shift
+#: that comes with the unmodulated light which makes the noise.
 _SHIFT_OF_BACKGROUND = 0.02
-#: Gain of a scale of distance over that of a smooth function of the light up to which it is no more.
+#: Ratio of gains up to which a scale of distance counts as a smooth function of the light.
 _AS_SCALE = 1.25
 
 
@@ -41,16 +41,16 @@ def with_variance(
     shifted: bool,
     known: Set[str] = frozenset(),
 ) -> tuple[str, list[Missing], Camera]:
-    """Add what repeated frames say of the noise: unmodulated light, or another noise than the file's.
+    """Add the evidence of repeated frames: unmodulated light, or another noise than that of the file.
 
-    Unmodulated light shifts distances as well (``shifted``: something does); what only adds noise is noise.
-    Noise goes with the light: where that is not understood, a little too much or too little says nothing.
-    ``known`` are the effects of the camera file.
+    Unmodulated light is named only where distances are ``shifted`` as well; otherwise it is another noise.
+    Noise depends on the light: where the light is unknown physics, a small deviation of the noise is no
+    evidence. ``known`` are the effects of the camera file.
     """
     if verdict == "inconsistent_setup":
         return verdict, missing, model
     possible = variance.background > 0 and effect_of(model, UnmodulatedLight) is None
-    # what it adds to the distance goes with the light that a surface reflects of it
+    # the shift of distances correlates with the unmodulated light that a surface reflects
     of_light = {effect.effect for effect in missing} <= {UNKNOWN} and all(
         set(effect.covariates) <= _OF_LIGHT for effect in missing
     )
@@ -91,7 +91,7 @@ def with_variance(
 def beside_unknown(
     missing: Sequence[Missing], camera: Camera
 ) -> tuple[list[Missing], list[Adjusted], list[str]]:
-    """Return unknown physics alone, another noise as adjusted, and notes of what is beside it.
+    """Return unknown physics alone, another noise as adjusted, and notes on the other entries.
 
     With the verdict ``unknown_physics`` a report names nothing else as missing.
     """
@@ -99,15 +99,15 @@ def beside_unknown(
     before = {"floor": noise.floor, "shot": noise.shot, "amplitude": noise.amplitude}
     others = [effect for effect in missing if effect.effect != UNKNOWN]
     adjusted = [Adjusted(_NOISE, before, other.parameters) for other in others if other.effect == _NOISE]
-    notes = [f"beside it, and in camera.yaml: {other.sentence}" for other in others]
+    notes = [f"in addition to it, and in camera.yaml: {other.sentence}" for other in others]
     return [effect for effect in missing if effect.effect == UNKNOWN], adjusted, notes
 
 
 def only_background(result: Result, rest: Rest | None, variance: Variance, camera: Camera) -> bool:
-    """Return whether all that was found is no more than the shift that comes with unmodulated light.
+    """Return whether the effects found are no more than the shift that comes with unmodulated light.
 
-    Next to nothing beside the noise, or less than a smooth function of the light says of it. A scale of
-    distance is nearly such a function itself: dark is what is far.
+    They are where their gain is next to nothing compared with the loss by the noise, or less than that of a
+    smooth function of the light. A scale of distance is nearly such a function itself: far surfaces are dark.
     """
     found = bool(result.found) and variance.noise_is_wrong and variance.background > 0
     if not found or effect_of(camera, UnmodulatedLight) is not None:
@@ -120,7 +120,7 @@ def only_background(result: Result, rest: Rest | None, variance: Variance, camer
 
 
 def only_rectified_noise(result: Result, variance: Variance) -> bool:
-    """Return whether a response that was found alone is no more than what too large a noise does to it.
+    """Return whether a response that was found alone is no more than the bias of amplitudes by a large noise.
 
     The mean length of a noisy phasor is above the phasor's (Rice 1944), most where it is dark.
     """
@@ -130,7 +130,7 @@ def only_rectified_noise(result: Result, variance: Variance) -> bool:
 
 
 def _by_light(baseline: Exploration) -> float:
-    """Return the gain of the best smooth function of what goes with the light."""
+    """Return the gain of the best smooth function of a covariate that correlates with the light."""
     smooth = range(baseline.named, len(baseline.candidates))
     return max(
         (float(baseline.gains[k]) for k in smooth if baseline.candidates[k].variant in _OF_LIGHT), default=0.0
@@ -138,11 +138,11 @@ def _by_light(baseline: Exploration) -> float:
 
 
 def only_noise(result: Result, rest: Rest, variance: Variance) -> bool:
-    """Return whether what no effect explains is next to nothing beside what too small a noise costs."""
+    """Return whether the remainder is next to nothing compared with the loss by too small a noise."""
     return variance.noise_is_wrong and rest.on_top < _SHIFT_OF_BACKGROUND * _cost(result, variance)
 
 
 def _cost(result: Result, variance: Variance) -> float:
-    """Return what too small a noise costs [nats]."""
+    """Return the loss of likelihood by too small a noise [nats]."""
     _, rows = result.explorations[0].scores.chi_square()
     return 0.5 * max(variance.ratio - 1.0, 0.0) * rows

@@ -1,4 +1,4 @@
-"""What a fit found of ordinary imperfections, beside the sizes that the files state."""
+"""Ordinary imperfections that a fit found, compared with the sizes that the files state."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from rim_camera_ros.select.thresholds import ALARM_RATE
 
 #: Poses that a sentence names.
 MOST_NAMED = 5
-#: Share of its stated sigma by which a parameter of the optics moves where the recording says nothing of it.
+#: Least 1-sigma of the change of a parameter of the optics, as a share of its stated sigma.
 _LEAST_MOVE = 0.1
 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """An imperfection: root mean square of what was ``found``, and the 1-sigma that is ``stated``.
+    """An imperfection: the root mean square of the errors ``found``, and the 1-sigma that is ``stated``.
 
-    ``gain`` [nats] is what its errors cost as errors of the stated size.
+    ``gain`` [nats] is half the sum of squares of its errors in stated sigmas: their penalty by the prior.
     """
 
     name: str
@@ -51,7 +51,7 @@ _KINDS = (
 
 
 def nuisances_of(fitted: Fit, camera: Camera, gains: GainSpread | None = None) -> list[Nuisance]:
-    """Return what was found of reflectivities, powers and poses [m, rad], optics, and ``gains`` of pixels."""
+    """Return the errors found of reflectivities, powers, poses [m, rad], optics, and ``gains`` of pixels."""
     priors = {regressor.label: regressor.prior for regressor in fitted.equations.regressors}
     result = []
     for name, beginning, unit in _KINDS:
@@ -87,15 +87,15 @@ def nuisances_of(fitted: Fit, camera: Camera, gains: GainSpread | None = None) -
 
 
 def _unit_of(label: str) -> str:
-    """Return the unit of what poses err by in common."""
+    """Return the unit of an error that all poses share."""
     return {"offset": "m", "scale": "-"}.get(label.rpartition(".")[2], "rad")
 
 
 def optics_beyond(fitted: Fit) -> str | None:
-    """Return in words that the optics differ from the file by more than it states; None: they do not.
+    """Return in words that the optics differ significantly from the file; None: they do not.
 
-    By chance so with `ALARM_RATE` (Wald's test of the principal axes of their covariance). A parameter that
-    the file knows with the variance P and the fit with S moves by a variance of P - S where the file is right
+    By Wald's test of the principal axes of their covariance, at the rate `ALARM_RATE`. The change of a
+    parameter with the variance P in the file and S in the fit has the variance P - S where the file is right
     (Demortier & Lyons, CDF note 5776, 2002).
     """
     priors = {regressor.label: regressor.prior for regressor in fitted.equations.regressors}
@@ -104,9 +104,9 @@ def optics_beyond(fitted: Fit) -> str | None:
     ]
     if not own:
         return None
-    moved = np.array([fitted.parameters[one] for one in own])
-    stated = np.array([priors[one] for one in own])
-    known = np.array([fitted.sigma[one] for one in own])
+    moved = np.array([fitted.parameters[label] for label in own])
+    stated = np.array([priors[label] for label in own])
+    known = np.array([fitted.sigma[label] for label in own])
     variance = np.maximum(stated**2 - known**2, (_LEAST_MOVE * stated) ** 2)
     if float(np.sum(moved**2 / variance)) <= float(chdtri(len(own), ALARM_RATE)):
         return None
@@ -117,12 +117,12 @@ def optics_beyond(fitted: Fit) -> str | None:
 
 
 def conditional_on_physics(result: Result) -> Fit:
-    """Return the last fit of a search, its residuals and errors conditional on what physics may do otherwise.
+    """Return the last fit of a search, with residuals and errors conditional on possible changes of physics.
 
-    On what the forms of the effects found may do otherwise, and on the effect that gains most of those about
-    which poses disagree, if there is any: poses are to blame for what neither takes up, each by itself and
-    those of a surface together. What a large effect leaves whose form is not quite the true one is alike in a
-    pose, or in all; poses that were moved err by as much beside it.
+    These are changes of the forms of the effects found, and of the refused effects about which poses disagree
+    the one that gains most, if there is any. Only errors that neither explains are attributed to poses,
+    single ones or all of a surface: the residuals of a large effect with an inexact form are similar over a
+    pose, or over all poses. Errors of poses that were moved remain.
     """
     step, disputed = result.explorations[-1], disputed_effect(result)
     if disputed is None and not step.forms:
@@ -131,15 +131,15 @@ def conditional_on_physics(result: Result) -> Fit:
 
 
 def disputed_effect(result: Result) -> int | None:
-    """Return the candidate of the last exploration about which poses disagree that gains most, if any."""
+    """Return the number of the refused candidate that gains most but not in all poses, if there is one."""
     effect = next((refused.effect for refused in result.refused if refused.why == NOT_IN_ALL_POSES), None)
     return None if effect is None else result.explorations[-1].best().get(effect)
 
 
 def poses_beyond(fitted: Fit, camera: Camera, errors: Mapping[tuple[int, int], float]) -> str | None:
-    """Return in words that poses err by far more than is stated, all taken together; None: they do not.
+    """Return in words that errors of all poses together far exceed the stated ones; None: they do not.
 
-    ``errors`` of those that do, in stated 1-sigma.
+    ``errors`` are those of the poses beyond, in stated 1-sigma.
     """
     for nuisance in nuisances_of(fitted, camera):
         if nuisance.name in ("pose_offset", "pose_tilt") and nuisance.found > BEYOND * nuisance.stated:
@@ -154,22 +154,22 @@ def poses_beyond(fitted: Fit, camera: Camera, errors: Mapping[tuple[int, int], f
     return None
 
 
-#: What errors that all poses of a surface share are as a set-up, by the name of the nuisance. Shared tilts
-#: are none: what unknown physics does over the array looks like them.
+#: Set-ups that correspond to errors which all poses of a surface share, by the name of the nuisance. Shared
+#: tilts are none: unknown physics over the array looks like them.
 _COMMON = {"common_pose_offset": DEPTH}
 
 
-#: Of one surface alone.
+#: Addition where there is one surface alone.
 _OR_THE_CAMERA = (
-    "; one surface cannot tell whether it is that or the camera, whose distances may have an offset or a "
-    "scale that its file lacks (rim calibrate)"
+    "; with one surface this cannot be distinguished from an offset or a scale of the camera's distances "
+    "that its file lacks (rim calibrate)"
 )
 
 
 def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
-    """Return in words that all poses of surfaces err alike by far more than is stated; None: they do not.
+    """Return in words that errors which all poses of a surface share far exceed the stated ones.
 
-    Where surfaces that stand elsewhere gain what another set-up must.
+    None where they do not: their gain must be that required of another set-up.
     """
     for nuisance in nuisances_of(fitted, camera):
         if nuisance.name in _COMMON and nuisance.gain > LEAST_GAIN:
@@ -190,19 +190,19 @@ def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
 
 
 def offset_beyond(metres: float, nuisances: Sequence[Nuisance]) -> str | None:
-    """Return in words that all distances differ from the files by so much; None: within what poses err."""
+    """Return in words that all distances differ from the files by so much; None: within errors of poses."""
     stated = [nuisance.stated for nuisance in nuisances if nuisance.name == "common_pose_offset"]
     if not stated or abs(metres) <= BEYOND * max(stated):
         return None
     return (
         f"all distances are {abs(metres) * 1e3:.1f} mm {'longer' if metres > 0 else 'shorter'} than by the "
         "files, at all poses alike: the camera has another offset than its file, or the poses another "
-        "origin; one recording at one frequency cannot tell which, and offsets of the pixels take it up"
+        "origin; one recording at one frequency cannot distinguish these, and offsets of pixels absorb it"
     )
 
 
 def reflectivities_beyond(fitted: Fit, scene: Scene) -> str | None:
-    """Return which surface reflects otherwise than stated, by far more than is stated; None: none does."""
+    """Return in words which surface has reflectivities far beyond their stated errors; None: none has."""
     priors = {regressor.label: regressor.prior for regressor in fitted.equations.regressors}
     for surface in scene.surfaces:
         beginning = f"{TILES}{surface.name}."
@@ -213,8 +213,8 @@ def reflectivities_beyond(fitted: Fit, scene: Scene) -> str | None:
         ]
         if not own:
             continue
-        # by the median: a tile that few pixels see says little
-        found = float(np.median([abs(fitted.parameters[one]) / priors[one] for one in own]))
+        # by the median: a tile that few pixels see is hardly determined
+        found = float(np.median([abs(fitted.parameters[label]) / priors[label] for label in own]))
         if found > BEYOND:
             return (
                 f"other_pattern: half of the tiles of {surface.name} reflect otherwise than the scene file "

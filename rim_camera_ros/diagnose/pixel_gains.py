@@ -1,7 +1,7 @@
-"""Gains of single pixels as the recording shows them, beside the size that the camera file states.
+"""Gains of single pixels by the recording, compared with the size that the camera file states.
 
-Fits estimate gains within their stated size. Larger ones would pass for errors of predicted amplitudes, whose
-size is estimated from what is left: nothing would be said of light that goes from pixel to pixel.
+Fits estimate gains within their stated size. Larger gains would count as errors of predicted amplitudes,
+whose size is estimated from the residuals: light that goes from pixel to pixel would not be noticed.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from rim_camera_ros.select.compare import PAIRED_ERRORS
 
 Array = NDArray[Any]
 
-#: Variance of a pixel's logarithm less the mean of its four neighbours', of independent gains of variance 1,
-#: and of the mean of that over a row or column, of independent gains of rows or columns.
+#: Variance of a pixel's log gain less the mean of its four neighbours', for independent gains of variance 1;
+#: and that of its mean over a row or column, for independent gains of rows or columns.
 _OF_DIFFERENCE, _OF_LINES = 1.25, 0.375
-#: Relative 1-sigma of gains, of pixels and of lines, that is ordinary whatever a camera file states.
+#: Relative 1-sigma of gains, of pixels and of lines, that is ordinary whatever the camera file states.
 ORDINARY_GAINS = 0.01
 
 
 @dataclass(frozen=True)
 class GainSpread:
-    """1-sigma of the gains of neighbouring pixels: ``found``, the ``least`` it may be, and ``stated``.
+    """1-sigma of the gains of neighbouring pixels: ``found``, its lower limit ``least``, and ``stated``.
 
-    ``lines`` is the least that those may be which whole rows or columns share, beyond the mean of the gains
-    of their pixels. ``beside_neighbours`` (H, W) is what each pixel is brighter than the mean of its four
-    neighbours [relative], the mean over the poses; NaN where no two poses show it.
+    ``lines`` is the lower limit of the 1-sigma of gains that whole rows or columns share, apart from the mean
+    of their pixels' own gains. ``beside_neighbours`` (H, W) is by how much each pixel is brighter than the
+    mean of its four neighbours [relative], as a mean over the poses; NaN where less than two poses show it.
     """
 
     found: float
@@ -43,26 +43,26 @@ class GainSpread:
 
     @property
     def is_beyond(self) -> bool:
-        """Whether gains are larger than the camera file allows, and than is ordinary."""
+        """Whether gains are larger than the camera file allows, and larger than ordinary."""
         return self.least > BEYOND * max(self.stated, ORDINARY_GAINS) or self.are_of_lines
 
     @property
     def are_of_lines(self) -> bool:
-        """Whether rows or columns differ, of which no file states gains, by more than is ordinary."""
+        """Whether gains of rows or columns, which no file states, are larger than ordinary."""
         return self.lines > BEYOND * ORDINARY_GAINS
 
     @property
     def of_line_means(self) -> float:
-        """The least 1-sigma by which means over a row or column differ from the same of neighbours."""
+        """Lower limit of the 1-sigma of the difference between means over a row or column and neighbours'."""
         return self.lines * float(np.sqrt(_OF_LINES))
 
 
 def spread_of_gains(fitted: Fit) -> GainSpread | None:
-    """Return how much neighbouring pixels differ in gain; None where no two poses show it.
+    """Return how much neighbouring pixels differ in gain; None where less than two poses show it.
 
-    By what a pixel's brightness differs from the mean of its four neighbours on the same tile, times the same
-    in another pose: noise is independent from pose to pose, and what is smooth over the array cancels. A
-    texture that the scene file does not describe is taken for gains where it rests before the camera.
+    The estimate is from products over two poses of the difference of a pixel's log brightness from the mean
+    of its four neighbours on the same tile: noise is independent between poses, and what is smooth over the
+    array cancels. A texture that the scene file lacks counts as gains where it rests before the camera.
     """
     forward = fitted.forward
     shape = forward.camera.shape
@@ -92,7 +92,7 @@ def spread_of_gains(fitted: Fit) -> GainSpread | None:
 
 
 def _totals(images: Sequence[Array], *, square: bool = False) -> tuple[Array, Array]:
-    """Return the sum over images (H, W; NaN: not seen), or of their squares, and how many show each pixel."""
+    """Return the sum of images (H, W; NaN: not seen) or of their squares, and how many show each pixel."""
     total, count = np.zeros(images[0].shape), np.zeros(images[0].shape)
     for image in images:
         seen = np.isfinite(image)
@@ -102,9 +102,9 @@ def _totals(images: Sequence[Array], *, square: bool = False) -> tuple[Array, Ar
 
 
 def _variance(images: Sequence[Array]) -> tuple[float, float] | None:
-    """Return the variance of what pixels show in all poses, and the least it may be; None: nothing tells it.
+    """Return the variance of what pixels show in all poses, and its lower limit; None: it is not determined.
 
-    By products of two ``images`` (H, W; NaN: not seen), whose noise is independent.
+    It is the mean product of two ``images`` (H, W; NaN: not seen), whose noise is independent.
     """
     (total, poses), (squares, _) = _totals(images), _totals(images, square=True)
     several = poses > 1
@@ -114,10 +114,10 @@ def _variance(images: Sequence[Array]) -> tuple[float, float] | None:
 
 
 def _of_lines(images: Sequence[Array], axis: int) -> float:
-    """Return the least 1-sigma of gains that lines along an ``axis`` share; 0 where nothing tells it.
+    """Return the lower limit of the 1-sigma of gains of lines along an ``axis``; 0 where not determined.
 
-    By products of two pixels of a line in two poses: gains of single pixels have no part in them. What all
-    pixels have in common is the light's, not that of lines.
+    It is from products of two pixels of a line in two poses: gains of single pixels do not contribute. The
+    mean of all pixels is subtracted, as it is due to the light.
     """
     total, poses = _totals(images)
     if not poses.any():
@@ -137,7 +137,7 @@ def _of_lines(images: Sequence[Array], axis: int) -> float:
 
 
 def _mean_product(products: Array, pairs: Array) -> tuple[float, float]:
-    """Return the mean of the products (N,) of so many ``pairs`` each, and the least it may be."""
+    """Return the mean of ``products`` (N,), each a sum over so many ``pairs``, and its lower limit."""
     mean = float(products.sum() / pairs.sum())
     error = float(np.sqrt(np.sum((products - mean * pairs) ** 2)) / pairs.sum())
     return mean, mean - PAIRED_ERRORS * error

@@ -1,4 +1,4 @@
-"""What a diagnosis says: the verdict, what is missing and the evidence."""
+"""The result of a diagnosis: the verdict, the missing physics and the evidence."""
 
 from __future__ import annotations
 
@@ -18,10 +18,12 @@ from rim_camera_ros.select.exploration import Exploration
 
 @dataclass(frozen=True)
 class Missing:
-    """What was left out: effect (or `unknown`), its probability, parameters with 95 % intervals by path
-    (relative to the effect), and the sentence; its magnitude [m], and to what the distances that it makes are
-    known (1-sigma [m]), but for what offsets of pixels take up; for unknown physics covariates, closed form,
-    and whether a new table of the improved camera models it.
+    """A missing effect (or `unknown`): its probability, parameters with 95 % intervals, and a sentence.
+
+    Parameters are by path relative to the effect. ``magnitude`` [m] is its size, ``distance_sigma`` [m] the
+    1-sigma of the distances that it causes, apart from what offsets of pixels absorb. For unknown physics
+    there are covariates, the closed form ``formula``, and ``modelled``: whether a new table of the improved
+    camera models it.
     """
 
     effect: str
@@ -38,10 +40,10 @@ class Missing:
 
 @dataclass(frozen=True)
 class Ranked:
-    """An effect alone beside the known terms: probability, held-out gain [nats], how well it can be told.
+    """A single effect in addition to the known terms: probability, held-out gain [nats], identifiability.
 
-    ``identifiability`` is the share of its energy, at the strength that fits best, that nothing else takes
-    on; ``expected_gain`` [nats] what that share is worth.
+    ``identifiability`` is the share of its energy, at the strength that fits best, that no other parameter
+    can imitate; ``expected_gain`` [nats] is the expected gain by that share.
     """
 
     effect: str
@@ -56,14 +58,14 @@ class Diagnosis:
     """The result; `rim_camera_ros.diagnose.report` writes it.
 
     ``verdict``, ``missing``, ``adjusted``, ``ranking``, ``indistinguishable``, ``where``, ``accuracy`` and
-    ``next_recording`` are the report's. ``reason`` says what is wrong with the setup (None: nothing).
-    ``camera`` is the improved camera as camera.yaml gets it; ``model`` is the same where all pixels were
-    looked at, else that of the coarser grid (``looked_at``), which fits the explorations. ``baseline`` is the
-    fit of the known terms with what each candidate would gain, ``final`` that after all steps; ``found`` the
-    effects in the order of the steps, ``gained`` [nats] what they gained together. ``unseen`` are effects
-    that this recording could not show, ``smooth_rest`` the covariates and the gain [nats] of the smooth
-    function that still helps after naming. ``setups`` are what else the scene could be, the best first;
-    ``nuisances`` what was estimated of ordinary imperfections.
+    ``next_recording`` are those of the report. ``reason`` says what is wrong with the setup (None: nothing).
+    ``camera`` is the improved camera of camera.yaml. ``model`` is the same where all pixels were used, else
+    the camera of the coarser grid (``looked_at``), which belongs to the explorations. ``baseline`` is the
+    exploration of the known terms with the gain of each candidate, ``final`` that after all steps; ``found``
+    are the effects in the order of the steps, ``gained`` [nats] is their total gain. ``unseen`` are effects
+    that this recording could not show; ``smooth_rest`` are the covariates and the gain [nats] of the smooth
+    function that still gains after naming. ``setups`` are alternative set-ups, the best first; ``nuisances``
+    are the estimated ordinary imperfections.
     """
 
     verdict: str
@@ -90,12 +92,12 @@ class Diagnosis:
 
     @property
     def step(self) -> int:
-        """Of how many pixels along each axis one was looked at."""
+        """Step of the grid of pixels that were used, along each axis."""
         if self.looked_at is None:
             return 1
         return round(self.camera.sensor.width / self.looked_at.sensor.width)
 
     @property
     def model(self) -> Camera:
-        """The improved camera, of as many pixels as were looked at."""
+        """The improved camera on the grid of pixels that were used."""
         return self.camera if self.looked_at is None else self.looked_at

@@ -1,4 +1,4 @@
-"""The diagnosis: from a recording and what is believed of it to all that a verdict rests on."""
+"""The diagnosis: from a recording with its camera and scene files to a verdict and its evidence."""
 
 from __future__ import annotations
 
@@ -57,11 +57,11 @@ def diagnose(
     workers: Workers = map,
     progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
-    """Compare a recording with what the camera and scene files say of it.
+    """Compare a recording with its simulation by the camera and scene files.
 
-    ``against`` is a recording of the simulation, with the same stations, which is then compared with. Of a
-    large sensor every k-th pixel is looked at. The result is the same with any number of ``threads``, and
-    wherever ``workers`` fit candidates.
+    ``against`` is a recording of the simulation, with the same stations, to compare with instead. Of a large
+    sensor every k-th pixel is used. The result is the same with any number of ``threads``, and wherever
+    ``workers`` fit candidates.
 
     Raises `InputError` where no pixel can be compared.
     """
@@ -78,7 +78,7 @@ def diagnose(
 
 
 def _diagnosed(inputs: Inputs) -> Diagnosis:
-    """Set-ups first; then physics; then the set-up beside it; and what is said of all."""
+    """Compare set-ups, search for physics, judge the set-up given that physics, and state the verdict."""
     camera, seed = inputs.camera, inputs.seed
     setups = tried = setups_of(inputs)
     begin = begun(inputs)
@@ -92,7 +92,7 @@ def _diagnosed(inputs: Inputs) -> Diagnosis:
     result = searched(inputs, begin)
     if result is None:
         return with_setups(without_search(setups, problem, camera, variance, seed), setups)
-    # physics that is missing moves the optics too: they are held against the file beside what was found
+    # missing physics moves the optics, too: they are compared with the file given the physics found
     beyond = None
     if not result.moved and camera.covariance is not None:
         beyond = optics_beyond(result.explorations[-1].fit)
@@ -107,7 +107,7 @@ def _diagnosed(inputs: Inputs) -> Diagnosis:
     if again is not None:
         return again
     if judged.winner is not None and judged.reason == judged.winner.reason:
-        # what was fitted to the files as given is no camera
+        # the fit with the files as given describes no camera
         result.forget()
         other = judged.winner
         return with_setups(of_another_setup(other, problem, camera, found.variance, seed), judged.setups)
@@ -121,10 +121,10 @@ def _without_stated_optics(
     camera, problem = inputs.camera, begin.problem
     assert camera.covariance is not None
     fitted = result.explorations[-1].fit
-    # a board that is another one moves the optics by hundreds of sigmas
+    # another board than the stated one moves the optics by hundreds of sigmas
     setups, other = held_against(setups, problem, camera, found=fitted.camera)
     if other is None and inputs.against is None and not begin.beside_second_camera:
-        # so does a surface that stands elsewhere, where it explains most; else by free optics physics may
+        # so does a displaced surface, if it explains most; otherwise free optics may reveal physics
         surface, further = surface_elsewhere(result, fitted, problem, camera, setups, inputs.say)
         if surface is not None and surface.wins:
             other, setups = surface, further
@@ -142,7 +142,7 @@ def _once_more(
 ) -> Diagnosis | None:
     """Return the diagnosis without the poses that do not agree, or with errors that neighbours share.
 
-    None where it stands.
+    None where neither is needed.
     """
     if inputs.against is not None:
         return None
@@ -159,8 +159,8 @@ def _once_more(
     size = likely_correlated_error(begin.problem, found.best_fit)
     if size is None:
         return None
-    # thousands of pixels that err alike speak for effects and functions, and move poses, by far more than
-    # they know
+    # thousands of pixels with correlated errors, taken as independent, would be evidence for effects and
+    # functions, and would move poses, by far more than they determine
     found.result.forget()
     inputs.say("once more with errors that neighbours share")
     coarse = correlated_decimation(inputs.camera)
@@ -170,7 +170,7 @@ def _once_more(
 
 
 def _said(inputs: Inputs, begin: Begun, found: FoundPhysics, judged: JudgedSetup) -> Diagnosis:
-    """Return what is said of all that was found."""
+    """Return the verdict on the physics and the set-up."""
     camera, result, described = inputs.camera, found.result, found.described
     by_background = only_background(result, found.rest, found.variance, camera)
     if by_background or only_rectified_noise(result, found.variance):

@@ -1,4 +1,4 @@
-"""Light of a second camera, measured by what all pixels share from frame to frame."""
+"""Light of a second camera, measured by the variation from frame to frame that all pixels share."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ Array = NDArray[Any]
 
 NAME = ForeignLight.name
 _FREQUENCIES = 24
-#: Nats by which a frequency must describe the integration times better than none.
+#: Nats by which another frequency must describe the integration times better than the camera's own.
 _LEAST_GAIN = 3.0
 #: Relative difference of the amplitude from a camera file's that matters.
 _LEAST_CHANGE = 0.1
 _OWN = (
-    "camera.yaml holds the second camera with the camera's own frequency, as its own cannot be told, and the "
-    "light that demodulation leaves, the same in all pixels"
+    "camera.yaml holds the second camera with this camera's frequency, as that of the second one is not "
+    "identifiable, and the light that demodulation leaves, the same in all pixels"
 )
 _FARTHER = (
     "camera.yaml holds the second camera with the nearest frequency with which its light depends on the "
@@ -41,10 +41,10 @@ _FARTHER = (
 
 @dataclass(frozen=True)
 class SecondCamera:
-    """What frames of one pose say of a second camera that the camera file lacks, or has otherwise.
+    """A second camera by the frames of single poses, which the camera file lacks or states differently.
 
-    ``effect`` describes it; ``missing`` says what the file lacks, ``adjusted`` how its own changes (one of
-    them is None).
+    ``effect`` describes it. Either ``missing`` is its entry where the file lacks it, or ``adjusted`` where
+    the file's values change; the other one is None.
     """
 
     effect: ForeignLight
@@ -56,9 +56,10 @@ class SecondCamera:
 def second_camera(fitted: Fit, camera: Camera, variance: Variance) -> SecondCamera | None:
     """Fit a second camera to the light that all pixels share; None where the camera file has it right.
 
-    By eq. 2.11 of Kahlmann (2007) only the amplitude that the selectivity leaves is measured. Beyond its
-    first zero that falls with the integration time whatever the frequency, so that the nearest one stands
-    for all that are farther away, with their greater amplitudes. A frequency in the camera file is kept.
+    By eq. 2.11 of Kahlmann (2007) only the amplitude after the frequency selectivity is measured. Beyond the
+    first zero of the selectivity it falls with the integration time in the same way for every frequency: the
+    nearest frequency then represents all that are farther away and have greater amplitudes. A frequency in
+    the camera file is kept.
     """
     known = camera.effects.get(NAME)
     stations = [station for station in fitted.forward.dataset.stations if station.common_light is not None]
@@ -115,9 +116,9 @@ def _missing(
 
 @dataclass(frozen=True)
 class Light:
-    """Light that all pixels share, by station: its ``power`` and that which noise makes [counts^2].
+    """Light that all pixels share, by station: its ``power`` and the power by ``noise`` [counts^2].
 
-    ``weight`` are degrees of freedom, ``window`` the exposure [s].
+    ``weight`` are degrees of freedom, ``window`` is the exposure [s].
     """
 
     window: Array
@@ -127,7 +128,7 @@ class Light:
 
     @classmethod
     def of(cls, stations: Sequence[Station], camera: Camera) -> Light:
-        """Return what the frames of stations have in common; each must have two frames or more."""
+        """Return the light that the pixels of stations share; each must have two frames or more."""
         power = np.array([station.common_light for station in stations], float)
         beyond = np.array([station.common for station in stations], float) - 1
         noise = np.divide(power, beyond, out=np.zeros_like(power), where=beyond != 0)
@@ -143,9 +144,9 @@ class Light:
         return self._fitted(difference)[0]
 
     def interval(self, amplitude: float, difference: float) -> tuple[float, float] | None:
-        """Return the 95 % interval of an amplitude [counts], by leaving out one station after the other.
+        """Return the 95 % interval of an amplitude [counts] by a jackknife over stations.
 
-        None of one station.
+        None for a single station.
         """
         number = len(self.power)
         if number < 2:
@@ -156,18 +157,19 @@ class Light:
         return max(float(amplitude - half), 0.0), float(amplitude + half)
 
     def difference(self) -> float:
-        """Return the frequency difference [Hz] that describes the powers best, 0 where none is better."""
+        """Return the frequency difference [Hz] that describes the powers best; 0 unless it is much better."""
         if not (self.window > 0).all():
             return 0.0
         nearest, farthest = 1 / (np.pi * self.window.max()), 1 / (np.pi * self.window.min())
-        losses = {one: self._fitted(one)[1] for one in np.geomspace(nearest, farthest, _FREQUENCIES).tolist()}
-        best = min(losses, key=lambda one: losses[one])
+        tried = np.geomspace(nearest, farthest, _FREQUENCIES).tolist()
+        losses = {difference: self._fitted(difference)[1] for difference in tried}
+        best = min(losses, key=lambda difference: losses[difference])
         return best if losses[best] < self._fitted(0.0)[1] - _LEAST_GAIN else 0.0
 
     def _fitted(self, difference: float) -> tuple[float, float]:
         """Return the amplitude and the negative log likelihood [nats] of complex normal numbers."""
         passed = np.array(
-            [selectivity_envelope(frequency_difference=difference, window=one) for one in self.window]
+            [selectivity_envelope(frequency_difference=difference, window=window) for window in self.window]
         )
         total = self.power + self.noise
 

@@ -1,4 +1,4 @@
-"""Is it the recording of this scene by this camera at all? Poses that no physics explains."""
+"""Whether the recording is of this scene by this camera at all: poses that no physics explains."""
 
 from __future__ import annotations
 
@@ -25,39 +25,40 @@ Array = NDArray[Any]
 
 #: Chi-square per value of a pose that stands out.
 LARGE = 10.0
-#: A pose is wrong by itself only where it stands out by this factor from four fifths of the others, ...
+#: Ratio of a pose's chi-square to that of four fifths of the others above which it is wrong by itself, ...
 AGAINST_OTHERS = 4.0
-#: ... and where such poses are few: what many poses show is physics.
+#: ... if such poses are no more than this share: what many poses show is physics.
 FEW = 0.15
 #: Poses below which none stands out from the others.
 _LEAST_POSES = 4
-#: Share of the poses that may be left out altogether, or one: the others are diagnosed by themselves.
+#: Share of the poses (one pose at least) that may be excluded; the others are then diagnosed.
 VERY_FEW = 0.05
 #: Factor on the limits of chi-square where physics was found whose form may be wrong.
 _STRAINED = 3.0
-#: Share of what did not agree before physics was found, from which on that is no explanation of it.
+#: Share of a pose's chi-square before physics was found that must remain, or the physics has explained it.
 _HALF = 0.5
-#: Chi-square that is left, over that which physics makes in a pose, up to which its form is to blame.
+#: Ratio of a pose's chi-square to that by physics in it, up to which the form of that physics is to blame.
 _ACTED_ON = 3.0
-#: ... and share of it in the pixels that are moved by so many sigmas, where those are few, above which it is.
+#: ... and share of the chi-square in pixels that physics moves by `_ACTS` sigmas, above which it is to blame,
+#: if such pixels are less than `_FEW_PIXELS` of all.
 _MOSTLY = 0.8
 _ACTS = 0.3
 _FEW_PIXELS = 0.5
 #: Median distance residual [m] and relative amplitude error beyond which nothing fits.
 GROSS_DISTANCE = 0.10
 GROSS_AMPLITUDE = 0.6
-#: Share of the pixels that see a surface in the scene and deliver a distance, below which the scene is wrong;
-#: unless what it describes agrees, as a part of what there is.
+#: Share of the measured pixels that see a surface of the scene, below which the scene is wrong; unless the
+#: part that it describes agrees.
 LEAST_OVERLAP = 0.15
 
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """One pose: chi-square per value beside its errors, its median residual [m] and its time [s].
+    """One pose: chi-square per value given its errors, its median residual [m] and its time [s].
 
-    ``acted_on`` is the chi-square per value that the physics found makes there, ``where_acted_on`` the share
-    of the pose's own chi-square that lies in the pixels it acts on, where those are few; ``values`` are its
-    distances.
+    ``acted_on`` is the mean square of the changes by the physics found, in sigmas; ``where_acted_on`` is the
+    share of the pose's chi-square in the pixels on which that physics acts, where those are few; ``values``
+    is the number of its distances.
     """
 
     key: tuple[int, int]
@@ -71,7 +72,7 @@ class PoseCheck:
 
 @dataclass
 class _Sums:
-    """Over the stations of one pose."""
+    """Sums over the stations of one pose."""
 
     time: float
     count: int = 0
@@ -83,9 +84,9 @@ class _Sums:
 
 @dataclass(frozen=True)
 class Setup:
-    """Poses by how badly they agree, and the ``fault`` for which the setup cannot be trusted (None: it can).
+    """The checks of poses, and the ``fault`` for which the set-up cannot be trusted (None: it can).
 
-    ``bad`` are the (recording, pose) that alone do not agree, ``remedy`` says what to do about them.
+    ``bad`` are the numbers (recording, pose) of single poses that do not agree, ``remedy`` says what to do.
     """
 
     poses: tuple[PoseCheck, ...]
@@ -115,7 +116,7 @@ def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:
         if not prediction.used.any():
             continue
         rest_image, _ = after_nuisances(prediction, fitted.pattern, fitted.nuisances)
-        # a handful of pixels, as those that some frames see beyond the ambiguity range, is no other pose
+        # clipped: a few pixels, as those that some frames see beyond the ambiguity range, make no other pose
         z = np.clip(rest_image[prediction.used] / prediction.sigma[prediction.used], -WILD, WILD)
         moved = _moved(prediction, physics)[prediction.used]
         acting = np.abs(moved) > _ACTS
@@ -133,21 +134,21 @@ def check_poses(fitted: Fit, physics: Sequence[str] = ()) -> list[PoseCheck]:
     return [
         PoseCheck(
             key,
-            one.square / one.count,
-            max(one.medians, key=abs),
-            one.time,
-            one.moved / one.count,
-            one.acting / max(one.square, 1e-300),
-            one.count,
+            sums.square / sums.count,
+            max(sums.medians, key=abs),
+            sums.time,
+            sums.moved / sums.count,
+            sums.acting / max(sums.square, 1e-300),
+            sums.count,
         )
-        for key, one in found.items()
+        for key, sums in found.items()
     ]
 
 
 def errors_of_placements(errors: Mapping[str, float]) -> dict[tuple[int, int], tuple[float, str]]:
-    """Return the greatest error of each placement, with surface and direction.
+    """Return the greatest error of each placement, with surface and direction, by recording and placement.
 
-    By the numbers of recording and placement; ``errors`` in sigmas of their instrument as `standard_errors`.
+    ``errors`` are in sigmas of their instrument, as those of `standard_errors`.
     """
     worst: dict[tuple[int, int], tuple[float, str]] = {}
     for name, value in errors.items():
@@ -168,7 +169,7 @@ def errors_of_poses(fitted: Fit) -> dict[tuple[int, int], float]:
 
 
 def _moved(prediction: Prediction, physics: Sequence[str]) -> Array:
-    """Return how far effects move distances together, (H, W) in sigmas."""
+    """Return the total change of distances by effects, (H, W) in sigmas."""
     total: Any = np.zeros(prediction.used.shape)
     for name in physics:
         if name in prediction.context.camera.effects:
@@ -195,16 +196,16 @@ def check_setup(
     moved: Sequence[MovedPose] = (),
     form_size: float = SHARE,
 ) -> Setup:
-    """Say whether scene, poses and camera belong to the recording.
+    """Return whether scene, poses and camera belong to the recording.
 
-    ``fitted`` has the residuals and errors to be judged: where physics was found they are conditional on what
-    its forms may do otherwise (`nuisances.conditional_on_physics`); ``moved`` surfaces stand elsewhere, where
-    they gain more than that physics does there by a change of its form of ``form_size``, as a share of it.
-    ``explained`` is the share of the excess chi-square that the physics found explains: what it explains is
-    no fault of the setup. Where ``physics`` was found at all, effects of the camera, its form may be wrong
-    enough to strain a few poses: what is no error of a pose must stand out by far more then. These must not
-    be poses that it acts on: in which it moves distances by about as much as is left, or most of what is left
-    lies where it acts, or which lost half of their chi-square since the fit ``before``.
+    ``fitted`` has the residuals and errors to be judged. Where physics was found they are conditional on
+    changes of its forms (`nuisances.conditional_on_physics`). ``moved`` are displaced surfaces; they count
+    where they gain more than a change of that physics' form by ``form_size``, as a share of it, would there.
+    ``explained`` is the share of the excess chi-square that the physics explains: this share is no fault of
+    the set-up. ``physics`` are effects of the camera that were found. Their forms may be inexact enough to
+    disturb a few poses, so that a pose must then stand out by far more. Nor do poses count on which the
+    physics acts: it moves their distances by about as much as the remaining misfit, or most of that is in
+    the pixels where it acts, or it has removed half of their chi-square since the fit ``before``.
     """
     poses = check_poses(fitted, physics)
     if not poses:
@@ -215,7 +216,11 @@ def check_setup(
     stations = fitted.forward.dataset.stations
     moved = _not_by_form(moved, poses, stations, form_size)
     elsewhere = {pose.placement for pose in moved}
-    keys = {(one.recording, one.pose) for one in stations if (one.recording, one.placed) in elsewhere}
+    keys = {
+        (station.recording, station.pose)
+        for station in stations
+        if (station.recording, station.placed) in elsewhere
+    }
     before_of = {pose.key: pose.chi_square for pose in check_poses(before)} if physics and before else {}
     uneven = [
         pose
@@ -235,7 +240,9 @@ def check_setup(
         detail = f"pose {first.key[1]} at {first.time:.1f} s: chi-square per value {first.chi_square:.1f}"
     else:
         number, time = next(
-            (one.pose, one.time) for one in stations if (one.recording, one.placed) == worst.placement
+            (station.pose, station.time)
+            for station in stations
+            if (station.recording, station.placed) == worst.placement
         )
         detail = f"pose {number} at {time:.1f} s: {worst.sentence}"
     names = ", ".join(numbers.split(",")[:MOST_NAMED])
@@ -243,32 +250,34 @@ def check_setup(
         tuple(poses),
         f"{len(bad)} of {len(poses)} poses do not agree with the rest ({names}); {detail}",
         bad,
-        f"--without-poses {numbers} leaves them out",
+        f"--without-poses {numbers} excludes them",
     )
 
 
 def _not_by_form(
     moved: Sequence[MovedPose], poses: Sequence[PoseCheck], stations: Sequence[Station], size: float
 ) -> list[MovedPose]:
-    """Return the poses that gain more than what a form that is wrong by its ``size`` leaves in them.
+    """Return the poses that gain more than an error of the physics' form of the relative ``size`` explains.
 
-    Half the chi-square of that, as changes of the form are known to be of that size only: those that are
-    part of the fit are smooth.
+    That is half the chi-square of such an error in the pose. The fit contains smooth changes of the form
+    alone, of others only the size is known.
     """
     acted = {pose.key: pose.acted_on * pose.values for pose in poses}
     by_placement: dict[tuple[int, int], float] = {}
-    for placement, key in {((one.recording, one.placed), (one.recording, one.pose)) for one in stations}:
+    for placement, key in {
+        ((station.recording, station.placed), (station.recording, station.pose)) for station in stations
+    }:
         by_placement[placement] = by_placement.get(placement, 0.0) + acted.get(key, 0.0)
     return [pose for pose in moved if pose.gain > 0.5 * size**2 * by_placement.get(pose.placement, 0.0)]
 
 
 def _by_form(pose: PoseCheck) -> bool:
-    """Return whether the form of what was found is to blame for a pose."""
+    """Return whether an inexact form of the physics found explains the misfit of a pose."""
     return pose.chi_square <= _ACTED_ON * pose.acted_on or pose.where_acted_on > _MOSTLY
 
 
 class _Gross(NamedTuple):
-    """What is grossly wrong, and whether physics that was found may be the cause."""
+    """A gross fault, and whether physics that was found may be its cause."""
 
     fault: str
     may_be_physics: bool
@@ -302,7 +311,7 @@ def _gross(fitted: Fit, poses: list[PoseCheck]) -> _Gross | None:
 
 
 def _few(poses: list[PoseCheck], factor: float) -> list[PoseCheck]:
-    """Return the poses whose chi-square stands out where the most of them agree, else none."""
+    """Return the poses whose chi-square stands out, if they are few; else none."""
     if len(poses) < _LEAST_POSES:
         return []
     bad = []
@@ -315,7 +324,7 @@ def _few(poses: list[PoseCheck], factor: float) -> list[PoseCheck]:
 
 
 def few_of(dataset: Dataset) -> MayHaveMoved:
-    """Return in how many placements a surface may stand elsewhere, none where there are too few to tell."""
+    """Return in how many placements a surface may be displaced; none where there are too few placements."""
     return MayHaveMoved(_most_few(dataset.placements), LEAST_GAIN)
 
 
@@ -324,6 +333,6 @@ def _most_few(poses: int) -> int:
 
 
 def standard_errors(fitted: Fit) -> Mapping[str, float]:
-    """Return every error found of poses and powers in units of its prior."""
+    """Return every estimated error of poses and powers in units of its prior."""
     sigma = {name: prior for fold in fitted.equations.folds for name, prior, _ in fold.nuisances}
     return {name: value / sigma[name] for name, value in fitted.nuisances.items() if name in sigma}

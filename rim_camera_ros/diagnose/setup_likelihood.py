@@ -1,6 +1,6 @@
-"""How likely a recording is by a set-up: what is predicted of some poses, and by how much two set-ups differ.
+"""The likelihood of a recording by a set-up: predictions of some poses, and differences of two set-ups.
 
-Two set-ups are compared at the same pixels, those that the files as given describe. A pixel that an edge may
+Two set-ups are compared by the same pixels, those that the files as given describe. A pixel that an edge may
 reach can see what its neighbours see: the best of these counts, for both set-ups alike. Losses are twice the
 negative log likelihood up to a constant that all set-ups share, and bounded.
 """
@@ -26,11 +26,11 @@ Array = NDArray[Any]
 #: A pose: recording and pose.
 Key = tuple[int, int]
 
-#: 1-sigma of distances [m] in which a camera and its file may differ.
+#: 1-sigma of the difference in distance between a camera and its file [m].
 _CAMERA_DISTANCE = 0.03
-#: Squares of standardised residuals count up to this: what is wrong is wrong.
+#: Bound on the squares of standardised residuals.
 _MOST = 9.0
-#: Rows and columns by which the neighbours of a pixel are away.
+#: Offsets in rows and columns of the neighbours of a pixel.
 _NEIGHBOURS = [(v, u) for v in (-1, 0, 1) for u in (-1, 0, 1) if (v, u) != (0, 0)]
 #: 1-sigma of reflectivities that the scene file calls known.
 _EXACT = 1e-3
@@ -40,12 +40,12 @@ _ROUNDS = 20
 
 @dataclass(frozen=True)
 class Look:
-    """What a set-up predicts of a pose, each (H, W).
+    """The comparison of a pose with the prediction by a set-up, each (H, W).
 
-    ``distance`` the loss of the distances, ``ratio`` the logarithm of measured over predicted amplitudes with
-    its ``variance``, ``expected`` the loss by noise alone, ``tile`` the number of the tile; ``seen`` where
-    that holds, ``blind`` where something was measured and nothing is predicted. ``weight``: patches of
-    neighbours that a pixel makes up.
+    ``distance`` is the loss of the distances, ``ratio`` the logarithm of measured over predicted amplitudes
+    with its ``variance``, ``expected`` the loss by noise alone, ``tile`` the number of the tile. ``seen``
+    marks the pixels where these hold, ``blind`` those that measured something where nothing is predicted.
+    ``weight`` is the share of an independent observation that a pixel counts for.
     """
 
     distance: Array
@@ -62,7 +62,8 @@ class Look:
 class SetupPrediction:
     """The looks of poses by a set-up, without the ``offset`` [m] that all its distances share.
 
-    That is the camera's, whatever the set-up. ``sigma`` (T,): relative 1-sigma of each tile's reflectivity.
+    The offset belongs to the camera, not to the set-up. ``sigma`` (T,) is the relative 1-sigma of each tile's
+    reflectivity.
     """
 
     looks: Mapping[Key, Look]
@@ -72,10 +73,10 @@ class SetupPrediction:
 
 @dataclass(frozen=True)
 class Difference:
-    """What a set-up gains over another, in nats: at each pose (P,), and by the reflectivities of all.
+    """The gain of a set-up over another [nats]: in each pose (P,), and by the reflectivities of all poses.
 
-    ``short`` is by how much the other fits worse than noise and stated errors explain; ``count`` is the
-    number of patches of neighbours that are compared.
+    ``short`` is the misfit of the other one beyond noise and stated errors; ``count`` is the number of
+    patches of neighbours that are compared.
     """
 
     poses: Array
@@ -87,10 +88,10 @@ class Difference:
 def predicted(
     files: Files, before: SetupPrediction | None = None, *, views: Views | None = None
 ) -> SetupPrediction:
-    """Return what files predict of the stations of their recording, one of each pose.
+    """Return the predictions by files of the stations of their recording, one of each pose.
 
-    With what was predicted ``before`` of other stations by the same files, whose offset is taken. ``views``
-    as in `coarse_forward`.
+    Predictions ``before`` of other stations by the same files are included, and their offset is used.
+    ``views`` as in `coarse_forward`.
     """
     scene = files[1]
     forward = coarse_forward(*files, views=views)
@@ -107,7 +108,7 @@ def predicted(
 
 
 def _common_offset(predictions: Sequence[Prediction]) -> float:
-    """Return the median [m] of what distances differ by, over all pixels of a set-up; 0 without any."""
+    """Return the median residual [m] of distances over all pixels of a set-up; 0 without any."""
     apart = np.concatenate(
         [
             np.zeros(0),
@@ -128,7 +129,7 @@ def _look(forward: Forward, seen: Prediction, offset: float) -> Look:
     scatter = seen.sigma**2 + _CAMERA_DISTANCE**2
     wraps, period = forward.camera.sensor.wraps, seen.context.ambiguity
 
-    def loss_of(light: Array, away: Array, tells: Array) -> tuple[Array, Array, Array]:
+    def loss_of(light: Array, away: Array, is_described: Array) -> tuple[Array, Array, Array]:
         """Distance loss, log ratio and its variance by predictions ``away`` [m] from the own ones."""
         rest = seen.residual - offset + away
         rest = wrap_residual(rest, period) if wraps else rest
@@ -136,18 +137,18 @@ def _look(forward: Forward, seen: Prediction, offset: float) -> Look:
             ratio = np.log(seen.station.amplitude / light)
             variance = (seen.amplitude_noise / light) ** 2 + CAMERA_AMPLITUDE**2
             distance = np.minimum(np.nan_to_num(rest**2 / scatter, nan=_MOST), _MOST)
-        # no amplitude is as wrong as can be; that of a surface which nobody described says nothing
-        ratio = np.where(tells, np.where(np.isfinite(ratio), ratio, np.inf), 0.0)
+        # without an amplitude the loss is greatest; amplitudes of surfaces without a description do not count
+        ratio = np.where(is_described, np.where(np.isfinite(ratio), ratio, np.inf), 0.0)
         return distance, ratio, variance
 
     images = [*loss_of(seen.model_amplitude, np.zeros(hit.shape), described), view.geometry.tile.copy()]
     least = _total(*images[:3])
     expected = seen.sigma**2 / scatter + (images[2] - CAMERA_AMPLITUDE**2) / images[2]
     for by in _NEIGHBOURS:
-        light, there, tells, tile = (
+        light, there, is_described, tile = (
             _shifted(x, by) for x in (seen.model_amplitude, seen.distance, described, view.geometry.tile)
         )
-        other = [*loss_of(light, seen.distance - there, tells), tile]
+        other = [*loss_of(light, seen.distance - there, is_described), tile]
         total = _total(*other[:3])
         better = ~clean & _shifted(hit, by) & (total < least)
         for image, value in zip([*images, least], [*other, total], strict=True):
@@ -173,16 +174,16 @@ def _total(distance: Array, ratio: Array, variance: Array) -> Array:
 
 
 def _shifted(image: Array, by: tuple[int, int]) -> Array:
-    """Return an image (H, W) of what stands ``by`` so many rows and columns further, the border repeated."""
+    """Return an image (H, W) shifted ``by`` so many rows and columns, with its border repeated."""
     height, width = image.shape
     padded = np.pad(image, 1, mode="edge")
     return padded[1 + by[0] : 1 + by[0] + height, 1 + by[1] : 1 + by[1] + width]
 
 
 def difference(given: SetupPrediction, other: SetupPrediction) -> Difference:
-    """Return what a set-up gains over the files as ``given``.
+    """Return the gain of a set-up over the files as ``given``.
 
-    Where these describe not one pixel of a pose, at those that the other describes.
+    Where these describe not a single pixel of a pose, by the pixels that the other set-up describes.
     """
     regions, weights = {}, {}
     for key in sorted(given.looks.keys() & other.looks.keys()):
@@ -208,7 +209,7 @@ def _losses(
 ) -> tuple[Array, float, Array]:
     """Return the losses of each pose in its region (P,), of the reflectivities, and their log errors (T,).
 
-    What nothing is predicted of is as wrong as can be.
+    Pixels without a prediction have the greatest loss.
     """
     parts = [
         (setup.looks[key], region & setup.looks[key].seen, weights[key]) for key, region in regions.items()
@@ -235,7 +236,7 @@ def _losses(
 class _Light:
     """Log errors of the power of each pose (P,) and of the reflectivity of each tile (T,).
 
-    ``cost``: what the errors of the reflectivities cost together, as a loss.
+    ``cost`` is the total loss by the errors of the reflectivities.
     """
 
     power: Array
@@ -246,12 +247,13 @@ class _Light:
 def _light(
     pose: Array, tile: Array, ratio: Array, variance: Array, weight: Array, *, sigma: Array, poses: int
 ) -> _Light:
-    """Return what pixels (N,) of so many ``poses`` say of their powers and of the reflectivities of tiles.
+    """Estimate the powers of ``poses`` and the reflectivities of tiles jointly from pixels (N,).
 
-    Both together: the power of a pose that sees one tile most of all is that tile's error otherwise. Powers
-    are free; an error of a tile is the same in all poses, with a normal prior of 1-``sigma`` (T,), and is
-    integrated out by Laplace's method (Kass & Raftery 1995, eq. 5). Medians of the pixels of a tile in a pose
-    are adjusted with the loss of Huber (1964), so that a pattern that is not there moves no power.
+    They are estimated jointly, as the power of a pose that sees mostly one tile would otherwise absorb that
+    tile's error. Powers are free. The error of a tile is the same in all poses, with a normal prior of
+    1-``sigma`` (T,), and is integrated out by Laplace's method (Kass & Raftery 1995, eq. 5). Medians of the
+    pixels of a tile in a pose are adjusted with the loss of Huber (1964), so that a wrong pattern moves no
+    power.
     """
     known = np.isfinite(ratio) & (weight > 0)
     tiles = sigma.size

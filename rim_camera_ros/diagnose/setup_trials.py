@@ -1,4 +1,4 @@
-"""Which set-ups are tried, and what makes the files of each from those that are given."""
+"""The set-ups that are tried, and the changes that make the files of each from those given."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from rim_camera_ros.rotations import quaternion, rotation_matrix
 from rim_camera_ros.scene import Scene, Surface
 
 Array = NDArray[Any]
-#: What trials gain over the files as given.
+#: A function that returns the gains of trials over the files as given.
 Compared = Callable[[Iterable[Trial]], Sequence[Hypothesis]]
 
-#: Relative 1-sigma of amplitudes in which a camera and its file may differ.
+#: Relative 1-sigma of the difference in amplitude between a camera and its file.
 CAMERA_AMPLITUDE = 0.15
-#: 1-sigma of the logarithm of a reflectivity of which nothing is known: all between 0.05 and 1 alike.
+#: 1-sigma of the logarithm of an unknown reflectivity: that of a uniform one between 0.05 and 1.
 ANY_REFLECTIVITY = 0.86
-#: Errors of poses of a surface against the others, in their 1-sigma, from which its depth is tried.
+#: Depth of a surface relative to the others, in 1-sigma of its poses, above which it is tried.
 _FAR = 5.0
 #: Factors on sizes of tiles and surfaces, on depths, and on the focal length that are tried.
 _FACTORS = (0.8, 0.9, 0.95, 1.05, 1.1, 1.25)
-#: ... and how finely the best of them is looked for in between.
+#: ... and the tolerance of the search for the best factor between them.
 _FINENESS = 0.002
 #: Factors on the size of another board.
 _BOARD_FACTORS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 1.6, 2.0)
-#: A focal length nearer to the file's than this is no other lens, but a camera constant that is wrong.
+#: Relative change of the focal length below which it is a wrong camera constant and not another lens.
 LEAST_LENS = 0.08
 
 
@@ -71,7 +71,7 @@ def trials_of(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[Trial]
 
 
 def _as_measured(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[Trial]:
-    """Yield, for each surface, the pattern and the depth that the recording itself shows."""
+    """Yield, for each surface, the pattern and the depth that the recording shows."""
     forward = coarse_forward(dataset, scene, camera)
     ratios = _ratios(forward)
     depths: dict[int, list[float]] = {}
@@ -94,7 +94,7 @@ def _as_measured(dataset: Dataset, scene: Scene, camera: Camera) -> Iterator[Tri
 
 
 def _ratios(forward: Forward) -> dict[int, list[float]]:
-    """Return log ratios of measured and predicted amplitudes by tile, a median for each station."""
+    """Return log ratios of measured to predicted amplitudes by tile, a median for each station."""
     ratios: dict[int, list[float]] = {}
     for prediction in forward.predictions(slopes=False):
         tiles = prediction.view.geometry.tile
@@ -107,7 +107,7 @@ def _ratios(forward: Forward) -> dict[int, list[float]]:
 
 
 def _repainted(scene: Scene, number: int, ratios: Mapping[int, Sequence[float]]) -> Scene | None:
-    """Return the scene with a surface whose tiles reflect as measured; None where it agrees already."""
+    """Return the scene with measured reflectivities of a surface's tiles; None where they agree already."""
     surface = scene.surfaces[number]
     if surface.texture is None or not surface.is_described:
         return None
@@ -126,9 +126,9 @@ def _repainted(scene: Scene, number: int, ratios: Mapping[int, Sequence[float]])
 
 
 def other_boards(files: Files, name: str) -> Iterator[Trial]:
-    """Yield boards of other sizes whose tiles reflect as the recording shows, in the place of a surface.
+    """Yield boards of other sizes in the place of a surface, with reflectivities from the recording.
 
-    And one of the stated size whose tiles are half as large.
+    A board of the stated size with tiles of half the size is yielded as well.
     """
     yield from _other_board(files, name, (1.0, 1.0), halved=True)
     for factor in _BOARD_FACTORS:
@@ -157,7 +157,7 @@ def _other_board(
 def _with_halved_tiles(surface: Surface) -> Surface:
     """Return the surface with tiles of half the size and the same reflectivities.
 
-    They cover a surface that ends, where they do not repeat: a board of other tiles can be painted with them.
+    They cover a surface of finite size without repetition, so that each may get its own reflectivity.
     """
     texture = surface.texture
     if texture is None:
@@ -176,15 +176,15 @@ def _with_halved_tiles(surface: Surface) -> Surface:
 
 
 def _places(count: int, side: float) -> Array:
-    """Return the middles (N,) [m] of so many tiles about the origin, the one right of it first."""
+    """Return the centres (N,) [m] of so many tiles about the origin, the one right of it first."""
     numbers = np.arange(count)
     return np.asarray((np.where(numbers < count / 2, numbers, numbers - count) + 0.5) * side)
 
 
 def of_any_sides(files: Files, best: Hypothesis, compared: Compared) -> Hypothesis:
-    """Return the board with which a recording agrees best, of any width and height.
+    """Return the board, of any width and height, that fits a recording best.
 
-    From the ``best`` of those of the stated shape; one side after the other.
+    The search begins at the ``best`` board of the stated shape, one side after the other.
     """
     for factors in (_BOARD_FACTORS, ()):
         for axis in (0, 1):
@@ -213,7 +213,7 @@ def _best(found: Iterable[Hypothesis]) -> Hypothesis:
 def coarse_forward(dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None) -> Forward:
     """Return predictions with a power for each pose and no error of the amplitudes.
 
-    ``views`` of the same rays, if there are any.
+    ``views`` are those of the same rays, if there are any.
     """
     own = None if views is None else views.of_scene(camera, scene)
     forward = Forward(dataset, scene, camera, views=own)
@@ -225,9 +225,9 @@ def coarse_forward(dataset: Dataset, scene: Scene, camera: Camera, *, views: Vie
 def _of_camera() -> Iterator[Trial]:
     for factor in (1e-3, 1e3):
         yield Trial("units", "", 1 / factor, _to_distances(partial(_times, factor=factor)))
-        # poses in other units, as light tells the distances of a camera
+        # poses in other units (the amplitudes distinguish this from distances in other units)
         yield Trial("units", "", factor, to_poses(None, partial(_nearer, factor=factor)))
-    yield Trial("z_distance", "", 0.0, _to_distances(lambda one, rays: one / rays[..., 2]))
+    yield Trial("z_distance", "", 0.0, _to_distances(lambda distance, rays: distance / rays[..., 2]))
     for factor in _FACTORS:
         yield _other_lens(factor)
 
@@ -249,14 +249,14 @@ def refined(
     best: Hypothesis,
     compared: Compared,
 ) -> list[Hypothesis]:
-    """Return what the set-up ``at`` values between those beside the ``best`` gains, as ``compared`` says."""
+    """Return the gains, by ``compared``, of trials ``at`` values between the neighbours of the ``best``."""
     return _maximised(lambda factor: iter([at(factor)]), compared, best.value, _FACTORS)
 
 
 def _maximised(
     made: Callable[[float], Iterator[Trial]], compared: Compared, best: float, factors: Sequence[float]
 ) -> list[Hypothesis]:
-    """Return what set-ups gain by factors between those beside the ``best`` (Brent 1973)."""
+    """Return the gains of set-ups with factors between the neighbours of the ``best`` one (Brent 1973)."""
     tried = sorted({1.0, *factors})
     number = int(np.argmin(np.abs(np.array(tried) - best)))
     step = tried[1] / tried[0]
@@ -267,9 +267,9 @@ def _maximised(
     found: list[Hypothesis] = []
 
     def loss(factor: float) -> float:
-        one = compared(made(float(factor)))
-        found.extend(one)
-        return -one[0].gain if one else 0.0
+        gained = compared(made(float(factor)))
+        found.extend(gained)
+        return -gained[0].gain if gained else 0.0
 
     minimize_scalar(loss, bounds=(low, high), method="bounded", options={"xatol": _FINENESS})
     return found
@@ -289,7 +289,7 @@ def _to_scene(changed: Scene) -> Change:
 
 
 def _to_distances(change: Callable[[Array, Array], Array]) -> Change:
-    """Return what changes the distances (H, W) [m], given the rays (H, W, 3) of the pixels."""
+    """Return a change of files by a function of the distances (H, W) [m] and the rays (H, W, 3)."""
 
     def changed(dataset: Dataset, scene: Scene, camera: Camera) -> Files:
         stations = [
@@ -301,7 +301,7 @@ def _to_distances(change: Callable[[Array, Array], Array]) -> Change:
 
 
 def to_poses(name: str | None, change: Callable[[Pose], Pose]) -> Change:
-    """Return what changes the poses of a surface; None: of all."""
+    """Return a change of files by a function of the poses of a surface; None: of all surfaces."""
 
     def changed(dataset: Dataset, scene: Scene, camera: Camera) -> Files:
         stations = [
@@ -319,7 +319,7 @@ def to_poses(name: str | None, change: Callable[[Pose], Pose]) -> Change:
 
 
 def _patterns(values: Array) -> Iterator[tuple[str, Array]]:
-    """Yield textures that a print may be taken for; tiles (i, j) begin at the origin of the surface."""
+    """Yield textures with which a print may be confused; tiles (i, j) begin at the origin of the surface."""
     yield "turned_180", np.ascontiguousarray(values[::-1, ::-1])
     yield "mirrored", np.ascontiguousarray(values[:, ::-1])
     yield "mirrored", np.ascontiguousarray(values[::-1, :])

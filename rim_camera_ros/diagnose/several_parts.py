@@ -1,4 +1,4 @@
-"""Diagnoses of the parts (frequencies) of one camera as one: the report of all beside that of each."""
+"""Diagnoses of the parts (frequencies) of one camera as one: a report of all in addition to that of each."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ORDER = ("consistent", "wrong_parameters", "missing_physics", "unknown_physics"
 
 
 def gravest(results: Sequence[tuple[Part, Diagnosis]], changes: Sequence[Change]) -> str:
-    """Return the verdict on all parts; ``changes``: what was wrong before any part was looked at."""
+    """Return the verdict on all parts; ``changes`` are errors found before any part was diagnosed."""
     verdicts = [diagnosis.verdict for _, diagnosis in results] + ["wrong_parameters"] * bool(changes)
     return max(verdicts, key=_ORDER.index)
 
@@ -32,12 +32,12 @@ def as_one(results: Sequence[tuple[Part, Diagnosis]], changes: Sequence[Change])
     before); ``missing`` and ``adjusted`` are those of all parts, with the name under ``part``. ``parts`` has
     the verdict and the report of each.
     """
-    worst, _ = max(results, key=lambda one: (_ORDER.index(one[1].verdict), one[1].accuracy.rms_before))
+    worst, _ = max(results, key=lambda part: (_ORDER.index(part[1].verdict), part[1].accuracy.rms_before))
     reports = {part.name: as_json(result) for part, result in results}
     whole = {**reports[worst.name], "verdict": gravest(results, changes), "model": MODEL}
     whole["where"] = {**whole["where"], "pixels": f"{worst.name}/{whole['where']['pixels']}"}
     for key in ("missing", "adjusted"):
-        whole[key] = [{**one, "part": name} for name, its in reports.items() for one in its[key]]
+        whole[key] = [{**entry, "part": name} for name, its in reports.items() for entry in its[key]]
     whole["adjusted"] += [
         {"effect": change.effect, "from": dict(change.before), "to": dict(change.after), "part": change.part}
         for change in changes

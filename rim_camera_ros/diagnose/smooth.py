@@ -1,7 +1,7 @@
-"""Smooth functions of covariates: what an unknown effect looks like, and a table that serves in its place.
+"""Smooth functions of covariates: candidates for unknown physics, and tables that model it.
 
 A smooth term is a table over covariates with unknown values at its knots, so that its fitted coefficients are
-that effect's table.
+the values of the table.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Array = NDArray[Any]
 
 #: Owner of smooth terms among the candidates.
 UNKNOWN = "unknown"
-#: Covariates of smooth terms; saturation and edge tell of named effects or of masked pixels.
+#: Covariates of smooth terms; saturation and edge belong to named effects or to masked pixels.
 SMOOTH = (
     "distance",
     "amplitude",
@@ -42,7 +42,7 @@ SMOOTH = (
     "contrast",
     "height",
 )
-#: Covariates that are the same in every frame: the fixed pattern takes up what depends on them alone.
+#: Covariates that are the same in every frame: the fixed pattern absorbs functions of them alone.
 STATIC = frozenset({"row", "column"})
 _KNOTS_ALONE = 8
 _KNOTS_TIME = 12
@@ -172,10 +172,10 @@ def single_terms(samples: dict[str, Array]) -> list[Candidate]:
 
 
 def gradient_terms(samples: dict[str, Array]) -> list[Candidate]:
-    """Return bilinear terms of what is the same in a whole frame and of the place in the array.
+    """Return bilinear terms of a covariate that is the same in a whole frame and the row or column.
 
     A gradient over the array that changes from pose to pose looks like tilts of the poses: only a term that
-    is fitted together with these shows that they follow temperature, time or setting.
+    is fitted jointly with these shows that they follow temperature, time or setting.
     """
     return [
         smooth_candidate([Axis(name, knots_at(samples[name], 2)) for name in (scalar, place)])

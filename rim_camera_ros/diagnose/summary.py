@@ -16,14 +16,14 @@ WORDS = {
 
 
 def summary(result: Diagnosis, folder: Path) -> str:
-    """Return the verdict, what was left out, and the proof, as text."""
+    """Return the verdict, the missing physics, and the evidence, as text."""
     lines = [f"{result.verdict}: {WORDS[result.verdict]}"]
     if result.reason is not None:
         lines.append(f"  {result.reason}")
     for effect in result.missing:
         lines.append(f"  {effect.sentence} (probability {effect.probability:.2g})")
     for names in result.indistinguishable:
-        lines.append(f"  cannot be told apart by this recording: {', '.join(names)}")
+        lines.append(f"  indistinguishable by this recording: {', '.join(names)}")
     if result.next_recording:
         lines.append(f"  record next: {result.next_recording}")
     if result.adjusted:

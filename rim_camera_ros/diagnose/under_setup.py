@@ -1,4 +1,4 @@
-"""Whether anything is missing under another set-up: one fit of the recording by its files."""
+"""Whether anything is missing with another set-up: one fit of the recording with its files."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from rim_camera_ros.select.search import search
 
 
 def left_by_chance(files: Files, *, seed: int, threads: int) -> float | None:
-    """Return what an effect or a smooth term would have to gain in nats by the files of a set-up.
+    """Return the entry threshold [nats] of an effect or a smooth term with the files of a set-up.
 
-    None where one gains that much, or where the fit shows errors of poses, reflectivities or optics that
-    these files do not state: then something else is missing as well.
+    None where one of them gains that much, or where the fit shows errors of poses, reflectivities or optics
+    beyond those that these files state: then something else is missing as well.
     """
     dataset, scene, camera = files
     facts = Facts.of(dataset, moves=scene.camera_motion.moves, surfaces=len(scene.surfaces), camera=camera)

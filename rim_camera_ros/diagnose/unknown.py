@@ -1,4 +1,4 @@
-"""Physics outside the vocabulary: which covariates it follows, and a table that serves."""
+"""Physics outside the vocabulary: the covariates on which it depends, and a table that models it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rim_camera_ros.select.exploration import Exploration
 
 Array = NDArray[Any]
 
-#: Features whose slopes per column, per row and per pixel are looked at.
+#: Features whose slopes per column, per row and per pixel are scored.
 _FEATURES = ("amplitude", "distance", "ambient_temperature", "time")
 _GROUPS = ("column", "row", "pixel")
 
@@ -43,7 +43,7 @@ class FineStructure:
 
     @property
     def covariates(self) -> tuple[str, ...]:
-        """Names of the report."""
+        """Names of the covariates in the report."""
         return ("row", "column", self.feature) if self.group == "pixel" else (self.group, self.feature)
 
 
@@ -54,9 +54,9 @@ def _transformed(name: str, value: Array) -> Array:
 def fine_structures(fitted: Fit, folds: Mapping[tuple[int, int], int]) -> list[FineStructure]:
     """Score slopes per column, row and pixel on every feature, best first.
 
-    Smooth terms miss what changes from one column to the next. Each group's slope is shrunk by the variance
-    of the slopes and judged on the poses that it was not fitted to. Slopes are taken of the residuals after
-    the fit, the feature's mean over each pixel removed as the fixed pattern removes it.
+    Smooth terms cannot describe changes from one column to the next. Each group's slope is shrunk by the
+    variance of the slopes and scored by the poses to which it was not fitted. Slopes are those of the
+    residuals after the fit, with the feature's mean over each pixel removed, as the fixed pattern absorbs it.
     """
     height, width = fitted.camera.shape
     index = np.arange(height * width)
@@ -119,8 +119,8 @@ def _scales(fitted: Fit) -> dict[str, tuple[float, float]]:
     return result
 
 
-def _feature(name: str, one: Any, pixels: Array, centre: float, spread: float) -> Array:
-    value = values_of(name, one)
+def _feature(name: str, prediction: Any, pixels: Array, centre: float, spread: float) -> Array:
+    value = values_of(name, prediction)
     assert value is not None
     if np.ndim(value) == 0:
         return np.full(len(pixels), (float(value) - centre) / spread)
@@ -128,7 +128,7 @@ def _feature(name: str, one: Any, pixels: Array, centre: float, spread: float) -
 
 
 def _held_out(parts: Array) -> tuple[float, Array]:
-    """Return the gain in nats of held-out folds by shrunk slopes, and the slopes of all data."""
+    """Return the gain [nats] of held-out folds by shrunk slopes, and the slopes by all data."""
 
     def slopes(right: Array, square: Array) -> Array:
         known = square > 0
@@ -150,7 +150,7 @@ def _held_out(parts: Array) -> tuple[float, Array]:
 
 
 def fine_image(structure: FineStructure, one: Any) -> Array:
-    """Return what a structure does to the distances of a station (H, W) in m."""
+    """Return the change of a station's distances (H, W) [m] by a structure."""
     shape = one.used.shape
     pixels = np.arange(one.used.size)
     feature = np.clip(_feature(structure.feature, one, pixels, structure.centre, structure.spread), -3, 3)
@@ -174,7 +174,7 @@ def fine_table(structure: FineStructure) -> CovariateTable | None:
 
 
 def smooth_pairs(step: Exploration, most: int = 5) -> list[tuple[str, str]]:
-    """Return the pairs of covariates worth looking at: those of the best smooth terms of one covariate."""
+    """Return the pairs of covariates to score: those of the best smooth terms of one covariate."""
     singles = [
         (float(step.gains[k]), step.candidates[k].variant)
         for k in range(step.named, len(step.candidates))
@@ -188,5 +188,5 @@ def smooth_pairs(step: Exploration, most: int = 5) -> list[tuple[str, str]]:
 
 
 def with_table(camera: Camera, table: CovariateTable) -> Camera:
-    """Return the camera with a table over covariates; one that it has already is kept instead."""
+    """Return the camera with a table over covariates; a table that it already has is kept instead."""
     return camera if table.name in camera.effects else added(camera, table)

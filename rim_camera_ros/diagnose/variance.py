@@ -1,4 +1,4 @@
-"""Variance: do repeated frames scatter as the noise model says, and independently from pixel to pixel?"""
+"""Whether repeated frames scatter according to the noise model, and independently from pixel to pixel."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from rim_camera_ros.noise import Noise
 
 Array = NDArray[Any]
 
-#: Relative 1-sigma of a stated noise variance: a noise model is fitted to frames of another day, by a form
-#: of three terms. It is wrong where it is off by more than `BEYOND` of it, ...
+#: Relative 1-sigma of a stated noise variance: a noise model is fitted to frames of another day, with a form
+#: of three terms. It is wrong where it deviates by more than `BEYOND` of these, ...
 NOISE_SIGMA = 0.02
-#: ... with this significance in sigmas of what repeated frames tell.
+#: ... with this significance, in sigmas of the estimate from repeated frames.
 LEAST_SIGMA = 6.0
-#: Share of a pixel's variance from which on what all pixels have in common is a second camera's light:
-#: reading out leaves a little in every real camera.
+#: Share of a pixel's variance above which the common variation of all pixels is light of a second camera: the
+#: read-out causes a little of it in every real camera.
 LEAST_COMMON_SHARE = 0.003
-#: Standard deviations of independent frames of the light of a second camera from which on what pixels share
-#: drifts (persistence), or tilts distances and not amplitudes.
+#: Standard deviations, for independent frames with the light of a second camera, above which the common
+#: variation is a drift (persistence), or tilts distances and not amplitudes.
 _DRIFTS = 4.0
-#: Probability with which independent frames are taken for ones of which the first differs.
+#: Probability of independent frames to be classified as ones whose first differs.
 _BEGINS_BY_CHANCE = 0.001
 _BINS = 10
 #: Factors on the light that a response of another form than the true one may leave.
@@ -52,15 +52,15 @@ class VarianceBin:
 
 @dataclass(frozen=True)
 class Variance:
-    """What repeated frames say.
+    """The evidence of repeated frames.
 
-    ``ratio`` measured over modelled variance of all pixels with standard error ``sigma``; ``noise`` the model
-    fitted to them; ``common`` the mean of `stations.Station.common` over stations, with standard error
-    ``common_sigma`` (1: pixels scatter independently). ``floor`` [m] is the RMS of the noise of station
+    ``ratio`` is measured over modelled variance of all pixels, with standard error ``sigma``; ``noise`` is
+    the model fitted to them; ``common`` is the mean of `data.Station.common` over stations, with standard
+    error ``common_sigma`` (1: pixels scatter independently). ``floor`` [m] is the RMS of the noise of station
     means.
-    ``background`` [counts] is the unmodulated light that explains the excess as well as another noise does
-    (0: it does not). ``common_share`` is the share of a pixel's variance that all pixels have in common;
-    ``movement`` how the frames of the stations move together (None: not known).
+    ``background`` [counts] is unmodulated light that explains the excess as well as another noise (0: it does
+    not). ``common_share`` is the share of a pixel's variance that all pixels have in common; ``movement`` is
+    the common movement of the stations' frames (None: not known).
     """
 
     ratio: float
@@ -77,7 +77,7 @@ class Variance:
 
     @property
     def noise_is_wrong(self) -> bool:
-        """Whether the noise section is contradicted; a second camera's light hides whether it is."""
+        """Whether the noise section is contradicted; False with light of a second camera, which hides it."""
         if not self.repeated or self.pixels_vary_together:
             return False
         ratios = [
@@ -95,18 +95,17 @@ class Variance:
     def begins(self) -> bool:
         """Whether the first frames of poses differ from those after them, which are alike.
 
-        What moves goes on moving: this is what a camera keeps of the exposure before, or poses that came to
-        rest meanwhile.
+        A movement would go on: this is a remainder of the exposure before, or a pose that came to rest in the
+        meantime.
         """
         return self._common_variation and self.movement is not None and _begins(self.movement)
 
     @property
     def moves(self) -> bool:
-        """Whether what pixels share from frame to frame are distances of surfaces that move, or that drift.
+        """Whether the common variation of pixels is due to surfaces that move, or to a drift.
 
-        A second camera adds light of its own to all pixels, with a phase that is another in each frame, so
-        that it tilts amplitudes as much as distances; a surface that moves tilts distances, and goes on
-        moving.
+        A second camera adds light to all pixels, with a different phase in each frame, so that it tilts
+        amplitudes as much as distances. A moving surface tilts distances, and goes on moving.
         """
         moves = self.movement is not None and drifts_or_tilts(self.movement)
         return self._common_variation and moves and not self.begins
@@ -117,7 +116,7 @@ class Variance:
 
 
 def drifts_or_tilts(movement: Movement) -> bool:
-    """Return whether what pixels have in common is a movement rather than the light of a second camera."""
+    """Return whether the common variation of pixels is a movement rather than light of a second camera."""
     tilts = movement.by_tilt > movement.by_light and movement.tilts > _DRIFTS
     return tilts or movement.persistence > _DRIFTS * movement.persistence_sigma
 
@@ -127,7 +126,7 @@ def _begins(movement: Movement) -> bool:
     # two numbers a frame
     if later <= 0 or movement.begins <= float(fdtri(2 * movement.number, 2 * later, 1 - _BEGINS_BY_CHANCE)):
         return False
-    # a drift lets the first frame stand out too, by what its persistence tells
+    # a drift makes the first frame stand out as well, by an amount that its persistence determines
     return abs(movement.first - movement.first_where_it_begins) < abs(
         movement.first - movement.first_in_drift
     )
@@ -139,7 +138,7 @@ def is_common(common: float, share: float, sigma: float) -> bool:
 
 
 def movement_of(station: Station) -> float | None:
-    """Return how far [m] distances tilt from frame to frame at the rim of the array, None where it rests."""
+    """Return how far [m] distances tilt from frame to frame at the rim of the array, None if at rest."""
     pixels = int((station.count == station.frames).sum())
     if station.common is None or station.movement is None or not pixels:
         return None
@@ -151,8 +150,8 @@ def movement_of(station: Station) -> float | None:
 def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
     """Compare the variances of repeated frames with the noise model at the latent amplitudes.
 
-    With ``free_scale`` these are known to a common factor near 1 only, and the one that fits best is taken:
-    beside a response that was found, whose small-signal gain follows from its form.
+    With ``free_scale`` the amplitudes are known only to a common factor near 1, and the best-fitting one is
+    used: for a response that was found, whose small-signal gain depends on its form.
     """
     camera = forward.camera
     amplitude, measured, model, freedom, beyond = [], [], [], [], []
@@ -232,15 +231,15 @@ def moving(variance: Variance) -> str:
     movement = variance.movement
     slowly = movement.persistence > _DRIFTS * movement.persistence_sigma
     return (
-        "surfaces move, or the camera does, within poses that are told as one: from frame to frame distances "
-        f"tilt by up to {movement.rim * 1e3:.2g} mm at the rim of the array"
+        "surfaces move, or the camera does, within poses that are stated as one: from frame to frame "
+        f"distances tilt by up to {movement.rim * 1e3:.2g} mm at the rim of the array"
         f"{', slowly,' if slowly else ''} where the light of a second camera would change amplitudes "
         "as much, with another phase in every frame; record each pose at rest, or the pose of every frame"
     )
 
 
 def _scaled_variance(amplitude: Array, factor: float, noise: Noise) -> Array:
-    """Return the variance at amplitudes times a factor over that at the amplitudes."""
+    """Return the ratio of the variance at amplitudes times a factor to that at the amplitudes."""
     ratio = noise.sigma_distance(amplitude * factor) / noise.sigma_distance(amplitude)
     return np.asarray(ratio**2)
 
@@ -258,7 +257,8 @@ def _scale_of_light(a: Array, s: Array, m: Array, f: Array, noise: Noise) -> flo
 def _background(a: Array, s: Array, m: Array, f: Array, camera: Camera) -> float:
     """Return the level whose photon noise explains the excess variance better than any scale of the noise.
 
-    The variance gains shot^2 * level / A^2, so that its form over the amplitude tells.
+    It adds shot^2 * level / A^2 to the variance, so that its form over the amplitude distinguishes it. 0
+    where it does not explain the excess better.
     """
     shot = camera.noise.shot
     if shot == 0:
@@ -278,7 +278,7 @@ def _background(a: Array, s: Array, m: Array, f: Array, camera: Camera) -> float
 def _fitted_noise(amplitude: Array, measured: Array, model: Array, freedom: Array, camera: Camera) -> Noise:
     """Fit floor^2 + shot^2 (A + background) / A^2 + amplitude^2 / A^2, weighted by the model's variances.
 
-    What rounding to counts adds is taken off, as where a calibration fits noise.
+    The variance by rounding to counts is subtracted, as where a calibration fits noise.
     """
     noise = camera.noise
     with_shot = noise.shot > 0

@@ -1,4 +1,4 @@
-"""The verdict: from what was found to what is said, in steps of which later ones may overrule others."""
+"""The verdict: from findings to statements, in steps of which later ones may overrule earlier ones."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ from rim_camera_ros.select.candidates import change_of_forms
 from rim_camera_ros.select.compare import Result
 
 #: Chi-square per value of held-out poses above which a recording that nothing explains is not consistent:
-#: where nothing is left out it was 1.02 at most.
+#: where nothing was missing it was 1.02 at most.
 _UNEXPLAINED = 1.05
-#: What is named must be more probable than not.
+#: Least probability of a named effect: more probable than not.
 LEAST_PROBABILITY = 0.5
 _AS_KNOWN = (
-    "known terms fit this recording better with other parameters, which are within what the camera file knows"
-    " of them (its covariance, or what plain least squares of such a recording would leave)"
+    "known terms fit this recording better with other parameters, which are within the errors of the camera "
+    "file (its covariance, or that of plain least squares of such a recording)"
 )
 _AGAINST = (
     "held-out poses got worse with {}: what is missing is something else, which no named effect describes"
@@ -64,17 +64,17 @@ _LITTLE = (
     "{0} would explain {1.explained:.0%} of what does not fit (chi-square of all errors of held-out poses "
     "{1.judged[0]:.3g} -> {1.judged[1]:.3g}): most of what is missing is something else"
 )
-_BESIDE_LARGE_GAINS = "not named beside light that goes from pixel to pixel, which may look like it"
-_BESIDE_FIRST_FRAMES = "not named beside first frames that differ, as their means may look like it"
-_BESIDE_CODES = "not told beside counts that are left out, which may look like it; mend those first"
+_BESIDE_LARGE_GAINS = "not named, as light that goes from pixel to pixel may look like it"
+_BESIDE_FIRST_FRAMES = "not named, as the means of first frames that differ may look like it"
+_BESIDE_CODES = "not named, as missing counts may look like it; mend those first"
 
 
 @dataclass(frozen=True)
 class Findings(FoundPhysics):
-    """All that a verdict rests on: what was found, of which ``camera`` file, and what is known beside it.
+    """The evidence for a verdict: the physics found, the ``camera`` file, and further findings.
 
-    ``reason`` is why the setup cannot be trusted (None: it can). ``shifted`` says that distances go with
-    unmodulated light; ``left_over`` is the mean chi-square per distance of the poses; ``gains`` are those of
+    ``reason`` is why the set-up cannot be trusted (None: it can). ``shifted`` says that unmodulated light
+    shifts distances; ``left_over`` is the mean chi-square per distance of the poses; ``gains`` are those of
     neighbouring pixels.
     """
 
@@ -93,7 +93,7 @@ class Findings(FoundPhysics):
 
 @dataclass
 class _Draft:
-    """What is to be said, as far as the steps have come; ``model`` is the improved camera."""
+    """The verdict after the steps so far; ``model`` is the improved camera."""
 
     verdict: str
     model: Camera
@@ -106,7 +106,7 @@ class _Draft:
 
 
 def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
-    """Return what is said of the findings; ``say`` takes progress in words."""
+    """Return the diagnosis by the findings; ``say`` takes progress in words."""
     draft = _begun(found)
     for step in (_wrong_parameters, _of_variance, _first_frames, _large_gains, _unknown_alone, _codes_first):
         step(draft, found)
@@ -130,7 +130,7 @@ def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
     elif correlated:
         draft.notes.append(correlated_error_note(found.fitted))
     if draft.verdict == "consistent" and measure.held_out and left > _UNEXPLAINED:
-        # neither an effect nor a smooth function: it is said all the same
+        # neither an effect nor a smooth function explains it, but it is reported
         draft.verdict = "unknown_physics"
         missing, draft.where = unexplained(found.fitted, measure.chi2_before)
         draft.missing = [missing]
@@ -160,10 +160,11 @@ def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
 
 
 def _made_sure(draft: _Draft, found: Findings, measure: Accuracy) -> Accuracy:
-    """Hold names and terms that moved against held-out poses; return how accurate what is said is then.
+    """Test names and terms that moved by held-out poses; return the accuracy of what remains.
 
-    A model that leaves much has not found what is missing: names are as certain as they explain what does
-    not fit. What held-out poses speak against is something else.
+    The probability of a name is multiplied by the share of the misfit that the model explains: a model that
+    explains little has not found the missing physics. Names against which held-out poses are evidence are
+    dropped.
     """
     sure = [
         effect
@@ -189,7 +190,7 @@ def _made_sure(draft: _Draft, found: Findings, measure: Accuracy) -> Accuracy:
 
 
 def _begun(found: Findings) -> _Draft:
-    """What the search says: a setup that cannot be trusted, unknown physics, effects by name, or nothing."""
+    """Begin with the search: a set-up that cannot be trusted, unknown physics, named effects, or nothing."""
     result, fitted = found.result, found.fitted
     ranking = ranking_of(found.baseline, result)
     _tie_with_better(result, ranking)
@@ -216,7 +217,7 @@ def _begun(found: Findings) -> _Draft:
 
 
 def _tie_with_better(result: Result, ranking: Sequence[Ranked]) -> None:
-    """Tie the first effect with those that gain more beside the known terms: the fit alone preferred it."""
+    """Tie the first effect with those that gain more over the known terms: only the fit preferred it."""
     if not result.found:
         return
     first = result.found[0]
@@ -228,7 +229,7 @@ def _tie_with_better(result: Result, ranking: Sequence[Ranked]) -> None:
 
 
 def _name(draft: _Draft, found: Findings) -> None:
-    """The effects that were found, with their parameters and where they act."""
+    """Name the effects that were found, with their parameters and where they act."""
     result, fitted, final = found.result, found.fitted, found.final
     draft.verdict = "missing_physics"
     probabilities = {rival.effect: rival.probability for rival in draft.ranking}
@@ -239,7 +240,7 @@ def _name(draft: _Draft, found: Findings) -> None:
     for finding in result.found:
         share = sum(probabilities.get(name, 0.0) for name in sorted({finding.effect, *finding.ties}))
         if finding is not result.found[0]:
-            # given those before it, against nothing more being missing
+            # conditional on the effects before it, against no further effect
             share = float(1 / (1 + np.exp(-min(finding.gain, 500.0))))
         draft.missing.append(
             missing_effect(
@@ -257,7 +258,7 @@ def _name(draft: _Draft, found: Findings) -> None:
 
 
 def _wrong_parameters(draft: _Draft, found: Findings) -> None:
-    """Known terms that moved; where nothing is missing they may be what differs."""
+    """Add known terms that moved; where nothing is missing they may be the cause of the misfit."""
     if draft.verdict == "inconsistent_setup":
         return
     moved_in = found.baseline.fit if draft.verdict == "consistent" else found.fitted
@@ -277,7 +278,7 @@ def _wrong_parameters(draft: _Draft, found: Findings) -> None:
 
 
 def _of_variance(draft: _Draft, found: Findings) -> None:
-    """What repeated frames say: a second camera's light, unmodulated light, or another noise."""
+    """Add the evidence of repeated frames: light of a second camera, unmodulated light, or another noise."""
     fitted, camera, variance = found.fitted, found.camera, found.variance
     second = None if draft.verdict == "inconsistent_setup" else second_camera(fitted, camera, variance)
     if second is None:
@@ -297,14 +298,14 @@ def _of_variance(draft: _Draft, found: Findings) -> None:
 
 
 def _unknown_alone(draft: _Draft, found: Findings) -> None:
-    """Beside unknown physics nothing else is named as missing."""
+    """With unknown physics, name nothing else as missing."""
     if draft.verdict == "unknown_physics":
-        draft.missing, further, told = beside_unknown(draft.missing, found.camera)
-        draft.adjusted, draft.notes = [*draft.adjusted, *further], [*draft.notes, *told]
+        draft.missing, further, notes = beside_unknown(draft.missing, found.camera)
+        draft.adjusted, draft.notes = [*draft.adjusted, *further], [*draft.notes, *notes]
 
 
 def _first_frames(draft: _Draft, found: Findings) -> None:
-    """What only the first frames of poses show is in their means, and looks like other physics there."""
+    """Report first frames that differ alone: in the means of poses they look like other physics."""
     if not found.variance.begins or draft.verdict == "inconsistent_setup":
         return
     names = [effect.effect for effect in draft.missing if effect.effect != UNKNOWN]
@@ -316,9 +317,10 @@ def _first_frames(draft: _Draft, found: Findings) -> None:
 
 
 def _large_gains(draft: _Draft, found: Findings) -> None:
-    """Pixels that see other light than their neighbours, in every pose: beside names it is a note.
+    """Report pixels that see other light than their neighbours in every pose; with named effects as a note.
 
-    Light from neighbours moves where a pixel looks, and mixes surfaces: effects that do so are not named.
+    Light from neighbours moves where a pixel looks, and mixes surfaces: effects that do the same are not
+    named.
     """
     if found.gains is None or not found.gains.is_beyond or draft.verdict == "inconsistent_setup":
         return
@@ -332,7 +334,7 @@ def _large_gains(draft: _Draft, found: Findings) -> None:
     draft.verdict, draft.missing, draft.model = "unknown_physics", [said], found.camera
     draft.adjusted, draft.ties = [], []
     brighter = found.gains.beside_neighbours
-    # noise is circular in the complex plane: so much of the amplitude is worth that many metres
+    # noise is circular in the complex plane: a relative amplitude corresponds to a phase, and so to metres
     draft.where = of_values(
         found.baseline.fit, lambda predicted: brighter * (predicted.context.ambiguity / (2 * np.pi))
     )
@@ -341,7 +343,7 @@ def _large_gains(draft: _Draft, found: Findings) -> None:
 
 
 def _codes_first(draft: _Draft, found: Findings) -> None:
-    """Counts that never occur look like other physics: they are told alone."""
+    """Report counts that never occur alone: they look like other physics."""
     if found.codes is None or draft.verdict == "inconsistent_setup":
         return
     names = [effect.effect for effect in draft.missing]

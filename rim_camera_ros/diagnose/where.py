@@ -1,4 +1,4 @@
-"""Where the mismatch is: pixels, times and covariates of what was left out."""
+"""Where the misfit is: pixels, times and covariates of the missing physics."""
 
 from __future__ import annotations
 
@@ -29,19 +29,20 @@ Array = NDArray[Any]
 _LEAST_SHARE = 0.03
 _MOST_COVARIATES = 4
 _MOST_STRETCHES = 8
-#: 1-sigma [px] over which what residuals show is averaged: that which predicts the other poses best.
+#: 1-sigma [px] of the averaging of residuals, of which the one that predicts the other poses best is used.
 _WIDTHS = (0.0, 0.7, 1.0, 1.5, 2.2, 3.2, 4.7, 7.0, 10.0)
-#: Relative error to which light that differs between pixels is to be known, and 1-sigma [px] over which it
-#: is averaged at the least.
+#: Relative error to which light that differs between pixels is estimated, least 1-sigma [px] of averaging.
 _RATIO = 0.1
 _NARROWEST = 1.5
 
 
 @dataclass(frozen=True)
 class Where:
-    """``pixels`` (H, W): mean square over poses in units of the single-frame sigma; ``covariates`` with the
-    share of the variance that each explains; ``times`` [s] from the first frame; ``curves`` by covariate:
-    centres, means [m] and standard errors.
+    """The location of a misfit.
+
+    ``pixels`` (H, W) is the mean square over poses in units of the single-frame sigma; ``covariates`` are
+    names with the share of the variance that each explains; ``times`` [s] are counted from the first frame;
+    ``curves`` by covariate are centres, means [m] and standard errors.
     """
 
     pixels: Array
@@ -57,11 +58,11 @@ def of_terms(
     *,
     rest: Callable[[Prediction], Array] | None = None,
 ) -> Where:
-    """Locate the contribution of effects of the fitted camera; ``origin`` has the geometry before.
+    """Locate the contribution of effects of the fitted camera; ``origin`` has the optics before.
 
-    Effects on the amplitude count by the distances that move with it, where these move by `LEAST_SIZE` and
-    more (RMS), else by the amplitude itself; those at edges by what pixels measure between surfaces. ``rest``
-    is what the effects do beyond their forms: changes (H, W) of the distance in m.
+    Effects on the amplitude count by the changes of distances that depend on it, where these are `LEAST_SIZE`
+    or more (RMS), else by the amplitude itself; effects at edges count by distances that pixels measure
+    between surfaces. ``rest`` returns changes (H, W) of the distance [m] in addition to the forms of effects.
     """
     of_light = [name for name in names if vocabulary()[name].shows_in == "amplitude"]
     by_distance = {name for name in of_light if _moves_distances(fitted, name)}
@@ -78,7 +79,8 @@ def of_terms(
             if physics.at_edges:
                 moved = measured_between(predicted, moved, fitted.pattern, fitted.nuisances)
             if name in of_light:
-                # noise is circular in the complex plane: so much of the amplitude is worth that many metres
+                # noise is circular in the complex plane: a relative amplitude corresponds to a phase, in
+                # metres
                 light = light + moved / SAME_SIZE * predicted.context.ambiguity / (2 * np.pi)
             else:
                 distance = distance + moved
@@ -92,17 +94,18 @@ def of_terms(
 
 
 def _moves_distances(fitted: Fit, name: str) -> bool:
-    """Return whether distances follow the light that an effect changes, as terms of the amplitude do."""
+    """Return whether distances depend on the light that an effect changes, by terms of the amplitude."""
     terms = [effect for effect in fitted.camera.effects.values() if isinstance(effect, DistanceTerm)]
     if vocabulary()[name].is_response or not any("amplitude" in term.depends_on() for term in terms):
         return False
-    moved = [moved_by_light(one, name)[one.used] for one in fitted.forward.predictions()]
+    predictions = fitted.forward.predictions()
+    moved = [moved_by_light(prediction, name)[prediction.used] for prediction in predictions]
     values = np.concatenate(moved)
     return bool(values.size) and float(np.sqrt(np.mean(values**2))) >= LEAST_SIZE
 
 
 def of_values(fitted: Fit, value: Callable[[Prediction], Array]) -> Where:
-    """Locate what a function says of each station: changes (H, W) of the distance in m."""
+    """Locate a function of each station's prediction: changes (H, W) of the distance [m]."""
     return _locate(fitted, value)
 
 
@@ -122,12 +125,12 @@ def of_noise(fitted: Fit, before: Camera, after: Camera) -> Where:
 
 
 def of_scatter(fitted: Fit, effect: ForeignLight) -> Where:
-    """Locate a second camera: by its effect, in the pixels times what repeated frames show of that.
+    """Locate a second camera: the scatter by its effect, in each pixel times the observed ratio to it.
 
-    Its light need not be the same in all pixels: the variance beyond the noise model's, over what the effect
-    makes of it, is averaged over as many neighbours as it takes to know it.
+    Its light need not be the same in all pixels. The ratio is that of the excess variance of repeated frames
+    to the variance by the effect, averaged over as many neighbours as it takes to estimate it.
     """
-    found = _locate(fitted, lambda one: effect.scatter(one.amplitude, one.context))
+    found = _locate(fitted, lambda prediction: effect.scatter(prediction.amplitude, prediction.context))
     excess, model, freedom = (np.zeros(fitted.camera.shape) for _ in range(3))
     for prediction in fitted.forward.predictions(slopes=False):
         relative = prediction.station.distance_variance / _sigma(prediction) ** 2 - 1
@@ -159,10 +162,10 @@ def of_change(fitted: Fit, camera: Camera) -> Where:
 
 
 def of_residuals(fitted: Fit) -> Where:
-    """Locate what a fit leaves in the pixels in use: residuals after the nuisances.
+    """Locate the residuals of a fit after nuisances, in the pixels in use.
 
-    Pixels and times count beyond their noise; the covariates' shares are of the variance with it. Pixels are
-    averaged with as many neighbours as poses agree about.
+    The noise is subtracted from the mean squares of pixels and times; the covariates' shares are of the
+    variance with noise. Pixels are averaged over the width by which poses predict each other best.
     """
 
     def value(predicted: Prediction) -> Array:
@@ -187,7 +190,7 @@ def _sigma(predicted: Prediction) -> Array:
 
 def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = False) -> Where:
     shape = fitted.camera.shape
-    # of every other pose, as neighbours are averaged by what these say of the others
+    # sums of two halves of the poses: the width of the averaging is chosen by cross-validation
     total, count = np.zeros((2, *shape)), np.zeros((2, *shape))
     rng = np.random.default_rng(7)
     energy: list[tuple[float, float, float]] = []
@@ -197,13 +200,13 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
     missing: set[str] = set()
     middle = 0.0
     if centred:
-        # the constant of a table belongs to the fixed pattern: its middle is the least that could be
+        # the constant of a table belongs to the fixed pattern: the median is subtracted
         parts = [
             np.broadcast_to(value(prediction), shape)[prediction.used]
             for prediction in fitted.forward.predictions()
         ]
         middle = float(np.median(np.concatenate(parts)))
-    # a pose that lasts, or is taken at several settings, is several stations: it counts once
+    # a long pose, or one at several settings, is several stations: it counts once
     stations = Counter((station.recording, station.placed) for station in fitted.forward.dataset.stations)
     number = {placed: k for k, placed in enumerate(stations)}
     for prediction in fitted.forward.predictions():
@@ -211,11 +214,11 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
         if not prediction.used.any():
             continue
         sigma = _sigma(prediction)
-        # what effects do also beside edges, which the fit leaves out
+        # effects are located also in pixels beside edges, which the fit excludes
         valid = (
             prediction.view.geometry.hit & (prediction.station.count > 0) & np.isfinite(image) & (sigma > 0)
         )
-        # a pixel that saturates in some frames only is neither beside the light nor in it
+        # a pixel that saturates in some frames only is neither saturated nor unsaturated
         valid &= np.isfinite(sigma) & (prediction.station.saturated == 0)
         if not valid.any():
             continue
@@ -250,10 +253,10 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
 
 
 def mean_of_halves(total: Array, count: Array, *, smooth: bool) -> Array:
-    """Return means (H, W), at least 0, of sums and numbers (2, H, W) of two halves of the poses.
+    """Return means (H, W), at least 0, from sums and numbers (2, H, W) of two halves of the poses.
 
-    ``smooth``: of each pixel and its neighbours, weighted by the normal distribution whose width predicts
-    each half best from the other (cross-validation; Stone 1974).
+    With ``smooth`` they are of each pixel and its neighbours, weighted by the normal distribution whose width
+    predicts each half best from the other (cross-validation; Stone 1974).
     """
 
     def mean(sums: Array, numbers: Array, width: float) -> Array:
@@ -280,7 +283,7 @@ def mean_of_halves(total: Array, count: Array, *, smooth: bool) -> Array:
 def _shares(
     values: Array, weights: Array, covariates: dict[str, Array]
 ) -> tuple[list[tuple[str, float]], dict[str, tuple[Array, Array, Array]]]:
-    """Explain values by one covariate after the other; the shares of the variance add up to at most 1."""
+    """Explain values by one covariate after the other; the shares of the variance add up to 1 at most."""
     mean = np.average(values, weights=weights)
     rest = values - mean
     variance = float(np.average(rest**2, weights=weights))
@@ -295,14 +298,14 @@ def _shares(
             means = np.bincount(bins, weights * rest) / np.maximum(sums, 1e-300)
             explained = float(np.sum(sums * means**2) / weights.sum()) / variance
             tries[name] = (explained, bins, means, sums)
-        name = max(tries, key=lambda one: tries[one][0])
+        name = max(tries, key=lambda tried: tries[tried][0])
         explained, bins, means, sums = tries[name]
         if explained < _LEAST_SHARE:
             break
         centres = np.bincount(bins, weights * left[name]) / np.maximum(sums, 1e-300)
         if not shares:
             spread = np.bincount(bins, weights * (rest - means[bins]) ** 2) / np.maximum(sums, 1e-300)
-            # settings or a few times leave classes empty
+            # covariates with few values leave classes empty
             own = sums > 0
             error = np.sqrt(spread[own] / np.bincount(bins)[own])
             curves[name] = (centres[own], means[own] + mean, error)
@@ -318,9 +321,10 @@ def _bins(x: Array, count: int = 16) -> Array:
 
 
 def _times(energy: list[tuple[float, float, float]]) -> list[tuple[float, float]]:
-    """Return stretches of time that hold 90 % of the energy, of stations from, to and energy.
+    """Return stretches of time that hold 90 % of the energy, from (start, end, energy) of each station.
 
-    The fewest stations, neighbours together; of many stretches those with the shortest gaps are joined.
+    They are made of the fewest stations; neighbouring stations are joined, and of many stretches those with
+    the shortest gaps.
     """
     energy = sorted(energy)
     values = np.maximum([e for _, _, e in energy], 0.0)
@@ -334,7 +338,7 @@ def _times(energy: list[tuple[float, float, float]]) -> list[tuple[float, float]
         start, end, _ = energy[i]
         stretches.append((stretches.pop()[0] if i == before + 1 and stretches else start, end))
     while len(stretches) > _MOST_STRETCHES:
-        gaps = [later[0] - one[1] for one, later in pairwise(stretches)]
+        gaps = [later[0] - earlier[1] for earlier, later in pairwise(stretches)]
         k = int(np.argmin(gaps))
         stretches[k : k + 2] = [(stretches[k][0], stretches[k + 1][1])]
     return stretches

@@ -68,8 +68,8 @@ ORDER: tuple[type[Effect], ...] = (
     AmplitudeNonlinearity,
 )
 
-#: Effects of one way of measuring (`rim_camera_ros.measurement`) alone, which act as those of ``ORDER`` do: a
-#: file of such a camera may hold them, and no other camera is asked for them.
+#: Effects of a single way of measuring (`rim_camera_ros.measurement`), which act as those of ``ORDER`` do:
+#: only files of such cameras may hold them.
 PARTICULAR: tuple[type[Effect], ...] = (GateTiming,)
 
 
@@ -90,23 +90,23 @@ def registry() -> dict[str, type[Effect]]:
 
 
 def known_effects() -> dict[str, type[Effect]]:
-    """Return `registry` and, behind it, the effects of single ways of measuring."""
+    """Return `registry`, followed by the effects of single ways of measuring."""
     return {**registry(), **{one.name: one for one in PARTICULAR}}
 
 
 def effects_of(camera: Camera) -> dict[str, type[Effect]]:
-    """Return the effects that can be of a camera: `registry`, and what else its file holds."""
+    """Return the effects that a camera can have: `registry`, and others that its file holds."""
     known = registry()
     return {**known, **{name: type(effect) for name, effect in camera.effects.items() if name not in known}}
 
 
 def vocabulary() -> dict[str, type[Physics]]:
-    """Return all names that a diagnosis speaks of: the effects, then sections that are none."""
+    """Return all names of the vocabulary: the effects, then sections that are no effects."""
     return {**known_effects(), **SECTIONS}
 
 
 def without_poses() -> list[str]:
-    """Return the effects that change with time or setting, and so can be told from one pose, by name."""
+    """Return by name the effects that change with time or setting, so that one pose identifies them."""
     return sorted(name for name, effect in registry().items() if effect.from_one_pose)
 
 

@@ -126,7 +126,7 @@ class AmbientTemperature(DistanceTerm):
         return {"lag": _THERMOMETER_LAG} if self.time_constant else {}
 
     def sensor_columns(self, context: Context) -> dict[str, Column]:
-        """Return what a lagging thermometer does: the air is warmer than it says by lag * dT / dt."""
+        """Return the error by a lagging thermometer: the air is warmer than its reading by lag * dT / dt."""
         readings = context.settings.ambient_readings
         if readings is None or not self.time_constant:
             return {"lag": (np.zeros(()), 0.0)}

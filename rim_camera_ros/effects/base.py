@@ -33,31 +33,31 @@ Undo = Literal["exact", "planes", "partial", "none"]
 
 @dataclass(frozen=True)
 class Effect(Physics):
-    """Base of all effects; a subclass is the effect's parameters, its behaviour, and what is known of it."""
+    """Base of all effects; a subclass holds the effect's parameters, its behaviour, and its properties."""
 
     #: how well one frame suffices to undo it
     undo: ClassVar[Undo] = "exact"
-    #: whether it keeps something in the context's memory, for which frames must come in their order
+    #: whether it keeps a state in the context's memory, so that frames must come in their order
     remembers: ClassVar[bool] = False
     #: whether its correction depends on the frames before
     follows_frames: ClassVar[bool] = False
-    #: whether what it keeps there holds for a geometry, whichever frame it is of
+    #: whether the state holds for a geometry, whichever the frame
     remembers_geometry: ClassVar[bool] = False
     #: whether it has a mean in the pixels of the scene that can be predicted
     predictable: ClassVar[bool] = True
-    #: whether the light that it delivers stays as it is while the scene does
+    #: whether the light that it delivers stays the same while the scene does
     steady: ClassVar[bool] = False
     #: whether it settles after power-on
     settles: ClassVar[bool] = False
-    #: whether it is one number as long as the setting is the same
+    #: whether it is a single number as long as the setting is the same
     constant_in_setting: ClassVar[bool] = False
-    #: whether saturated pixels make it
+    #: whether it is caused by saturated pixels
     from_saturated: ClassVar[bool] = False
-    #: whether its form may do otherwise than it says, by smooth factors over array, light and distance
+    #: whether its form has a model discrepancy, by smooth factors over array, light and distance
     has_discrepancy: ClassVar[bool] = True
-    #: whether the columns of its discrepancy are determined also where the data are that it acts on most
+    #: whether the data determine the columns of its discrepancy also where it acts most
     discrepancy_is_determined: ClassVar[bool] = True
-    #: whether it is a drift that an internal reference measures as well
+    #: whether it is a drift that an internal reference also measures
     drifts: ClassVar[bool] = False
     #: names of parameters in pixels, and per pixel
     in_pixels: ClassVar[frozenset[str]] = frozenset()
@@ -83,7 +83,7 @@ class Effect(Physics):
         return {}
 
     def sensor_sigmas(self) -> dict[str, float]:
-        """Return the 1-sigma of errors of a sensor whose readings the effect depends on, by name."""
+        """Return by name the 1-sigma of errors of sensors on whose readings the effect depends."""
         return {}
 
     def sensor_columns(self, context: Context) -> dict[str, Column]:
@@ -92,7 +92,7 @@ class Effect(Physics):
 
     @abstractmethod
     def sentence(self) -> str:
-        """Return in words, with numbers, what the effect does."""
+        """Describe the effect in words, with numbers."""
 
     def check(self, camera: Camera) -> None:
         """Raise ValueError where the parameters do not fit the camera (shapes, regions)."""
@@ -109,7 +109,7 @@ class Effect(Physics):
     def priors(self) -> dict[str, float]:
         """Return the free parameters by dotted path with the 1-sigma of a weak prior about their values.
 
-        As wide as the value itself, or as such effects commonly are.
+        The prior is as wide as the value itself, or as the usual size of such effects.
         """
         return {path: size for path, (_, _, size) in self._metadata().items() if size is not None}
 
@@ -117,9 +117,9 @@ class Effect(Physics):
     def reach(cls, path: str, start: float, shape: tuple[int, int]) -> tuple[float, float]:
         """Return how far a fit may move a parameter at a dotted path that starts at a value.
 
-        Widths and lags within a factor of five: readings are far from linear in them. Widths in pixels up to
-        that of the array, of ``shape`` (H, W): what is wider lays the same light on all its pixels, of whose
-        strength and widths only a quotient is identifiable.
+        Widths and lags may move within a factor of five: readings are far from linear in them. Widths in
+        pixels are limited to that of the array, of ``shape`` (H, W): a wider halo spreads the same light over
+        all pixels, and only a quotient of its strength and width is identifiable.
         """
         if not cls.is_shape(path):
             return -np.inf, np.inf
@@ -134,7 +134,7 @@ class Effect(Physics):
         return not cls.shapes.isdisjoint(path.split("."))
 
     def greatest(self, darkest: Sequence[tuple[float, float]]) -> dict[str, float]:
-        """Return the greatest values by dotted path that amplitudes in use allow, where they allow not all.
+        """Return by dotted path the greatest values that amplitudes in use allow, where they limit them.
 
         ``darkest`` are the integration time and the least amplitude [counts] of each station.
         """
@@ -146,11 +146,11 @@ class Effect(Physics):
         return np.inf
 
     def own_covariates(self) -> frozenset[str]:
-        """Return the covariates that it is a function of; none where it acts on the light."""
+        """Return the covariates on which it depends; none where it acts on the light."""
         return frozenset()
 
     def rows(self) -> frozenset[float]:
-        """Return the integration times that it has rows of parameters for."""
+        """Return the integration times for which it has rows of parameters."""
         return frozenset()
 
     @property
@@ -164,11 +164,11 @@ class Effect(Physics):
 
     @property
     def limit(self) -> str | None:
-        """The name of another effect, which this one is in the limit that its parameters have reached."""
+        """The name of the effect to which this one reduces, where its parameters have reached that limit."""
         return None
 
     def lean(self) -> Effect:
-        """Return the effect without parts that do nothing, itself where it has none."""
+        """Return the effect without parts that have no influence; the effect itself where it has none."""
         return self
 
     @classmethod
@@ -193,13 +193,13 @@ class Effect(Physics):
         return with_values(self, numbers) if numbers else self
 
     def finest(self) -> Effect:
-        """Return the effect in the form that is nearest to the truth and takes longest to compute."""
+        """Return the effect in its most exact form, which takes longest to compute."""
         return self
 
     def discrepancy(self, change: Change) -> Iterator[DiscrepancyColumn]:
-        """Yield what its form may do otherwise: derivatives of distance [m] and amplitude [counts] (H, W).
+        """Yield its model discrepancy: derivatives of distance [m] and amplitude [counts] (H, W).
 
-        Smooth factors on what it does (Kennedy and O'Hagan 2001).
+        These are smooth factors on its contribution (Kennedy and O'Hagan 2001).
         """
         for factor in (None, *change.factors):
             if factor is not None:
@@ -209,7 +209,7 @@ class Effect(Physics):
                 yield nothing, change.amplitude if factor is None else change.amplitude * factor
 
     def graph(self, camera: Camera) -> Graph | None:
-        """Return it as a curve over what it depends on, for reports; None where it is no curve."""
+        """Return it as a curve over its covariate, for reports; None where it is no curve."""
         return None
 
     def _metadata(self) -> dict[str, tuple[float, float, float | None]]:
@@ -255,7 +255,7 @@ class DistanceTerm(Effect):
         """
 
     def depends_on(self) -> frozenset[Dependency]:
-        """Return what the term depends on; never less than what it does."""
+        """Return the kinds of quantities on which the term depends, or a superset of them."""
         return frozenset({"settings"})
 
     #: whether its dependence on the pixel is a phase alone: it has `phase_shift` and `shifted`
@@ -266,7 +266,7 @@ class DistanceTerm(Effect):
         return ()
 
     def line_terms(self, saturated: NDArray[np.bool_]) -> tuple[Image, Image] | None:
-        """Return what is added to all pixels of rows (H,) and of columns (W,) [m], if it acts by such lines.
+        """Return the changes of all pixels of rows (H,) and of columns (W,) [m], if it acts by such lines.
 
         Saturated pixels themselves have no distance.
         """
@@ -322,7 +322,7 @@ class ComplexEffect(Effect):
 
     @property
     def direct(self) -> float:
-        """Share of the light of a pixel that arrives in it or beside it."""
+        """Share of the light of a pixel that arrives in the pixel itself or next to it."""
         return 1.0
 
     @abstractmethod
@@ -358,7 +358,7 @@ class ComplexEffect(Effect):
 
 @dataclass(frozen=True)
 class ResponseEffect(Effect):
-    """How the electronics publish the amplitude; distances are not touched. A camera has one at most."""
+    """The response by which the electronics publish the amplitude, one at most; distances do not change."""
 
     shows_in = "amplitude"
     is_response = True
@@ -370,7 +370,7 @@ class ResponseEffect(Effect):
 
     @abstractmethod
     def expanded(self, published: Image) -> Image:
-        """Return the amplitude in counts of a published one; infinite where none is so bright."""
+        """Return the amplitude in counts of a published one; infinite where no light is so bright."""
 
     @abstractmethod
     def slope(self, amplitude: Image) -> Image:
@@ -389,5 +389,5 @@ def effect_of[E: Effect](camera: Camera, kind: type[E]) -> E | None:
 
 
 def response_of(camera: Camera) -> ResponseEffect | None:
-    """Return the camera's effect that is its amplitude response, None where it publishes light as it is."""
+    """Return the camera's amplitude response, None where it publishes the light unchanged."""
     return next((effect for effect in camera.effects.values() if isinstance(effect, ResponseEffect)), None)

@@ -1,4 +1,4 @@
-"""Regressors and candidates: how an effect enters a linear fit, and the way back from coefficients to it."""
+"""Regressors and candidates: the columns of an effect in a linear fit, and the effect from coefficients."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Coefficients = Mapping[str, float]
 
 #: Derivatives (H, W) of measured distance and published amplitude (None: none) by one regressor.
 Column = tuple[Array, Array | None]
-#: Number of pixels from which on a search looks at a coarser grid, or at fewer variants.
+#: Number of pixels above which a search uses a coarser grid, or fewer variants.
 MANY_PIXELS = 60_000
 #: 1-sigma of a distance term's prior [m] where it is at its largest.
 TERM_SIZE = 0.05
 
 
 class Reading(Protocol):
-    """What a fit predicts of one station's mean frame, as far as columns of regressors need it."""
+    """A fit's prediction of a station's mean frame, as far as columns of regressors need it."""
 
     @property
     def context(self) -> Context:
@@ -44,7 +44,7 @@ class Reading(Protocol):
         """Return the light just before an effect, which need not be one of the camera's."""
 
     def light_change(self, after: str | None, change: Array) -> tuple[Array, Array]:
-        """Return what a relative change of the light after an effect (None: at the scene) does."""
+        """Return the changes of readings by a relative change of light after an effect (None: scene)."""
 
     def reading_change(self, by_distance: Array | float, relative: Array | float) -> tuple[Array, Array]:
         """Return the changes of the readings for changes of delivered distance [m] and log amplitude."""
@@ -69,10 +69,10 @@ def priors_of(regressors: Sequence[Regressor]) -> Array:
 
 @dataclass(frozen=True)
 class Groups:
-    """Columns of regressors k of which each pixel has at most one by itself: its ``number`` (H, W), -1: none.
+    """Columns of regressors k, of which each pixel has at most one: ``number`` (H, W), -1 for none.
 
-    They are ``own`` in the pixels of that number, 0 elsewhere, plus ``share[k]`` times ``common``, which is
-    the same for all of them (None: nothing is).
+    Column k is ``own`` in the pixels with the number k, 0 elsewhere, plus ``share[k]`` times ``common``,
+    which is the same for all columns (None: 0).
     """
 
     number: Array
@@ -81,7 +81,7 @@ class Groups:
     common: tuple[Array, Array] | None = None
 
     def columns(self) -> list[Column]:
-        """Return them one by one."""
+        """Return the columns one by one."""
         result: list[Column] = []
         for number, share in enumerate(self.share.tolist()):
             mine = self.number == number
@@ -97,8 +97,8 @@ class Groups:
 class Block:
     """Regressors whose columns are computed together; ``in_order`` where they need the stations in order.
 
-    ``grouped``, where each pixel has at most one of them by itself. ``pointwise`` where the columns of each
-    pixel follow from its own light, so that those of a part of the array can be computed alone.
+    ``grouped`` returns them as `Groups`, where each pixel has at most one of them. ``pointwise`` where the
+    columns of each pixel follow from its own light: those of a part of the array can be computed alone.
     """
 
     regressors: tuple[Regressor, ...]
@@ -112,10 +112,10 @@ class Block:
 class Candidate:
     """One variant of an effect that a camera file lacks.
 
-    ``effect`` is its name in the vocabulary, ``variant`` tells variants apart; ``build`` makes the camera
-    with it from the coefficients by label. ``positive`` coefficients by label: light that is added cannot be
-    negative, which speaks for something else. ``footprint`` [px] of variants that show in the very pixels
-    that an edge crosses.
+    ``effect`` is its name in the vocabulary, ``variant`` the name of the variant; ``build`` returns the
+    camera with it, from the coefficients by label. ``positive`` are labels of coefficients that cannot be
+    negative, as added light: negative ones are evidence for another effect. ``footprint`` [px] is set for
+    variants that show only in pixels which an edge crosses.
     """
 
     effect: str
@@ -140,10 +140,10 @@ class _Dataset(Protocol):
 
 @dataclass(frozen=True)
 class Facts:
-    """What the recordings contain, as far as candidates depend on it.
+    """The properties of recordings on which candidates depend.
 
-    ``amplitude`` is the median in counts, ``uptime`` [s] and ``ambient`` [degC] the ranges (None: not
-    stated); ``moves`` says whether the camera does.
+    ``amplitude`` is the median in counts, ``uptime`` [s] and ``ambient`` [degC] are the ranges (None: not
+    stated); ``moves`` says whether the camera moves.
     """
 
     integration_times: tuple[float, ...]
@@ -180,12 +180,12 @@ class Facts:
 
 
 def has_many_pixels(camera: Camera) -> bool:
-    """Return whether so many pixels make every variant expensive: then there are fewer."""
+    """Return whether there are so many pixels that fewer variants are tried."""
     return camera.sensor.width * camera.sensor.height > MANY_PIXELS
 
 
 def with_effect(camera: Camera, effect: Effect) -> Camera:
-    """Return the camera with one effect more, unchecked and the last: `camera_file.in_order` does both."""
+    """Return the camera with one more effect, last and unchecked; see `camera_file.in_order`."""
     return replace(camera, effects=MappingProxyType({**camera.effects, effect.name: effect}))
 
 
@@ -194,7 +194,7 @@ def effect_block(
 ) -> Block:
     """Return the regressors of some parameters of an effect: ``priors`` by dotted path.
 
-    The label is ``effects.NAME.PATH``, with ``label`` appended where variants must be told apart.
+    The label is ``effects.NAME.PATH``, with ``label`` appended to distinguish variants.
     """
     paths = tuple(priors)
     has_amplitude = not isinstance(effect, DistanceTerm)

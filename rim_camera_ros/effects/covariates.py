@@ -1,6 +1,6 @@
 """Covariates: the quantities on which a distance error may depend, by the names of the report.
 
-Each is a scalar per frame or an image (H, W); None where the recording does not tell.
+Each is a scalar per frame or an image (H, W); None where the recording does not state it.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ COVARIATES = {
 SCALAR = frozenset({"time", "uptime", "temperature", "ambient_temperature", "integration_time"})
 
 
-#: Covariates that a pixel has whatever its neighbours and its place on the grid.
+#: Covariates of a pixel that do not depend on its neighbours and its place on the grid.
 POINTWISE = frozenset(COVARIATES) - {
     "row", "column", "row_amplitude", "column_amplitude", "contrast", "edge", "saturation"
 }  # fmt: skip
 
-#: Angle from the optical axis [rad]: no covariate of a term; reports draw over it what depends on it alone.
+#: Angle from the optical axis [rad]: no covariate of a term; reports draw effects that depend on it alone.
 AXIS = "axis_angle"
 
 

@@ -70,7 +70,7 @@ class CyclicError(DistanceTerm):
         return self.gradient[0] * (context.column - optics.cx) + self.gradient[1] * (context.row - optics.cy)
 
     def shifted(self, phase: float) -> CyclicError:
-        """Return the same with a phase [rad] added to every harmonic and none that changes over the array."""
+        """Return the term with a phase [rad] added to every harmonic and no gradient over the array."""
         return CyclicError(harmonics=tuple(replace(h, phase=h.phase + phase) for h in self.harmonics))
 
     def _angles(self, distance: Image, context: Context) -> list[Image]:
@@ -111,7 +111,7 @@ class CyclicError(DistanceTerm):
         result: dict[str, float] = {}
         for i, harmonic in enumerate(self.harmonics):
             result[f"harmonics.{i}.amplitude"] = max(abs(harmonic.amplitude), 0.005)
-            result[f"harmonics.{i}.phase"] = 1.0  # a fit takes the phasor's, which `steps.of_phasors` makes
+            result[f"harmonics.{i}.phase"] = 1.0  # a fit uses the prior of the phasor (`steps.of_phasors`)
         return result | {"gradient.0": 0.005, "gradient.1": 0.005}
 
     @classmethod
@@ -124,7 +124,7 @@ class CyclicError(DistanceTerm):
         return [_variant(orders) for orders in ((4,), (4, 8), (4, 8, 12), (8,), (2,), (1,))]
 
     def discrepancy(self, change: Change) -> Iterator[DiscrepancyColumn]:
-        """Phase and size may change over the array otherwise than in proportion to the pixel."""
+        """Phase and size may change over the array in other ways than linearly."""
         columns = change.reading.columns(self)
         waves = [column for path, (column, _) in columns.items() if path.endswith(".phase")]
         for wave in (change.distance, *waves):

@@ -1,6 +1,7 @@
-"""What the form of an effect may do otherwise: what it does, changed a little (Kennedy and O'Hagan 2001).
+"""Model discrepancy of an effect: small changes of its contribution (Kennedy and O'Hagan 2001).
 
-An effect's form is never quite the true one, and what a large effect leaves looks like small other ones.
+The form of an effect is never quite the true one, and the residuals of a large effect look like small other
+effects.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _DEGREE = 4
 
 @dataclass(frozen=True)
 class Change:
-    """What an effect does to a station: ``distance`` [m] and ``amplitude`` [counts] (H, W), None: nothing.
+    """The changes of a station by an effect: ``distance`` [m] and ``amplitude`` [counts] (H, W), None: none.
 
     ``factors`` (F, H, W) are smooth over direction (the first `DIRECTIONS`), light and distance.
     """
@@ -40,7 +41,7 @@ class Change:
 
 
 def spread_out(change: Change) -> Iterator[DiscrepancyColumn]:
-    """Yield what it does that the change is spread along rows and along columns, by several widths."""
+    """Yield the effect of spreading the change along rows and along columns, by several widths."""
     from scipy.ndimage import gaussian_filter1d
 
     nothing = np.zeros(change.distance.shape)

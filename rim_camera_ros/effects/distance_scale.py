@@ -104,7 +104,7 @@ class DistanceScale(DistanceTerm):
 
 
 def _by_other_axis(context: Context, point: tuple[float, float]) -> tuple[Image, Image, Image]:
-    """Return what becomes of a distance of 1 m (H, W), and its derivatives by both numbers of ``point``."""
+    """Return the value of a distance of 1 m (H, W), and its derivatives by both numbers of ``point``."""
     optics, sensor = context.camera.optics, context.camera.sensor
     becomes, across, down = _at_one_metre(optics, sensor.width, sensor.height, point)
     return context.inside(becomes), context.inside(across), context.inside(down)

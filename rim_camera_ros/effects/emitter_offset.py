@@ -92,8 +92,8 @@ class EmitterOffset(Effect):
     def candidates(cls, camera: Camera, facts: Facts) -> list[Candidate]:
         """At the lens, and at several places beside it.
 
-        To first order an emitter is an offset of each pixel, -ray . e / 2, which the fixed pattern takes up;
-        what is left, (|e|^2 - (ray . e)^2) / (4 d), no linearisation at e = 0 shows.
+        To first order an emitter is an offset of each pixel, -ray . e / 2, which the fixed pattern absorbs. A
+        linearisation at e = 0 does not contain the rest, (|e|^2 - (ray . e)^2) / (4 d).
         """
         base = cls(position=(0.0, 0.0, 0.0))
         at_lens = linear(base, {"position.0": 0.05, "position.1": 0.05, "position.2": 0.05})
@@ -112,7 +112,7 @@ class EmitterOffset(Effect):
 
 
 def _beside(start: EmitterOffset) -> Candidate:
-    """All that an emitter at a place does, as a whole of prior 1, and the derivatives there."""
+    """The whole effect of an emitter at a place, with a prior of 1, and the derivatives there."""
     name, place = start.name, start.position
     variant = f"{1e3 * place[0]:g}, {1e3 * place[1]:g} mm"
     share = f"effects.{name}.share@{variant}"

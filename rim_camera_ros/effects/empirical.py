@@ -64,8 +64,8 @@ class Empirical(DistanceTerm):
                 kinds.add(_KIND.get(name, "frame"))
             elif name != "integration_time":
                 changing = True
-        # what changes from frame to frame within one setting must not be folded into a table; with the
-        # distance, too, it has to be solved for, as a term of distance and amplitude is
+        # a term that changes from frame to frame within one setting must not be folded into a table; if it
+        # depends on the distance as well, it has to be solved for like a term of distance and amplitude
         if "distance" in kinds and (changing or "frame" in kinds):
             kinds = (kinds - {"frame"}) | {"amplitude"}
         elif changing and kinds != {"settings"}:

@@ -58,7 +58,7 @@ class GateTiming(DistanceTerm):
         return _at(distance, shutter, _table(shutter, background, self.delay, self.width))
 
     def columns(self, signal: Signal, context: Context) -> dict[str, Column]:
-        """Central differences: what the gates make of a distance has no simple closed form."""
+        """Central differences: the distances by the gates have no simple closed form."""
         shutter, background = _stated(context)
         result: dict[str, Column] = {}
         for name in ("delay", "width"):
@@ -103,7 +103,7 @@ def _at(distance: Image, shutter: GatedShutter, table: Image) -> Image:
 def _table(
     shutter: GatedShutter, background: float, delay: tuple[float, ...], width: tuple[float, ...]
 ) -> Image:
-    """Return D(g'(d)) - d [m] over the ambiguity range, held constant where the gates tell nothing."""
+    """Return D(g'(d)) - d [m] over the ambiguity range, held constant where the gates determine nothing."""
     true = GatedShutter(
         gates=tuple(
             Gate(delay=gate.delay + late, width=gate.width + longer)
@@ -118,7 +118,7 @@ def _table(
     grid = np.arange(_PLACES) * (shutter.ambiguity / _PLACES)
     light = _LIGHT * true.shares(grid) + background * true.windows[:, None]
     found = _estimator(shutter, background).estimate(light).distance - grid
-    # where a neighbour's light is seen, nothing is told of this distance
+    # where a neighbour's light is seen, this distance is not determined
     known = np.isfinite(found) & (np.abs(found) < 0.25 * shutter.ambiguity)
     if not known.any():
         return np.zeros(_PLACES)

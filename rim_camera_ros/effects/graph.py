@@ -34,7 +34,7 @@ class Line:
 class Graph:
     """Lines of one effect; ``compared`` where those of another camera may be drawn beside them.
 
-    ``banded`` where the covariance of its parameters says how well they are known.
+    ``banded`` where the covariance of its parameters gives a band.
     """
 
     title: str

@@ -1,11 +1,11 @@
-"""What changes amplitudes beside the effects: ripples over the phase, surfaces unlike Lambert's, a response.
+"""Curves that change amplitudes in addition to effects: ripples over the phase, other surfaces, a response.
 
 The harmonics of the modulation that bend the distance also make the amplitude ripple with the same periods
 (Kahlmann 2007, sec. 3.3.1, sampling a signal that is no sine). A rough surface brightens towards grazing
 incidence in proportion to what it reflects (Oren & Nayar 1994); a glossy one adds light near normal incidence
-whatever its colour (Cook & Torrance 1982). No parameter of a camera file describes either: they are estimated
-beside the camera's, the ripples always, the surfaces where they are asked for, and the response's rest beside
-an `amplitude_nonlinearity`, whose one parameter is not every amplifier's.
+whatever its colour (Cook & Torrance 1982). No parameter of a camera file describes these: they are estimated
+jointly with the camera, the ripples always, the surfaces on request, and a free response in addition to an
+`amplitude_nonlinearity`, whose single parameter does not describe every amplifier.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ _LEAST = 0.1
 #: Labels of a weak lobe and of a falloff begin so.
 LOBE_PREFIX = f"{PREFIX}lobe."
 #: Labels by curve; the one in proportion to the reflectivity is 0 at normal incidence, where it could not be
-#: told from the power.
+#: distinguished from the power.
 RIPPLES = tuple(f"{PREFIX}ripple.{n}.{part}" for n in _PERIODS for part in ("cosine", "sine"))
 DIFFUSE = tuple(f"{PREFIX}diffuse.{k:.0f}" for k in _DEGREES[1:])
 GLOSS = tuple(f"{PREFIX}gloss.{k:.0f}" for k in _DEGREES)
 SURFACES = (*DIFFUSE, *GLOSS)
-#: Of the published amplitude, at logarithms (base 10) of the light over a level, where it is 1: the power
-#: could not be told from it otherwise.
+#: Logarithms (base 10) of the light over a level at which the curve of the published amplitude has its
+#: heights; it is 1 at the level, as it could not be distinguished from the power otherwise.
 _LOGARITHMS = (-2.0, -1.6, -1.2, -0.8, -0.4, 0.0, 0.4, 0.8, 1.2, 1.6, 2.0)
 RESPONSE = tuple(f"{PREFIX}response.{k:+.1f}" for k in _LOGARITHMS if k != 0.0)
-#: A weak lobe that every surface may have beside Lambert's law, at coarser angles, and its 1-sigma. At normal
-#: incidence it is as unknown as elsewhere: a camera's gain is that of Lambert's law.
+#: A weak lobe that every surface may have in addition to Lambert's law, at coarser angles, and its 1-sigma.
+#: At normal incidence it is as unknown as elsewhere: the gain of a camera is that for Lambert's law.
 _LOBE_DEGREES = (0.0, 10.0, 20.0, 35.0, 55.0, 80.0)
 LOBE_SIGMA = 0.03
 LOBE_DIFFUSE = tuple(f"{LOBE_PREFIX}diffuse.{k:.0f}" for k in _LOBE_DEGREES)
@@ -60,7 +60,7 @@ _ALL = frozenset((*RIPPLES, *SURFACES, *RESPONSE, *LOBE))
 
 
 def of_light(path: str) -> bool:
-    """Whether a parameter is of a curve of the light, which no camera file has."""
+    """Whether a parameter belongs to a curve of the light, which no camera file has."""
     return path in _ALL or path.startswith(TILES)
 
 
@@ -73,9 +73,9 @@ def tile_labels(scene: Scene) -> tuple[str, ...]:
 class LightCurves:
     """Factors on the light: 1 + ripples(phase), and 1 + diffuse(incidence) + gloss(incidence) 0.3 / colour.
 
-    ``values`` by label, 0 where absent; over the incidence splines between the angles. Amplitudes are
-    published times a response, relative to that of light of ``level`` counts. ``tiles`` are the labels of
-    the tiles whose reflectivity is not exactly that of the scene file.
+    ``values`` are by label, 0 where absent; over the incidence they are splines between the angles. Published
+    amplitudes are multiplied by a response, relative to that at ``level`` counts of light. ``tiles`` are the
+    labels of the tiles whose reflectivity is not exactly that of the scene file.
     """
 
     values: Mapping[str, float] = field(default_factory=dict)
@@ -148,7 +148,7 @@ class LightCurves:
         return np.asarray(np.maximum(1.0 + np.interp(self._logarithm(light), _LOGARITHMS, heights), _LEAST))
 
     def without(self, labels: Iterable[str]) -> LightCurves:
-        """Return the curves with those of some labels flat."""
+        """Return the curves without those of some labels."""
         gone = frozenset(labels)
         return replace(self, values={key: one for key, one in self.values.items() if key not in gone})
 
@@ -158,7 +158,7 @@ class LightCurves:
         return not self.values.keys().isdisjoint(RESPONSE)
 
     def light_of(self, published: Array, compressed: Callable[[Array], Array]) -> Array:
-        """Return the light in counts of published amplitudes, which are ``compressed`` and respond."""
+        """Return the light in counts of published amplitudes, which are ``compressed`` with a response."""
         readings = np.maximum.accumulate(compressed(_GRID) * self.response(_GRID))
         return np.asarray(np.interp(published, readings, _GRID))
 
@@ -176,7 +176,7 @@ class LightCurves:
         return np.asarray(np.log10(np.maximum(light, 1e-3) / self.level))
 
     def bend(self) -> float:
-        """Return by how much the response differs from 1 at most."""
+        """Return the greatest deviation of the response from 1."""
         return max(abs(self.values.get(f"{PREFIX}response.{k:+.1f}", 0.0)) for k in _LOGARITHMS)
 
     def ripple(self) -> float:
@@ -222,9 +222,9 @@ def _even_spline(degrees: tuple[float, ...]) -> Callable[[Array], Array]:
 
 
 def _weights(degrees: tuple[float, ...], angle: Array) -> Array:
-    """Return the weights (..., N) of heights at angles: even in the angle, and as smooth as lobes are.
+    """Return the weights (..., N) of heights at angles, of splines that are even in the angle.
 
-    Straight lines would miss a tenth of a lobe that is 10 degrees wide.
+    Linear interpolation would miss a tenth of a lobe that is 10 degrees wide.
     """
     return np.asarray(_even_spline(degrees)(np.minimum(angle, np.radians(degrees[-1]))))
 

@@ -32,7 +32,7 @@ from rim_camera_ros.phasor import to_phasor
 
 #: Below this sigma in pixels a sampled Gaussian is one pixel, to the last digit.
 _POINT = 0.02
-#: Share of its light that a pixel gathers from its footprint at least, where a fit begins.
+#: Least share of its light that a pixel gathers from its footprint where a fit begins.
 _LEAST_SHARE = 0.001
 #: Sigmas at which the Gaussian ends.
 _REACH = 8.0
@@ -42,10 +42,10 @@ _REACH = 8.0
 class MixedPixels(ComplexEffect):
     """Gaussian blur of the complex image; at the sensor's edge the image is continued by reflection.
 
-    A blur of what the centres of pixels see gives each pixel beside an edge the same share of the other
-    surface. Where the optics are sharp, those that the edge crosses see up to a half of it, and their
-    neighbours none: a pixel gathers the light of its ``footprint``, a square about its centre, before any
-    blur. Only the simulation of a scene can tell it. Pixels whose centre sees nothing stay dark.
+    A blur of the light at the centres of pixels gives each pixel beside an edge the same share of the other
+    surface. With sharp optics, pixels that the edge crosses see up to a half of it, and their neighbours
+    none: a pixel gathers the light of its ``footprint``, a square about its centre, before any blur. This
+    requires the simulation of a scene. Pixels whose centre sees nothing stay dark.
     """
 
     name = "mixed_pixels"
@@ -65,7 +65,7 @@ class MixedPixels(ComplexEffect):
     blur: float = quantity("px", "sigma of the Gaussian", minimum=0.0, maximum=20.0, typical=0.5)
     footprint: float | None = quantity(
         "px",
-        "side of the square whose light a pixel gathers, where that is told apart from a blur",
+        "side of the square whose light a pixel gathers, where that is distinguished from a blur",
         default=None,
         minimum=0.0,
         maximum=FINE.widest,
@@ -134,9 +134,9 @@ class MixedPixels(ComplexEffect):
         )
 
     def finest(self) -> MixedPixels:
-        """Return a form of the same width of which the area of a pixel is a part.
+        """Return a form of the same width that includes the area of a pixel.
 
-        Light of the centres of pixels places an edge to half a pixel, light of their areas where it is.
+        Light at the centres of pixels locates an edge to half a pixel, light over their areas exactly.
         """
         if self.footprint is not None:
             return self
@@ -191,7 +191,7 @@ def _light_around(context: Context) -> FootprintLight:
 
 
 def _blurred(blur: float) -> Candidate:
-    """The change that a blur makes, scaled by a coefficient of prior 1 (its square root scales the blur)."""
+    """The change by a blur, scaled by a coefficient of prior 1 (its square root scales the blur)."""
     effect = MixedPixels(blur=blur)
     label = f"effects.{effect.name}.blur@{blur:g} px"
 
@@ -211,7 +211,7 @@ def _blurred(blur: float) -> Candidate:
 
 
 def _gathered(side: float, cells: Cells) -> Candidate:
-    """The change that a footprint makes, scaled by a coefficient of prior 1."""
+    """The change by a footprint, scaled by a coefficient of prior 1."""
     name = MixedPixels.name
     label = f"effects.{name}.footprint@{side:g} px"
 
@@ -228,7 +228,7 @@ def _gathered(side: float, cells: Cells) -> Candidate:
 
 
 def _mixing(reading: Reading, relative: Image) -> Column:
-    """Return the column of a change of the light to some ratio (H, W) complex of what it was."""
+    """Return the column of a change of the light by a complex ratio (H, W)."""
     # large changes turn the phase by angles, not by ratios
     change = np.where(relative == 0, 0, np.log(np.where(relative == 0, 1, relative)))
     return reading.light_change(MixedPixels.name, change)

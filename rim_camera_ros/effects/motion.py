@@ -129,7 +129,7 @@ class Motion(Effect):
         return [linear(cls(sample_interval=0.0), prior), unmodulated]
 
     def discrepancy(self, change: Change) -> Iterator[DiscrepancyColumn]:
-        """Smooth factors, and another time from row to row, as with a rolling shutter."""
+        """Smooth factors, and a time that differs from row to row, as with a rolling shutter."""
         yield from super().discrepancy(change)
         context = change.reading.context
         assert context.geometry_at is not None

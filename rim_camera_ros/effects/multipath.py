@@ -29,12 +29,12 @@ from rim_camera_ros.phasor import to_phasor
 
 #: Side in pixels of the blocks of pixels that act as senders of the bounced light.
 BLOCK = 4
-#: Angle [rad] between senders beyond the view, and the largest from the axis, to where emitters shine.
+#: Angle [rad] between senders beyond the view, and the largest angle of emitted light from the axis.
 BEYOND_STEP = 0.08
 BEYOND_WIDEST = np.radians(75.0)
 #: Receivers at a time, which bounds the memory.
 _CHUNK = 2048
-#: Relative error [-] and difference of ways [m] that is none.
+#: Relative error [-] and difference of path lengths [m] that count as none.
 _EXACT = 1e-9
 #: Differences of normals up to which a surface is a plane, and heights [m] above it that count as none.
 _FLAT = 1e-9
@@ -48,9 +48,9 @@ class Multipath(Effect):
     Patch j of the scene is lit as its amplitude A_j says (emission pattern and emitter offset
     included), and sends light diffusely to patch i. F_ij = cos_i cos_j dA_j / (pi r^2 + dA_j) is the
     form factor of a small disc; d_ij is half the length of the path emitter - j - i - camera. Senders
-    are blocks of 4 x 4 pixels, and what the emitter lights beyond the view, in steps of 0.08 rad up to
-    75 degrees from the axis, as if it stood at the lens; occlusion between patches is left out. Follows
-    the vocabulary's definition with the radiometry of Lambert (Kahlmann 2007, eq. 2.10).
+    are blocks of 4 x 4 pixels, and surfaces that the emitter lights beyond the view, in steps of 0.08 rad
+    up to 75 degrees from the axis, as if it stood at the lens; occlusion between patches is neglected.
+    Follows the vocabulary's definition with the radiometry of Lambert (Kahlmann 2007, eq. 2.10).
     """
 
     name = "multipath"
@@ -137,8 +137,8 @@ def _bounce(signal: Signal, geometry: Geometry, context: Context) -> Image:
 def _between(points: Image, normals: Image, senders: _Senders, *, wave: float) -> tuple[Image, Image]:
     """Return which receivers of one surface are lit by senders of one surface, and the light there.
 
-    Each is lit by those before its surface, and sends to those before its own: for planes that is told
-    without looking at pairs.
+    A receiver is lit by senders in front of its surface, and a sender lights receivers in front of its own:
+    for planes this is known without a test of pairs.
     """
     rows, columns = np.arange(len(points)), np.arange(len(senders.area))
     flat_here, flat_there = _is_flat(normals), _is_flat(senders.normals)
@@ -261,9 +261,9 @@ def _senders(signal: Signal, geometry: Geometry, camera: Camera) -> _Senders:
 
 
 def _senders_beyond(signal: Signal, geometry: Geometry, camera: Camera) -> _Senders | None:
-    """Return what the emitter lights where no pixel looks, None where there is nothing.
+    """Return senders lit by the emitter beyond the view, None where there are none.
 
-    As bright as Lambert's law, the falloff of the emitter and the mean of what the pixels see make it.
+    Their brightness follows from Lambert's law, the falloff of the emitter and the mean of the pixels' light.
     """
     height, width = geometry.distance.shape
     rays, solid = rays_beyond(
@@ -293,7 +293,7 @@ def _senders_beyond(signal: Signal, geometry: Geometry, camera: Camera) -> _Send
 
 
 def _lambertian(geometry: Geometry, where: Image) -> Image:
-    """Return the light (N,) that Lambert's law makes of power 1 (Kahlmann 2007, eq. 2.10)."""
+    """Return the light (N,) of power 1 by Lambert's law (Kahlmann 2007, eq. 2.10)."""
     light: Image = (
         geometry.reflectivity[where] * geometry.cos_incidence[where] / geometry.distance[where] ** 2
     )

@@ -34,7 +34,7 @@ class ReferencePath(Effect):
     undo: ClassVar[Undo] = "partial"
 
     estimated = "elsewhere"
-    estimated_elsewhere = "no reading of an internal reference was recorded, or it was not asked for"
+    estimated_elsewhere = "no reading of an internal reference was recorded, or it was not requested"
     predictable = False
     shows_on_a_wall = False
     from_one_pose = True
@@ -158,7 +158,7 @@ def fit_line(x: ArrayLike, y: ArrayLike, *, x_sigma: ArrayLike, y_sigma: ArrayLi
 
 @dataclass(frozen=True)
 class ReferenceScale:
-    """Scale and nominal length [m] of a reference path with 1-sigma, and the RMS [m] of what is left."""
+    """Scale and nominal length [m] of a reference path with 1-sigma, and the RMS [m] of the residuals."""
 
     scale: float
     scale_sigma: float
@@ -183,7 +183,7 @@ def estimate_reference_scale(
     assumed. Sigmas are those of the stated errors, raised where the residuals are larger than they; a lag
     or other error that lasts over many frames makes the true ones larger still.
 
-    Raises `InputError` where the drift does not suffice to tell the scale, or is opposite to the reading.
+    Raises `InputError` where the drift does not determine the scale, or is opposite to the reading.
     """
     x, y = np.asarray(reading, float), np.asarray(drift, float)
     remedy = "record a fixed scene from power-on, or through a change of temperature"
@@ -195,7 +195,7 @@ def estimate_reference_scale(
     scale, scale_sigma = line.slope, line.slope_sigma * grown
     if not scale_sigma < _UNDETERMINED * abs(scale):
         raise InputError(
-            f"the reference moves too little to tell its scale ({scale:.2g} with sigma {scale_sigma:.2g})",
+            f"the reference moves too little to determine its scale ({scale:.2g}, sigma {scale_sigma:.2g})",
             remedy=remedy,
         )
     if scale < 0:

@@ -1,4 +1,4 @@
-"""Rows by integration time: which hold at a setting, interpolated in metres."""
+"""Rows by integration time: those that hold at a setting, interpolated in metres."""
 
 from __future__ import annotations
 

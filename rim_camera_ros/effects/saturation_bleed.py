@@ -21,7 +21,7 @@ from rim_camera_ros.parameters import quantity
 class SaturationBleed(DistanceTerm):
     """Added to every unsaturated pixel of a row (column) that holds a saturated one; negative = shorter.
 
-    Undone as far as the frame's own saturated pixels tell: what saturates is seen after the noise.
+    Undone as far as the frame's own saturated pixels show it: saturation occurs after the noise.
     """
 
     name = "saturation_bleed"
@@ -92,9 +92,9 @@ def _beside(saturated: NDArray[np.bool_]) -> tuple[Image, Image]:
 
 
 def _fading(context: Context, shape: tuple[int, ...]) -> list[Image]:
-    """Return what fades with the gap to the nearest saturated pixel of the row, and of the column, (H, W).
+    """Return factors (H, W) that fade with the gap to the nearest saturated pixel of the row or column.
 
-    Of either side apart: a column that is read out downwards need not spread upwards.
+    Each side has its own: a column that is read out downwards need not spread upwards.
     """
     saturated = context.saturated
     if saturated is None or not saturated.any():

@@ -27,8 +27,8 @@ from rim_camera_ros.effects.signal import Context, Image
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.phasor import to_phasor
 
-#: Sigma [px] up to which stray light is none: the footprint of a pixel and what crosses to its neighbours.
-#: Halos between lens and chip are wider.
+#: Sigma [px] up to which a halo is no stray light: the footprint of a pixel and crosstalk to its neighbours
+#: are so wide. Halos between lens and chip are wider.
 _LEAST_SPREAD = 2.0
 #: Share of the light that is spread below which one of its halos does not count.
 _LEAST_WEIGHT = 0.01
@@ -94,7 +94,7 @@ class Scattering(ComplexEffect):
         return 1.0 - self.total_weight
 
     def lean(self) -> Scattering:
-        """Return the same without halos that spread no light, but for the last one."""
+        """Return the effect without halos that spread no light, except the last one."""
         kernels = tuple(kernel for kernel in self.kernels if kernel.weight > 0)
         if not kernels and self.ghost is None:
             kernels = self.kernels[:1]
@@ -189,10 +189,10 @@ class Scattering(ComplexEffect):
         yield from self._mirrored(change.reading)
 
     def _mirrored(self, reading: Reading) -> Iterator[DiscrepancyColumn]:
-        """Yield what light does that falls on the chip mirrored through the optical axis, as a blurred ghost.
+        """Yield the effect of light that is mirrored through the optical axis onto the chip, a blurred ghost.
 
-        So comes back from surfaces of the lens what the chip reflects (Hullin et al. 2011, Physically-based
-        real-time lens flare rendering).
+        It is light that the chip reflects, and that comes back from surfaces of the lens (Hullin et al. 2011,
+        Physically-based real-time lens flare rendering).
         """
         from scipy.ndimage import gaussian_filter
 

@@ -18,7 +18,7 @@ from rim_camera_ros.parameters import flatten, with_values
 
 Array = NDArray[Any]
 
-#: 1-sigma of the relative change of a surface's light at an angle of incidence, and of what is read of light.
+#: 1-sigma of the relative change of a surface's light at an angle of incidence, and of a response to light.
 REFLECTANCE_PRIOR = 0.2
 #: ... and of its ripples over the phase.
 _RIPPLE_PRIOR = 0.03
@@ -29,7 +29,7 @@ class Section(Physics):
 
     #: the section of the camera file
     section: ClassVar[str]
-    #: what it means that it is missing, in words
+    #: description of a camera file that lacks it
     missing: ClassVar[str]
 
 
@@ -160,9 +160,9 @@ def optics_columns(camera: Camera, paths: Sequence[str]) -> Callable[[Reading], 
 
 
 def light_block(labels: Sequence[str], *, sigma: float = REFLECTANCE_PRIOR) -> Block:
-    """Return the regressors of curves of the light, as `light_curves` names them.
+    """Return the regressors of curves of the light, by their labels in `light_curves`.
 
-    ``sigma`` is the prior of the heights of curves that have no size of their own.
+    ``sigma`` is the prior of the heights of curves that have no own size.
     """
     prior = sigma
     if labels[0] in RIPPLES:

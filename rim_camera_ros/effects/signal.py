@@ -1,4 +1,4 @@
-"""What goes through a chain of effects: light and measurement of one exposure, and what is known of it."""
+"""The signal in a chain of effects: light and measurement of one exposure, and its context."""
 
 from __future__ import annotations
 
@@ -53,15 +53,15 @@ class Signal:
 
 @dataclass
 class Context:
-    """What an effect may know beside the signal.
+    """What an effect may use in addition to the signal.
 
     ``geometry``, ``geometry_at(seconds)`` (the scene that much later, with its ideal amplitude) and
     ``footprint(cells)`` (the light around the centres of the pixels) only in simulation; ``moving`` says
     whether the camera moves meanwhile; ``incidence`` [rad] (H, W) is true in simulation, estimated in
     correction; ``saturated`` (H, W) marks saturated pixels; ``time`` [s] counts from the first frame;
-    ``window`` is the part of the array whose images these are (None: all of it);
-    ``memory`` is kept from frame to frame; what is kept there holds for light that changed by the share
-    ``light_tolerance``; ``notes`` collects what the user should be told.
+    ``window`` is the part of the array that the images show (None: all of it); ``memory`` is kept from frame
+    to frame; its content holds for light that changed by up to the share ``light_tolerance``; ``notes``
+    collects messages to the user.
     """
 
     camera: Camera

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.effects.signal import Image
 
-#: Up to this many knots of one coordinate all intervals between them are summed up.
+#: Number of knots of one coordinate up to which interpolation is a sum over all intervals.
 _FEW = 24
 
 
@@ -65,7 +65,7 @@ def interpolate(
 def _along_knots(axis: NDArray[np.float64], table: Image, x: NDArray[np.float64]) -> Image:
     """Interpolate a table (knots, ...) by one coordinate, as a sum over the intervals between knots.
 
-    That needs no access by index, which is slow.
+    This avoids access by index, which is slow.
     """
     total: Image = table[0] + np.zeros_like(x)
     for k in range(len(axis) - 1):
@@ -85,8 +85,8 @@ def _along_single_axes(
 ) -> tuple[NDArray[np.float64], list[int]]:
     """Interpolate by those coordinates that vary along one axis of the image (as rows and columns do).
 
-    Returns the table with the axes of the knots that are left before those of the image (1 where nothing
-    varies), and which coordinates are left.
+    Returns the table with the axes of the remaining knots before those of the image (1 where nothing varies),
+    and the numbers of the remaining coordinates.
     """
     table = values.reshape(values.shape + (1,) * len(shape))
     open_: list[int] = []

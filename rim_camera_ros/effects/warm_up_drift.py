@@ -15,8 +15,8 @@ from rim_camera_ros.effects.graph import POINTS, Graph, Line
 from rim_camera_ros.effects.signal import Column, Context, Image, Signal
 from rim_camera_ros.parameters import quantity
 
-#: Time constants of what a drift may do beside its exponentials, in theirs: bodies and boards warm up at
-#: several rates.
+#: Time constants of the model discrepancy of a drift, relative to those of its exponentials: bodies and
+#: boards warm up at several rates.
 _RATES = (0.25, 0.5, 2.0, 4.0)
 
 

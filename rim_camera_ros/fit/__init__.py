@@ -1,5 +1,5 @@
 """The joint adjustment: recordings as stations (`data`), their prediction, normal equations, solver.
 
-`design` holds regressors that no effect has, `variance_components` sizes of random effects, `decimation` the
-coarser grid on which large sensors are looked at.
+`design` holds the regressors that are not parameters of effects, `variance_components` the sizes of random
+effects, `decimation` the coarser grid on which recordings of large sensors are fitted first.
 """

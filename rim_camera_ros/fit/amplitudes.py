@@ -14,7 +14,7 @@ from rim_camera_ros.fit.robust import excess
 
 Array = NDArray[Any]
 
-#: Relative 1-sigma to which amplitudes are predicted at best; what areas, flatness and dust do is estimated.
+#: Least relative 1-sigma of predicted amplitudes; more, by areas, flatness and dust, is estimated.
 AMPLITUDE_MODEL = 0.005
 
 
@@ -22,7 +22,7 @@ AMPLITUDE_MODEL = 0.005
 class AmplitudeModel:
     """How well the amplitude is predicted: relative 1-sigma ``tau`` per pixel, gain of every pose.
 
-    ``pixels`` (H, W) are the logarithms of the gains of pixels, None where nothing is known of them.
+    ``pixels`` (H, W) are the logarithms of the gains of pixels, None where they are not known.
     """
 
     gains: dict[tuple[int, int], float] = field(default_factory=dict)
@@ -39,8 +39,8 @@ def gains_and_error(
 ) -> tuple[dict[tuple[int, int], float], float]:
     """Return the gain of every pose and the relative 1-sigma of predicted amplitudes (robustly).
 
-    ``expanded`` returns the light of published amplitudes [counts]; known ``gains`` are kept; one gain for
-    all where it ``varies`` not from pose to pose.
+    ``expanded`` returns the light of published amplitudes [counts]; known ``gains`` are kept. Unless the gain
+    ``varies`` from pose to pose, all poses have one gain.
     """
     ratios: dict[tuple[int, int], list[Array]] = {}
     errors, variances = [], []
@@ -55,7 +55,7 @@ def gains_and_error(
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = np.log(measured / prediction.model_amplitude[pixels])
         noise = prediction.amplitude_sigma[pixels] / prediction.model_amplitude[pixels]
-        # a response may not reach as high as what was measured: no light is so strong
+        # amplitudes above the range of a response stand for no finite light
         known = np.isfinite(ratio)
         if not known.any():
             continue

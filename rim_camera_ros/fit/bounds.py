@@ -1,4 +1,4 @@
-"""How far parameters of an adjustment may go: to the end of what is possible, and in one step."""
+"""Limits of the parameters of an adjustment: their bounds, and the longest step."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from rim_camera_ros.fit.design import GAIN
 
 Array = NDArray[Any]
 
-#: Sigma by which the data take a parameter beyond what is possible above which that is no noise.
+#: Sigmas by which the data exceed the bound of a parameter above which this is not due to noise.
 BEYOND_POSSIBLE = 3.0
 #: Relative change of a width or a lag in one step.
 _SHAPE_STEP = 0.25
 #: Share of a station's values below whose amplitude a pole of a term may lie.
 _DARKEST = 0.01
-#: Share by which a parameter stays inside a bound greater than 0 that it may not reach, and by which sums of
-#: where it began and how far it went may miss a bound.
+#: Share by which a parameter stays inside a bound greater than 0 that it may not reach, and the rounding
+#: error of a value that is the sum of its start and a step, as a share of a bound.
 _INSIDE, _ROUNDING = 1e-9, 1e-12
 
 
@@ -40,7 +40,7 @@ class Bounds:
 
     @classmethod
     def of(cls, camera: Camera) -> Bounds:
-        """Return those of the effects of a camera, as they state them."""
+        """Return the bounds that the effects of a camera state."""
         lows: dict[str, float] = {}
         highs: dict[str, float] = {}
         for name, effect in camera.effects.items():
@@ -50,7 +50,7 @@ class Bounds:
 
     @classmethod
     def of_data(cls, dataset: Dataset, masks: Sequence[tuple[Array, Array]] | None, camera: Camera) -> Bounds:
-        """Return those of a camera that the amplitudes in use allow."""
+        """Return the bounds of a camera's effects that the amplitudes in use allow."""
         stated = cls.of(camera)
         if masks is None:
             return stated
@@ -111,10 +111,10 @@ class Bounds:
 
 
 def least_within(matrix: Array, right: Array, down: Array, up: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the least of x' matrix x / 2 - right' x (K,), x from ``down`` to ``up``, and what is at these.
+    """Minimise x' matrix x / 2 - right' x within ``down`` and ``up``: return x (K,), and which are at bounds.
 
-    Where a parameter may not go as far as it would, the others go where they fit best with it there (Stark &
-    Parker 1995). Raises `LinAlgError` for a matrix (K, K) that is not positive definite.
+    The other parameters are optimal given those at a bound (Stark & Parker 1995). Raises `LinAlgError` for a
+    matrix (K, K) that is not positive definite.
     """
     if not len(right):  # scipy 1.11 solves no empty equations
         return right, np.zeros(0, bool)
@@ -131,9 +131,9 @@ def least_within(matrix: Array, right: Array, down: Array, up: Array) -> tuple[A
 
 
 def sigmas_beyond(matrix: Array, right: Array, step: Array, held: NDArray[np.bool_]) -> dict[int, float]:
-    """Return by how many sigmas each parameter that is held would go, were it free beside those that are.
+    """Return by how many sigmas each held parameter would move if it were free jointly with the free ones.
 
-    The square is by what that would lower chi-square.
+    The square of it is the decrease of chi-square by this parameter.
     """
     free = np.flatnonzero(~held)
     result = {}
@@ -152,7 +152,7 @@ def longest_steps(
     numbers: Mapping[str, float],
     shape: tuple[int, int],
 ) -> Array:
-    """Return how far parameters may go in one step: shapes by a quarter, others as their effects say.
+    """Return how far parameters may go in one step: shapes by a quarter, others as their effects state.
 
     ``shape`` (H, W) of the array.
     """
@@ -169,19 +169,19 @@ def longest_steps(
 
 
 def of_shape(path: str) -> bool:
-    """Whether a parameter is a width or a lag, in which readings are far from linear."""
+    """Whether a parameter is a shape: a width or a lag, in which readings are far from linear."""
     owner, inner = _owner(path)
     return owner is not None and owner.is_shape(inner)
 
 
 def _owner(path: str) -> tuple[type[Effect] | None, str]:
-    """Return the effect that a dotted path of a camera file is of, and the path within it."""
+    """Return the effect (None: none) to which a dotted path of a camera file belongs, and its inner path."""
     name, _, inner = path.removeprefix("effects.").partition(".")
     return (known_effects().get(name) if path.startswith("effects.") else None), inner
 
 
 def _margin(low: float) -> float:
-    """Return by how much a parameter stays above a least value: one that must exceed 0 does not reach it."""
+    """Return by how much a parameter stays above its lower bound; 0 where that is not above 0."""
     return _INSIDE * max(low, 1.0) if np.isfinite(low) and low > 0 else 0.0
 
 

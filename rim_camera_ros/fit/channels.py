@@ -34,10 +34,11 @@ class Places:
 
 @dataclass(frozen=True)
 class GroupValues:
-    """Regressors from ``first`` on of which each pixel has at most one by itself, in units of the noise.
+    """A group of regressors, ``first`` on, of which each pixel has at most one; in units of the noise.
 
-    ``number`` (N,) is that of each pixel, -1 for none, with its ``value`` (N,); ``share`` (G,) of each
-    regressor in the row that is ``common`` (N,) to all of them (None: none is).
+    ``number`` (N,) is the number of each pixel's own regressor in the group (-1: none), with the derivative
+    ``value`` (N,). In addition all of them share the row ``common`` (N,) (None: there is none), each with the
+    factor ``share`` (G,).
     """
 
     first: int
@@ -49,10 +50,10 @@ class GroupValues:
 
 @dataclass(frozen=True)
 class Channel:
-    """The weighted design of one channel at its ``pixels``, flat.
+    """The weighted design of one channel at its ``pixels`` (N,), flat.
 
-    ``index`` (K,) numbers the ``dense`` rows (K, N) among all. All are in units of the noise, its inverse is
-    ``root`` (N,).
+    ``index`` (K,) are the numbers of the ``dense`` rows (K, N) among all columns of the design. Rows are in
+    units of the noise; ``root`` (N,) is the inverse of its standard deviation.
     """
 
     pixels: Array
@@ -83,13 +84,16 @@ class Channel:
         gram[at, at] += own
 
     def times(self, factor: Array) -> Products:
-        """Return the products of all columns with one that is ``factor`` (N,) at each pixel."""
+        """Return the products of all columns with a column that is ``factor`` (N,) at each pixel."""
         return Products(self, factor * self.root)
 
 
 @dataclass(frozen=True)
 class Products:
-    """Products of the columns of a ``channel`` with one of each pixel's own: they times ``factor`` (N,)."""
+    """Products of the columns of a ``channel`` with a column of each pixel's own: columns times ``factor``.
+
+    ``factor`` (N,) is the weighted value of the pixel's column.
+    """
 
     channel: Channel
     factor: Array

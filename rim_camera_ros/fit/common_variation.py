@@ -1,4 +1,4 @@
-"""What all pixels share from frame to frame: light of another camera, or a surface that moves."""
+"""Variation from frame to frame that all pixels share: light of another camera, or a moving surface."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from scipy.special import polygamma
 
 Array = NDArray[Any]
 
-#: Pixels that were valid in all frames, from which on frames are compared.
+#: Least number of pixels that were valid in all frames.
 _LEAST_PIXELS = 50
 
 
 @dataclass(frozen=True)
 class Movement:
-    """Changes of a station's frames as a plane that tilts would make them, and as common light would.
+    """Two models of the changes between a station's frames: a plane that tilts, and common light.
 
-    ``by_tilt`` and ``by_light`` are the chi-squares that either explains, with two numbers a frame;
-    ``of_phase`` is the logarithm of how much more tilts of the phase explain than tilts of the amplitude do,
-    summed over stations: light that a second camera throws unevenly tilts both alike, what moves tilts
-    distances alone.
+    Each model has two numbers per frame. ``by_tilt`` and ``by_light`` are the chi-squares that they explain.
+    ``of_phase`` is the logarithm of the ratio of what tilts of the phase explain to what tilts of the
+    amplitude explain, summed over stations: uneven light of a second camera tilts both alike, a movement
+    tilts distances alone.
     ``rim`` [m] is the RMS over the frames of how far tilts move distances at the rim of the array.
-    ``steps`` and ``spread`` are the sums of squares of the changes from one frame to the next and of the
-    deviations from the mean, of the numbers of the better of the two: their ratio is 2 where frames are
-    independent (von Neumann 1941), and near 0 where they follow a drift. ``later`` are the squares of the
-    deviations of all frames but the first from their own mean. ``freedom`` is the number of frames less 1,
-    over ``number`` stations.
+    ``steps`` and ``spread`` are of the numbers of the better model: the sum of squares of their changes from
+    one frame to the next, and that of their deviations from the mean. Their ratio is 2 where frames are
+    independent (von Neumann 1941), and near 0 where they follow a drift. ``later`` is the sum of squares of
+    the deviations of all frames but the first from their own mean. ``freedom`` is the number of frames less
+    1, summed over ``number`` stations.
     """
 
     by_tilt: float
@@ -44,24 +44,24 @@ class Movement:
 
     @property
     def persistence(self) -> float:
-        """How far frames follow those before them: 0 where they are independent, 1 at most."""
+        """Correlation of frames with those before them: 0 where they are independent, 1 at most."""
         return 1.0 - self.steps / (2.0 * self.spread) if self.spread > 0 else 0.0
 
     @property
     def first(self) -> float:
-        """The share of the spread that is of the first frame's distance to those after it."""
+        """The share of the spread that is due to the difference of the first frame from the others."""
         return 1.0 - self.later / self.spread if self.spread > 0 else 0.0
 
     @property
     def tilts(self) -> float:
-        """By how many sigmas tilts are of distances rather than of distances and amplitudes alike."""
+        """Significance [sigmas] of tilts of distances alone, against equal tilts of amplitudes."""
         # the logarithm of the ratio of two equal sums of F - 1 squares
         sigma = np.sqrt(2.0 * self.number * polygamma(1, max(self.frames - 1.0, 1.0) / 2.0))
         return float(self.of_phase / sigma)
 
     @property
     def begins(self) -> float:
-        """By how much more the first frame stands out than independent frames do (1), as a ratio of F."""
+        """F ratio of the first frame's deviation from the others to that of independent frames (then 1)."""
         others = self.freedom - self.number
         if others <= 0 or not self.spread > 0:
             return 0.0
@@ -69,10 +69,10 @@ class Movement:
 
     @property
     def first_in_drift(self) -> float:
-        """What `first` is where a drift makes the persistence beside noise, of more than two frames.
+        """The value of `first` where the persistence is due to a drift in noise, of more than two frames.
 
         A steady drift of n frames has a persistence of 1 - 6 / (n (n + 1)), and 3 / (n + 1) of its spread is
-        of the first; a random walk of three frames is as half of it beside noise.
+        due to the first; a random walk of three frames is like a drift with half of the spread, and noise.
         """
         n = self.frames
         drift = self.persistence / (1.0 - 6.0 / (n * (n + 1.0)))
@@ -80,9 +80,9 @@ class Movement:
 
     @property
     def first_where_it_begins(self) -> float:
-        """What `first` is where only first frames differ, of more than two frames.
+        """The value of `first` where the persistence is due to first frames alone, of more than two frames.
 
-        Without noise their persistence is 1 - n / (2 (n - 1)), and all of the spread is of the first.
+        Without noise the persistence is then 1 - n / (2 (n - 1)), and all of the spread is due to the first.
         """
         n = self.frames
         return self._first(self.persistence / (1.0 - n / (2.0 * (n - 1.0))), 1.0)
@@ -129,10 +129,10 @@ class CommonVariation:
 
 
 def common_variation(frames: Array, ambiguity: float) -> CommonVariation | None:
-    """Examine complex images (F, H, W) of one scene, counts, 0 where a pixel was not valid.
+    """Examine complex images (F, H, W) [counts] of one scene, 0 where a pixel was not valid.
 
-    ``ambiguity`` [m] is a turn of the phase. Of what is not in proportion to the light itself: power and
-    phase of the emitter vary a little. None of fewer than two frames, or of too few pixels.
+    ``ambiguity`` [m] is a turn of the phase. Only variation that is not in proportion to the light itself
+    counts, as power and phase of the emitter vary a little. None for fewer than two frames or too few pixels.
     """
     if len(frames) < 2:
         return None
@@ -144,7 +144,7 @@ def common_variation(frames: Array, ambiguity: float) -> CommonVariation | None:
     deviation = stack - light
     freedom = len(stack) - 1
     variance = (np.abs(deviation) ** 2).sum(axis=0) / freedom
-    # noise grows with the amplitude where the floor prevails: those pixels say little
+    # noise grows with the amplitude where the floor prevails: those pixels contain little information
     weight = 1.0 / np.maximum(variance, np.quantile(variance, 0.2) + 1e-12)
     own = 1.0 - light * (weight * light.conj()).sum() / (weight * np.abs(light) ** 2).sum()
     total = (deviation * (weight * own.conj())).sum(axis=1)
@@ -152,7 +152,7 @@ def common_variation(frames: Array, ambiguity: float) -> CommonVariation | None:
     if not expected > 0:
         return None
     found = float((np.abs(total) ** 2).mean())
-    # light that is the same in all pixels is seen by so much, less what it adds to the variances
+    # the response to light that is the same in all pixels, less what it adds to the variances
     seen = (weight * np.abs(own) ** 2).sum() ** 2 - (weight**2 * np.abs(own) ** 2).sum()
     seen *= freedom / len(stack)
     movement = _movement(deviation, light, weight, valid, ambiguity)
@@ -160,7 +160,7 @@ def common_variation(frames: Array, ambiguity: float) -> CommonVariation | None:
 
 
 def _movement(deviation: Array, light: Array, weight: Array, valid: Array, ambiguity: float) -> Movement:
-    """Compare what tilts of the phase and what light in common explain of deviations (F, N) of the light."""
+    """Compare tilts of the phase and common light as explanations of deviations (F, N) of the light."""
     root = np.sqrt(2.0 * weight)
 
     def as_columns(*images: Array) -> Array:

@@ -1,10 +1,10 @@
-"""Errors of distances that neighbouring pixels share, in each pose anew: smooth over its surfaces.
+"""Errors of distances that neighbouring pixels share, independent between poses: smooth over their surfaces.
 
 Light that comes by way of the room, a floor that is not flat, or a gloss act on neighbours alike and differ
-from pose to pose. Where that is more than noise, pixels are no independent observations: taken for some,
-thousands of them move poses and parameters by many times what is stated of them. Here it is a random effect
-of each pose, a discrepancy of the model (Kennedy & O'Hagan 2001, sec. 4) that is integrated out as errors of
-poses are. `variance_components` says how large it is.
+from pose to pose. Where these errors exceed the noise, pixels are no independent observations: treated as
+independent, thousands of them move poses and parameters by many times their stated errors. Here such errors
+are a random effect of each pose: a model discrepancy (Kennedy & O'Hagan 2001, sec. 4) that is integrated out
+as errors of poses are. `variance_components` estimates its size.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from rim_camera_ros.fit.views import PoseColumn, View
 
 Array = NDArray[Any]
 
-#: How the random effects are named in what is eliminated.
+#: Begin of the names of these random effects among the nuisances.
 CORRELATED = "correlated."
-#: Half waves across what a pose shows, from 0 on, at most; waves of all poses together, of which each takes
-#: memory for every pixel and time with the square of their number. With half of them poses of a SwissRanger
-#: over a floor still seemed to err alike, by 15 times what is stated.
+#: Most numbers of half waves across the surfaces of a pose, from 0 on; and the most waves of all poses
+#: together: each takes memory for every pixel, and time grows with the square of their number. With half of
+#: them poses of a SwissRanger over a floor still seemed to share errors, of 15 times the stated size.
 _MOST_HALF_WAVES = 6
 _MOST_WAVES = 1000
 
 
 def half_waves_of(poses: int) -> int:
-    """Return how many half waves across a pose there are in a recording of so many poses."""
+    """Return how many numbers of half waves are used across each pose in a recording of so many poses."""
     return int(np.clip(np.sqrt(_MOST_WAVES / max(poses, 1)), 1, _MOST_HALF_WAVES))
 
 
 def correlated_columns(view: View, size: float, *, half_waves: int) -> list[PoseColumn]:
-    """Return the waves of which correlated errors of a pose consist, with a 1-sigma of ``size`` [m] in all.
+    """Return the waves of which correlated errors of a pose consist, with a total 1-sigma of ``size`` [m].
 
-    Cosines over the rows and columns that the surfaces of the pose cover, whose mean squares are 1, of fewer
-    than so many ``half_waves`` each way, with the sizes of `shares_of`.
+    They are products of cosines over the rows and columns that the surfaces of the pose cover, with mean
+    squares of 1 and fewer than ``half_waves`` half waves each way. `shares_of` gives their sizes.
     """
     hit = view.geometry.hit
     if not hit.any():
@@ -54,7 +54,7 @@ def correlated_columns(view: View, size: float, *, half_waves: int) -> list[Pose
 
 
 def correlated_error_of(prediction: Prediction, nuisances: Mapping[str, float]) -> Array:
-    """Return the correlated errors found of a station beside tilts and offset of its pose, (H, W) m."""
+    """Return a station's estimated correlated errors (H, W) [m], apart from offset and tilts of its pose."""
     station = prediction.station
     total = np.zeros(prediction.distance.shape)
     for column in prediction.pose_columns:
@@ -69,9 +69,9 @@ def correlated_error_of(prediction: Prediction, nuisances: Mapping[str, float]) 
 def shares_of(half_waves: int) -> Array:
     """Return the 1-sigma of each wave (K, K) over that of all: as one over the square of its wave number.
 
-    That is the prior of a thin-plate spline (Wahba 1990, sec. 2.4): it bends as little as it must. Its
-    mean, of which that prior says nothing, is as large as the longest wave: what is shared by all pixels of a
-    pose would be a drift or a cyclic error otherwise.
+    That is the prior of a thin-plate spline (Wahba 1990, sec. 2.4), which bends as little as possible. That
+    prior leaves the mean free; here its size is that of the longest wave: an error shared by all pixels of
+    a pose would be a drift or a cyclic error otherwise.
     """
     squares = np.add.outer(np.arange(half_waves) ** 2.0, np.arange(half_waves) ** 2.0)
     shares = 1.0 / np.maximum(squares, 1.0)

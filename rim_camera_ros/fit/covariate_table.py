@@ -28,9 +28,9 @@ KNOTS = (12, 6)
 #: Values per knot that a fit needs, and 1-sigma of a value's prior [m].
 LEAST_VALUES = 200
 PRIOR = 0.05
-#: Begin of the labels of its values, which go on with their place in C order.
+#: Begin of the labels of its values; their place in C order follows.
 LABEL = f"effects.{CovariateTable.name}.values."
-#: Covariates over which knots are spaced in proportion.
+#: Covariates over which knots have constant ratios.
 _BY_RATIO = frozenset({"amplitude", "row_amplitude", "column_amplitude"})
 _SAMPLES = 2000
 
@@ -40,7 +40,7 @@ def empirical_covariates(word: str) -> tuple[str, ...]:
 
     Raises `InputError` for an unknown covariate.
     """
-    names = tuple(one for one in word.split(":")[1:] if one) or ("amplitude",)
+    names = tuple(name for name in word.split(":")[1:] if name) or ("amplitude",)
     for name in names:
         if name not in COVARIATES:
             remedy = nearest_name(name, COVARIATES)
@@ -59,9 +59,8 @@ def empirical_covariates(word: str) -> tuple[str, ...]:
 def empirical_start(forward: Forward, names: tuple[str, ...]) -> CovariateTable:
     """Return the effect at zero, with knots where the recordings have values.
 
-    Knots lie between the 0.5 and 99.5 % quantiles, evenly or, for amplitudes, in proportion; those between
-    which there are few values are left out. Raises `InputError` where a covariate is not recorded or does
-    not vary.
+    Knots lie between the 0.5 and 99.5 % quantiles, evenly or, for amplitudes, at constant ratios. A knot with
+    few values below it is skipped. Raises `InputError` where a covariate is not recorded or does not vary.
     """
     parts: list[list[Array]] = [[] for _ in names]
     for prediction in forward.predictions(slopes=False):
@@ -99,7 +98,7 @@ def _knots(name: str, values: Array, count: int) -> tuple[float, ...]:
             kept[-1] = float(upper)
     if len(kept) < 2:
         kept = [float(low), float(high)]
-    return tuple(float(f"{one:.6g}") for one in kept)
+    return tuple(float(f"{knot:.6g}") for knot in kept)
 
 
 def empirical_block(effect: CovariateTable) -> Block:
@@ -121,7 +120,7 @@ def empirical_block(effect: CovariateTable) -> Block:
 
 
 def with_empirical_changes(camera: Camera, changes: Mapping[str, float]) -> Camera:
-    """Return the camera with changes [m] of the values of its table by label; others are passed over."""
+    """Return the camera with changes [m] of the values of its table by label; other labels are ignored."""
     own = {
         int(path.removeprefix(LABEL)): change for path, change in changes.items() if path.startswith(LABEL)
     }

@@ -1,6 +1,6 @@
-"""Stations: what a recording is reduced to, sums per pixel over frames of one pose and one setting.
+"""Stations: a recording reduced to sums per pixel over frames of one pose and one setting.
 
-A station holds all that a fit needs of its frames, so that memory does not grow with their number.
+A station holds everything that a fit needs of its frames, so that memory does not grow with their number.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rim_camera_ros.fit.common_variation import Movement
 from rim_camera_ros.frame import Pose, Settings
 from rim_camera_ros.scene import Scene
 
-#: Frames of a station that tell what all pixels share.
+#: Frames of a station that are kept to find the variation which all pixels share.
 KEPT_FRAMES = 8
 
 Array = NDArray[Any]
@@ -36,12 +36,12 @@ class Station:
     one; a wrapping camera's distances are averaged modulo L); ``distance_variance`` [m^2] and
     ``amplitude_variance`` [counts^2] of single frames (NaN below two); ``count`` the valid frames of each
     pixel; ``saturated`` how many of its frames were saturated. ``pose`` numbers the poses of the recording,
-    ``placement`` those that were told with other values than the one before (None: all); ``stamp`` [ns] and
-    ``time`` [s since the first frame] are the middle of the block, ``duration`` [s] is from its first frame
-    to its last. ``common`` is the frame-to-frame variation that all pixels share and that is not in
-    proportion to their light, as chi-square per degree of freedom of the mean complex deviation (1: none;
-    None for one frame); ``common_light`` [counts^2] is its power if it is the same in all pixels, beyond
-    what noise makes (negative where that happened to be less). ``movement`` says whether tilts explain it.
+    ``placement`` only those whose stated values differ from the pose before (None: as ``pose``). ``stamp``
+    [ns] and ``time`` [s since the first frame] are the middle of the block, ``duration`` [s] is from its
+    first frame to its last. ``common`` is the frame-to-frame variation that all pixels share and that is not
+    in proportion to their light, as chi-square per degree of freedom of the mean complex deviation (1: none;
+    None for one frame). ``common_light`` [counts^2] is its power if it is the same in all pixels, less that
+    of noise (negative by chance). ``movement`` says whether tilts explain it.
     """
 
     recording: int
@@ -65,16 +65,16 @@ class Station:
 
     @property
     def placed(self) -> int:
-        """Number of the placement, within which the error of the reference instrument is the same."""
+        """Number of the placement, within which errors of the reference instrument are the same."""
         return self.pose if self.placement is None else self.placement
 
 
 @dataclass
 class Dataset:
-    """Stations of one or more recordings, in order; ``notes`` say what was assumed or left out.
+    """Stations of one or more recordings, in order; ``notes`` say what was assumed or excluded.
 
     ``codes`` (65536,) counts how often each raw distance count occurred; None for distances in metres.
-    ``decimation``: its pixels are every so many-th of the sensor's, along rows and columns.
+    ``decimation`` is the step of its pixels on the sensor, along rows and columns.
     """
 
     stations: list[Station]
@@ -91,11 +91,11 @@ class Dataset:
 
     @property
     def placements(self) -> int:
-        """Number of times that surfaces were placed anew: poses stated alike one after the other are one."""
+        """Number of placements: successive poses with the same stated values are one placement."""
         return len({(station.recording, station.placed) for station in self.stations})
 
     def with_poses(self, scene: Scene, path: str | PathLike[str] | None = None) -> None:
-        """Leave out stations before the first pose of a surface with ``pose: truth``, which is noted.
+        """Exclude stations before the first pose of a surface with ``pose: truth``, with a note.
 
         Raises `MissingPoses` where no station has all poses, `InputError` where there is no station.
         """
@@ -105,7 +105,7 @@ class Dataset:
                 "holds no frame with settings", file=path, remedy="record frame_info beside the images"
             )
         kept = [station for station in self.stations if all(name in station.truth for name in needed)]
-        lost = sum(station.frames for station in self.stations) - sum(one.frames for one in kept)
+        lost = sum(station.frames for station in self.stations) - sum(station.frames for station in kept)
         if not kept:
             present = {name for station in self.stations for name in station.truth}
             absent = [name for name in needed if name not in present]
@@ -117,13 +117,13 @@ class Dataset:
                 "state the pose in the scene file, or give one recording for each station of its schedule",
             )
         if lost:
-            self.notes.append(f"left out: {lost} frames before the first pose of every surface")
+            self.notes.append(f"excluded: {lost} frames before the first pose of every surface")
         self.stations, self.frames = kept, self.frames - lost
 
     def without(self, poses: Set[tuple[int, int]]) -> Dataset:
         """Return the dataset without poses, given by the numbers of their recording and their own."""
         kept = [station for station in self.stations if (station.recording, station.pose) not in poses]
-        lost = sum(station.frames for station in self.stations) - sum(one.frames for one in kept)
+        lost = sum(station.frames for station in self.stations) - sum(station.frames for station in kept)
         return replace(self, stations=kept, frames=self.frames - lost)
 
     @property
@@ -152,10 +152,10 @@ def merged(parts: Iterable[Dataset]) -> Dataset:
 
 
 def with_stated_errors(scene: Scene, dataset: Dataset) -> Scene:
-    """Return the scene with the ``pose_sigma`` of surfaces whose poses bring a covariance: the RMS of theirs.
+    """Return the scene in which ``pose_sigma`` is the RMS of the covariances that poses bring with them.
 
-    It is the size of what the scene calls common to all poses (``pose_common``), and the instrument's
-    where errors are compared with it.
+    Only of surfaces whose poses bring a covariance. It is then the size of the errors that all poses share
+    (``pose_common``), and that of the instrument with which errors are compared.
     """
     surfaces = []
     for surface in scene.surfaces:
@@ -174,7 +174,7 @@ def with_stated_errors(scene: Scene, dataset: Dataset) -> Scene:
 
 
 def level_of(dataset: Dataset) -> float:
-    """Return the amplitude [counts] in the middle of a recording's."""
+    """Return the median amplitude of a dataset [counts]."""
     values = np.concatenate([station.amplitude[station.count > 0][::17] for station in dataset.stations])
     return max(float(np.median(values)), 1.0) if values.size else 1000.0
 

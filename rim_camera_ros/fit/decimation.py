@@ -1,6 +1,6 @@
-"""Large sensors through a coarser grid: every k-th of their pixels, with what is stated in pixels scaled.
+"""Large sensors on a coarser grid: every k-th pixel; parameters in units of pixels are scaled.
 
-Pixels are picked, not averaged, so that no edge is mixed and the noise stays what it is.
+Pixels are picked, not averaged, so that no edge is mixed and the noise stays the same.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ Array = NDArray[Any]
 
 #: How many pixels a coarser grid has at most.
 _COARSE_PIXELS = 30_000
-#: ... and how many tell as much as all where neighbours share their errors.
+#: ... and how many contain as much information as all where neighbours share their errors.
 _CORRELATED_PIXELS = 5_000
 
 
 def decimation_of(camera: Camera) -> int:
-    """Return the step of the coarser grid in pixels, 1 where all pixels are looked at."""
+    """Return the step of the coarser grid in pixels, 1 where all pixels are used."""
     pixels = camera.sensor.width * camera.sensor.height
     if pixels <= MANY_PIXELS or any(effect.stated_by_pixels for effect in camera.effects.values()):
         return 1
@@ -37,7 +37,7 @@ def decimation_of(camera: Camera) -> int:
 
 
 def correlated_decimation(camera: Camera, words: Sequence[str] | None = None) -> int:
-    """Return the step of a coarser grid in pixels on which errors that neighbours share are looked at.
+    """Return the step of a coarser grid in pixels for fits with errors that neighbours share.
 
     1 for small sensors, and where all pixels are needed: by effects that are stated by pixels, or by those
     that --effects names (``words``).
@@ -62,7 +62,7 @@ def decimation_for(camera: Camera, words: Sequence[str]) -> int:
 
 def _needs_all_pixels(camera: Camera, words: Sequence[str]) -> bool:
     """Whether effects, as --effects names them, cannot be fitted on a coarser grid."""
-    covariates = {one for word in words for one in word.split(":")[1:]}
+    covariates = {name for word in words for name in word.split(":")[1:]}
     names = {word.partition(":")[0] for word in words}
     kept = effect_of(camera, CovariateTable)
     if kept is not None:
@@ -70,7 +70,7 @@ def _needs_all_pixels(camera: Camera, words: Sequence[str]) -> bool:
     known = vocabulary()
     present = [effect for effect in camera.effects.values() if not isinstance(effect, PixelMap)]
     return (
-        any(one.needs_all_pixels for one in present)
+        any(effect.needs_all_pixels for effect in present)
         or any(known[name].needs_all_pixels for name in names if name in known)
         or bool(covariates - POINTWISE)
     )
@@ -116,7 +116,7 @@ def decimated_dataset(dataset: Dataset, step: int) -> Dataset:
 
 
 def _coarser_common(station: Station, step: int) -> float | None:
-    """Return the variation that fewer pixels have in common: noise averages out less."""
+    """Return the common variation relative to noise on the coarser grid, where noise averages out less."""
     return None if station.common is None else 1 + (station.common - 1) / step**2
 
 
@@ -125,7 +125,7 @@ def _picked(station: Station, pick: tuple[slice, slice], names: Sequence[str]) -
 
 
 def full_camera(small: Camera, camera: Camera, step: int) -> Camera:
-    """Return the full camera with the effects, optics, noise and gain that a coarser one came to have."""
+    """Return the full camera with the effects, optics, noise and gain of the fitted ``small`` one."""
     optics = small.optics
     first = step // 2
     result = replace(
@@ -148,7 +148,7 @@ def full_camera(small: Camera, camera: Camera, step: int) -> Camera:
 
 
 def full_image(image: Array, shape: tuple[int, int], step: int) -> Array:
-    """Return an image of the coarser grid on all pixels, each with the value of the nearest."""
+    """Return an image of the coarser grid for all pixels, each with the value of the nearest one."""
     rows, columns = (
         np.clip(np.round((np.arange(n) - step // 2) / step).astype(int), 0, m - 1)
         for n, m in zip(shape, image.shape, strict=True)
@@ -157,7 +157,7 @@ def full_image(image: Array, shape: tuple[int, int], step: int) -> Array:
 
 
 def full_number(path: str, value: float, step: int) -> float:
-    """Return a number of the coarser grid's camera, by its path in the camera file, as the full one's."""
+    """Convert a number of the coarser grid's camera, by its path in the camera file, to the full camera."""
     if path in ("optics.cx", "optics.cy"):
         return value * step + step // 2
     if path.startswith("effects."):
@@ -168,5 +168,5 @@ def full_number(path: str, value: float, step: int) -> float:
 
 
 def full_covariate(name: str, values: Array, step: int) -> Array:
-    """Return the values of a covariate of the coarser grid as they are on the full one."""
+    """Convert values of a covariate from the coarser grid to the full one."""
     return np.asarray(resampled_knots(float(step), name, tuple(np.asarray(values, float).tolist())))

@@ -1,10 +1,10 @@
-"""Regressors of a fit beside those of single effects: free poses, the gain, and ordinary imperfections.
+"""Regressors that are not parameters of effects: free poses, the gain, and ordinary imperfections.
 
 Nobody knows the reflectivity of a printed tile to a percent, the poses of a total station share the error of
-its set-up, no surface is perfectly matt, and a camera constant is known within its covariance. What is not a
-nuisance parameter of the adjustment is found as physics that it is not (Kennedy & O'Hagan 2001 on the
-discrepancy of models). Gains of pixels and errors of single poses are random effects of `normal_equations`
-and `fold_sums`; those here are common to all poses.
+its set-up, no surface is perfectly matt, and a camera constant is known within its covariance. An
+imperfection that is not a nuisance parameter of the adjustment would be mistaken for physics (Kennedy &
+O'Hagan 2001 on model discrepancy). The parameters here are common to all poses; gains of pixels and errors of
+single poses are random effects in `normal_equations` and `fold_sums`.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ def present_blocks(
     origin: Camera | None = None,
     widths: Mapping[str, float] | None = None,
 ) -> list[Block]:
-    """Return the regressors of a camera's own effects: its parameters, about their values.
+    """Return the regressors of the effects of a camera: changes of their parameters.
 
-    Priors are weak: as wide as the value itself, or as such effects are large; those of parameters that the
-    ``origin`` has are as wide as there, and those in ``widths`` as stated (by path).
+    Priors are weak: as wide as the value itself, or as the usual size of such an effect. The priors of
+    parameters that the ``origin`` has are as wide as there; ``widths`` states others by path.
     """
     blocks = []
     for name, effect in camera.effects.items():
@@ -79,7 +79,7 @@ def present_blocks(
 
 Array = NDArray[Any]
 
-#: Stated sizes beyond which an imperfection is none, but a fault of the set-up or of the camera file.
+#: Multiple of its stated size above which an imperfection is a fault of the set-up or of the camera file.
 BEYOND = 3.0
 #: Labels of errors that all poses of a surface share, and of the optics within their covariance.
 COMMON_POSE, OPTICS = "common_pose.", "optics_covariance."
@@ -101,9 +101,9 @@ def imperfection_blocks(
     """Return the regressors of reflectivities, a weak lobe, errors of poses and sensors, and known optics.
 
     Sizes are those of the files: ``reflectivity_sigma``, ``pose_sigma`` with ``pose_common``, and the
-    covariance of the optics; that of the lobe is `light_curves.LOBE_SIGMA`. Without ``lobe`` surfaces have
-    curves of their own. With ``pattern_field`` what offsets of pixels have in common is estimated, where each
-    of them is taken to be small by itself.
+    covariance of the optics; that of the lobe is `light_curves.LOBE_SIGMA`. Without ``lobe`` the caller has
+    other curves for surfaces. With ``pattern_field`` a smooth field of the offsets of pixels is estimated in
+    addition to single offsets that are taken to be small.
     """
     blocks = [
         reflectivity_block(scene),
@@ -114,7 +114,7 @@ def imperfection_blocks(
 
 
 def linear_blocks(camera: Camera, scene: Scene, *, pattern_field: bool = False) -> list[Block]:
-    """Return those of the blocks whose effect on the predictions is added as it is, without a step."""
+    """Return the blocks that are linear nuisances: their values are added to predictions without steps."""
     blocks = [common_pose_block(scene), known_optics(camera), sensor_block(camera)]
     if pattern_field:
         blocks.append(pattern_field_block(camera.shape))
@@ -124,8 +124,8 @@ def linear_blocks(camera: Camera, scene: Scene, *, pattern_field: bool = False) 
 def pattern_field_block(shape: tuple[int, int]) -> Block:
     """Return the regressors of a smooth field of offsets over an array of ``shape`` (H, W), each in metres.
 
-    Offsets of pixels by themselves say little of their mean; where they are taken to be small, it would be
-    known far better than any camera's is.
+    Where single offsets are taken to be small, their mean and every smooth part of them would be known far
+    better than for any real camera: the field leaves these free.
     """
     regressors = tuple(Regressor(f"{PATTERN_FIELD}{i}.{j}", "pattern", _FIELD_SIGMA) for i, j in _POWERS)
     images = [_power(i, j, shape) for i, j in _POWERS]
@@ -150,7 +150,7 @@ def _power(i: int, j: int, shape: tuple[int, ...]) -> Array:
 
 
 def reflectivity_block(scene: Scene) -> Block:
-    """Return one regressor for each tile whose reflectivity is stated but not exactly known [relative]."""
+    """Return a regressor [relative] for each tile whose reflectivity is stated with an error."""
     regressors: list[Regressor] = []
     numbers: list[int] = []
     first = 0
@@ -216,7 +216,7 @@ def common_pose_block(scene: Scene) -> Block:
 
 
 def _scale_column(prediction: Prediction, scale: Regressor, number: int, surface: str) -> PoseColumn | None:
-    """Return what a relative change of all positions of a surface does to a station's distances."""
+    """Return the derivative of a station's distances by the scale of all positions of a surface."""
     view = prediction.view
     mine = view.geometry.surface == number
     if not mine.any():
@@ -234,8 +234,8 @@ def known_optics(camera: Camera) -> Block:
     paths = [stated.parameters[i].removeprefix("optics.") for i in own]
     matrix = np.asarray(stated.matrix.values, float)[np.ix_(own, own)]
     values, vectors = np.linalg.eigh(matrix) if own else (np.zeros(0), np.zeros((0, 0)))
-    # directions that are known a thousand times better than the worst are known
-    kept = [i for i, one in enumerate(values) if one > 1e-6 * max(values.max(), 1e-300)]
+    # directions that are known a thousand times better than the worst count as exactly known
+    kept = [i for i, variance in enumerate(values) if variance > 1e-6 * max(values.max(), 1e-300)]
     regressors = tuple(
         Regressor(f"{OPTICS}{k}", "optics", float(np.sqrt(values[i]))) for k, i in enumerate(kept)
     )
@@ -278,5 +278,5 @@ def sensor_block(camera: Camera) -> Block:
 
 
 def is_linear(path: str) -> bool:
-    """Whether a regressor is a nuisance whose value is no parameter of camera or light."""
+    """Whether a regressor is a linear nuisance, whose value is no parameter of camera or light."""
     return path.startswith((COMMON_POSE, OPTICS, PATTERN_FIELD, SENSOR))

@@ -22,14 +22,14 @@ Array = NDArray[Any]
 class Fold:
     """Sums over the stations of one fold of poses.
 
-    ``nuisances``: name, 1-sigma of the prior, and where the equations are linearised (their prior's mean is
-    0).
-    ``gram`` (M, M) over regressors, this fold's nuisances and the observations (last); ``pixel`` (P, M) and
-    ``weight`` (P,) the sums per pixel that was seen of products with its offset; ``gain`` (P, M) those with
-    the relative gain of the pixel, in both channels (None: gains are known), ``gain_weight`` (P,) and
-    ``cross`` (P,) its own and those with the offset; ``rows`` the number of observations, ``expected`` what
-    their squares are expected to sum up to (None: as many), ``log_sigma`` the sum of their log standard
-    deviations; ``robust`` what a robust loss has beyond their squares and these logarithms.
+    ``nuisances`` are name, 1-sigma of the prior (its mean is 0), and the point of linearisation of each.
+    ``gram`` (M, M) are the products over regressors, this fold's nuisances and the observations (last).
+    The others are sums for each of the P pixels that were seen: ``pixel`` (P, M) of the products with its
+    offset, ``weight`` (P,) of the offset with itself; ``gain`` (P, M) of those with its relative gain, in
+    both channels (None: gains are known), ``gain_weight`` (P,) of the gain with itself, ``cross`` (P,) of
+    gain and offset. ``rows`` is the number of observations, ``expected`` the expected sum of their squares
+    (None: as many), ``log_sigma`` the sum of the logarithms of their standard deviations, ``robust`` the
+    excess of a robust loss over the squares and these logarithms.
     """
 
     nuisances: list[tuple[str, float, float]]
@@ -45,10 +45,10 @@ class Fold:
     robust: float = 0.0
 
     def errors_given(self, values: Array, offsets: Array, gains: Array | None) -> dict[str, float]:
-        """Return the nuisances for regressors (K,), offsets and gains of pixels (P,) that others found.
+        """Return the nuisances given regressors (K,), offsets and gains of pixels (P,) from another fit.
 
-        What the poses have in common and the offsets can trade with each other: errors that were found with
-        other offsets would leave what the two differ by.
+        Errors that poses share and offsets of pixels can compensate each other: errors from a fit with other
+        offsets would leave the difference of the two in the residuals.
         """
         own = slice(len(values), len(values) + len(self.nuisances))
         prior = np.array([sigma**-2 for _, sigma, _ in self.nuisances])
@@ -63,11 +63,12 @@ class Fold:
 
 @dataclass(frozen=True)
 class Share:
-    """What one station adds to the sums of its fold.
+    """The contribution of one station to the sums of its fold.
 
-    ``gram`` (M, M) over regressors, the station's nuisances and the observations (last); ``offsets`` the
-    products with offsets of pixels, whose weights are ``weight`` (N,) at ``pixels``; ``nuisances``, ``rows``
-    and ``log_sigma`` as in `Fold`. ``gain`` are the sums with gains of pixels, None where they are known.
+    ``gram`` (M, M) is over regressors, the station's nuisances and the observations (last); ``offsets`` are
+    the products with offsets of pixels, whose weights are ``weight`` (N,) at ``pixels``; ``nuisances``,
+    ``rows`` and ``log_sigma`` as in `Fold`. ``gain`` are the sums with gains of pixels, None where they are
+    known.
     """
 
     nuisances: list[tuple[str, float, float]]
@@ -106,23 +107,25 @@ def share_of(
     gains: bool = False,
     groups: tuple[int, Groups] | None = None,
 ) -> Share:
-    """Return the share of a station, whose regressors have the ``columns`` (None: those that are grouped).
+    """Return the contribution of a station; regressors have the ``columns``, or are in ``groups`` (None).
 
     ``gain_sigma`` (relative) and ``stray_light`` [counts] are the 1-sigma of random effects of the station;
-    ``factors`` (H, W) on the weights of both channels. ``gains``: the gain of each pixel is not known.
+    ``factors`` (H, W) multiply the weights of both channels. With ``gains`` the gain of each pixel is
+    unknown.
     """
-    pixels, lit = (np.flatnonzero(one) for one in (prediction.used, prediction.amplitude_used))
+    pixels, lit = (np.flatnonzero(mask) for mask in (prediction.used, prediction.amplitude_used))
     nuisances = random_effects(prediction, gain_sigma=gain_sigma, stray_light=stray_light)
     weight = 1.0 / np.take(prediction.sigma, pixels) ** 2
     weight_a = 1.0 / np.take(prediction.amplitude_sigma, lit) ** 2
-    share, freedom = (np.take(one, lit) for one in (prediction.amplitude_share, prediction.amplitude_freedom))
-    # noise within patches: as a response scales it, by which none may gain, less what is expected of squares
+    shared = (prediction.amplitude_share, prediction.amplitude_freedom)
+    share, freedom = (np.take(image, lit) for image in shared)
+    # noise within patches, as a response scales it (no response may gain by that), less its expected squares
     log_within = (1.0 - share) * freedom @ (np.log(np.take(prediction.slope_published, lit)) - 0.5)
     robust = 0.0
     if factors is not None:
         factor, factor_a = np.take(factors[0], pixels), np.take(factors[1], lit)
         weight, weight_a = weight * factor, weight_a * factor_a
-        # weights are of a loss, and no other standard deviations
+        # the factors are of a robust loss: they do not change the standard deviations
         robust = beyond_limit(factor) + beyond_limit(factor_a)
         robust += float(np.log(factor).sum() + (share * np.log(factor_a)).sum())
     size = len(columns) + len(nuisances) + 1
@@ -166,10 +169,11 @@ def _gain_share(prediction: Prediction, distances: Channel, light: Channel) -> G
 
 
 class FoldSums:
-    """The sums of one fold of poses: of ``count`` regressors.
+    """Accumulates the sums of one fold of poses, over ``count`` regressors.
 
-    ``pattern`` asks for the sums per pixel, ``gains`` for those of the gains of pixels. ``rows`` (H W,) is
-    the row of each pixel in them (-1: none), of ``pixels`` rows. ``stations`` are how many are expected.
+    ``pattern`` requests the sums per pixel, ``gains`` those with the gains of pixels. ``rows`` (H W,) is the
+    row of each pixel in these sums (-1: none), which have ``pixels`` rows. ``stations`` is the expected
+    number of stations.
     """
 
     def __init__(
@@ -194,7 +198,7 @@ class FoldSums:
         self._gain = PixelSums(count, pixels, rows) if pattern and gains else None
         self._gain_weight: Array = np.zeros(pixels)
         self._gain_cross: Array = np.zeros(pixels)
-        # of each nuisance: products with the regressors, and with y
+        # for each nuisance the products with the regressors, and with the observations y
         self._cross: dict[str, Array] = {}
         self._cross_y: dict[str, float] = {}
         self._inner: dict[tuple[str, str], float] = {}
@@ -212,9 +216,9 @@ class FoldSums:
         places = [*range(self._count), *(number[name] for name, *_ in share.nuisances)]
         rows = self._rows_of[share.pixels]
         most = self._count + len(share.nuisances) * self._stations + 1
-        for one in (self._pixel, self._gain):
-            if one is not None:
-                one.make_room(most)
+        for sums in (self._pixel, self._gain):
+            if sums is not None:
+                sums.make_room(most)
         self._weight[rows] += share.weight
         self._pixel.add(share.offsets, places)
         if share.gain is not None and self._gain is not None:
@@ -239,7 +243,7 @@ class FoldSums:
                 self._inner[both] = self._inner.get(both, 0.0) + float(gram[count + i, count + j])
 
     def fold(self) -> Fold:
-        """Return the sums so far, which nothing is added to any more."""
+        """Return the sums; no station may be added after this."""
         count, names = self._count, list(self._nuisances)
         size = count + len(names) + 1
         gram = np.zeros((size, size))
@@ -251,8 +255,8 @@ class FoldSums:
             k = place[name]
             gram[:count, k] = gram[k, :count] = self._cross[name]
             gram[k, -1] = gram[-1, k] = self._cross_y[name]
-        for (one, other), value in self._inner.items():
-            gram[place[one], place[other]] = value
+        for (name, other), value in self._inner.items():
+            gram[place[name], place[other]] = value
         pixel = np.zeros((1, size)) if self._pixel is None else self._pixel.all(size)
         nuisances = [(name, *self._nuisances[name]) for name in names]
         fold = Fold(

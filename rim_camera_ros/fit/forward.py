@@ -1,6 +1,4 @@
-"""Predictions of all stations of a dataset by a camera, in order of time: the forward chain with its latent
-amplitude.
-"""
+"""The forward chain with its latent amplitude: predictions of all stations of a dataset, in order of time."""
 
 from __future__ import annotations
 
@@ -34,13 +32,13 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 
-#: Relative change of the light up to which what effects keep of a geometry is not computed anew: what bounces
-#: of light that changed by a hundredth is off by a ten thousandth of all light.
+#: Relative change of the light up to which effects reuse what they computed of a geometry: light bounced
+#: between surfaces is then wrong by a ten thousandth of all light.
 _SAME_LIGHT = 0.01
-#: Sigma of one frame by which pixels that are compared are brighter than the amplitude below which nothing
-#: is measured: noise takes next to none of their frames below it.
+#: Sigmas of one frame by which the pixels used are brighter than the amplitude below which nothing is
+#: measured: noise takes next to none of their frames below it.
 _ABOVE_THRESHOLD = 3.0
-#: Relative step of a difference quotient over the amplitude: its own error is as small.
+#: Relative step of a difference quotient over the amplitude; its error is of the same size.
 _SMALL = 1e-4
 
 
@@ -48,19 +46,19 @@ class Forward:
     """Predictions of a dataset's stations by one camera, in order of time.
 
     ``masks`` of each station and channel, where given, restrict the pixels that are used, so that fits by
-    different cameras can be compared. ``shifts`` of each station are what another simulation says beyond
-    this one's prediction at the start, with the variances of its own noise. ``variance_factors`` by recording
-    and placement multiply the variances of a pose's distances. ``light_curves`` change the light beside the
-    camera file's effects.
-    ``camera_of_noise`` says how amplitudes respond where noise is evaluated (None: the camera).
-    ``linear`` blocks of regressors are nuisances whose values `residuals.after_nuisances` takes off.
-    ``patches`` (H, W) of each recording and placement: how many pixels share a pixel's error of the predicted
-    amplitude, as `Views.alike` of one geometry; None: of the own. Likelihoods of geometries that are compared
-    state the same errors by it.
-    ``correlated_error`` [m] is the 1-sigma of errors that neighbours share, in each pose anew (0: none).
-    ``margins`` of another kind take in pixels beside edges, where no masks are given.
-    ``tick`` is called for each station and may raise to end the work; what is computed of every prediction
-    may take so many ``threads``.
+    different cameras can be compared. ``shifts`` of each station are the differences of another recording
+    from this forward model's predictions, with the variances of its noise. ``variance_factors`` by recording
+    and placement multiply the variances of a pose's distances. ``light_curves`` change the light in addition
+    to the camera file's effects.
+    ``camera_of_noise`` is the camera whose response is used where noise is evaluated (None: ``camera``).
+    ``linear`` blocks of regressors are nuisances whose values `residuals.after_nuisances` subtracts.
+    ``patches`` (H, W) of each recording and placement are how many pixels share the error of a pixel's
+    predicted amplitude, as `Views.alike`; None: by this geometry. Geometries whose likelihoods are compared
+    need the same.
+    ``correlated_error`` [m] is the 1-sigma of errors that neighbours share, independent by pose (0: none).
+    ``margins`` allow pixels nearer to edges, where no masks are given.
+    ``tick`` is called for each station and may raise to end the work; ``threads`` may share the work on
+    predictions.
     """
 
     def __init__(self, dataset: Dataset, scene: Scene, camera: Camera, *, views: Views | None = None) -> None:
@@ -80,7 +78,7 @@ class Forward:
         self.correlated_error = 0.0
         self.tick: Callable[[], None] | None = None
         self.threads = 1
-        # the last is that of a ray that meets nothing, which has the number -1
+        # the last entry is for rays that meet nothing, whose surface number is -1
         self._undescribed = np.array([*(not surface.is_described for surface in scene.surfaces), False])
         self._chain = Chain.of(camera.effects.values(), of_means=True)
         self._order = {name: i for i, name in enumerate(effects_of(camera))}
@@ -112,7 +110,7 @@ class Forward:
     def predictions(
         self, model: AmplitudeModel | None = None, *, slopes: bool = True, every: int = 1
     ) -> Iterator[Prediction]:
-        """Yield the prediction of each station, in order, or of every so many of them."""
+        """Yield the prediction of every ``every``-th station, in order."""
         model = self.amplitude_model if model is None else model
         memory: dict[str, Any] = {}
         recording = None
@@ -132,7 +130,7 @@ class Forward:
             if factor != 1.0:
                 predicted.sigma = predicted.sigma * np.sqrt(factor)
             if self.masks is not None:
-                # the same pixels whatever the camera predicts, or likelihoods could not be compared
+                # the same pixels for all cameras, otherwise likelihoods could not be compared
                 possible = (
                     np.isfinite(predicted.residual)
                     & np.isfinite(predicted.sigma)
@@ -143,7 +141,7 @@ class Forward:
             yield predicted
 
     def pixels_used(self) -> list[tuple[Array, Array]]:
-        """Return the pixels of each station that are fitted: both channels, (H, W) each."""
+        """Return the pixels of each station that are used, for both channels, (H, W) each."""
         return [(prediction.used, prediction.amplitude_used) for prediction in self.predictions(slopes=False)]
 
     def patches_seen(self) -> dict[tuple[int, int], Array]:
@@ -154,7 +152,7 @@ class Forward:
         }
 
     def pixels_near_edges(self, margins: Margins = NEAR) -> list[tuple[Array, Array]]:
-        """Return the pixels that could be fitted if those beside edges were, as `pixels_used`."""
+        """Return the pixels that are used with those beside edges included, as `pixels_used`."""
         masks, self.masks, self.margins = self.masks, None, margins
         try:
             return self.pixels_used()
@@ -225,7 +223,7 @@ class Forward:
         signal = deliver(self._chain.light, Signal(geometry.distance, ideal), context, before=before)
         view.memory.update({name: memory[name] for name in self._of_geometry if name in memory})
         if nameless.any():
-            # nobody said how much these surfaces reflect: their light is what was measured
+            # the reflectivity of these surfaces is not stated: their light is the measured one
             measured = self._noise_amplitude(station, signal.amplitude)
             signal = Signal(signal.distance, np.where(nameless, measured, signal.amplitude))
         pixel_gain: Array | float = 1.0
@@ -254,7 +252,7 @@ class Forward:
         camera = self.camera
         n = np.maximum(station.count, 1)
         lit = light.amplitude > 0
-        # gains of pixels are those of readings: a response of another power would else make all of them less
+        # gains multiply readings, after the response: otherwise its power would change all of them
         before_response = np.where(lit, light.amplitude, 1.0)
         safe = before_response * pixel_gain
         latent, follows, by_measured = self._latent(station, safe, n, model, pixel_gain)
@@ -292,7 +290,7 @@ class Forward:
         used &= np.isfinite(residual) & np.isfinite(variance) & (station.count * 2 > station.frames)
         threshold = max(camera.sensor.amplitude_threshold, camera.minimum_amplitude or 0.0)
         single = np.sqrt(single_variance)
-        # of pixels nearer to it, frames that noise took below it are missing, and the others are too bright
+        # nearer to the threshold, frames that noise took below it are missing, and the others are too bright
         used &= np.minimum(safe, latent) > threshold + _ABOVE_THRESHOLD * single
         amplitude_used = used.copy()
         amplitude_used &= station.count == station.frames
@@ -338,9 +336,9 @@ class Forward:
         return [*view.pose_columns, *correlated_columns(view, self.correlated_error, half_waves=half_waves)]
 
     def _noise_amplitude(self, station: Station, predicted: Array) -> Array:
-        """Return the light [counts] at which noise is evaluated: as measured, whatever a camera predicts.
+        """Return the light [counts] at which noise is evaluated: the measured one, not the predicted one.
 
-        Cameras that are compared must state the same noise, or what predicts other light gains by the noise.
+        Cameras that are compared must have the same noise, otherwise a change of light gains by the noise.
         """
         light = np.asarray((self.camera_of_noise or self.camera).light_of(station.amplitude.astype(float)))
         return np.where(np.isfinite(light) & (light > 0), light, predicted)
@@ -360,12 +358,12 @@ class Forward:
         model: AmplitudeModel,
         pixel_gain: Array | float,
     ) -> tuple[Array, Array | float, Array | float]:
-        """Weigh the predicted amplitude against the measured one by their variances.
+        """Return the latent amplitude: the predicted and the measured one, weighted by their variances.
 
         A measured amplitude carries noise that would bias coefficients (errors in variables); a predicted
         one carries the error of reflectivities. With ``tau`` -> 0 it is the prediction, with a large one
-        the measurement. Returned with the shares of relative changes that it follows: of the prediction, by
-        which the weights change as well, and of the measurement.
+        the measurement. Also returns its relative derivatives by the prediction (through the weights as
+        well) and by the measurement.
         """
         if model.tau == 0.0:
             return predicted, 1.0, 0.0

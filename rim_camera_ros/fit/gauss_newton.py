@@ -1,4 +1,4 @@
-"""Damped Gauss-Newton steps over the forward chain: where an adjustment stands, and how it goes on."""
+"""Damped Gauss-Newton steps over the forward chain: the current point of an adjustment, and the next."""
 
 from __future__ import annotations
 
@@ -46,22 +46,22 @@ from rim_camera_ros.fit.views import Views
 
 Array = NDArray[Any]
 
-#: How well amplitudes are predicted is estimated anew in this many iterations, then kept.
+#: The error of predicted amplitudes is estimated anew in this many iterations, then kept.
 _SETTLED = 3
 _SETTLED_WARM = 1
 #: Iterations in which the shapes (widths, lags) of effects that are new to a fit are held, and how firmly.
 _SHAPES_HELD = 2
 _HOLD = 1e9
-#: Damping of a step that makes things worse, as shares of the diagonal, one after the other; in the end none.
-#: The step after it is damped alike, and so many times less once one is good at its first try. Where
-#: objectives bend as they do for light that no file describes, only steps of a hundredth go down.
+#: Damping of a step that raises the objective, as shares of the diagonal, one after the other; inf: no step.
+#: The step after it has the same damping, and `_LESS_DAMPED` times less once a step is good at its first try.
+#: Where objectives are strongly curved, as with undescribed light, only steps of a hundredth lower them.
 _DAMPING = (0.01, 0.1, 1.0, 10.0, 100.0, np.inf)
 _LESS_DAMPED = 10.0
 _AT_A_BOUND = "{} is at the end of what is possible: the form of its effect is not quite the true one"
-#: Share of the forecast gain of a step by which the objective may become worse once, near the solution.
+#: Share of the forecast gain of a step by which the objective may rise once, near the solution.
 _OVER_THE_BEND = 0.1
-#: Share of its decrement below which a step comes nearer to the solution of the equations, whatever the
-#: objective says (natural monotonicity; Deuflhard 2004, Newton Methods for Nonlinear Problems, sec. 4.3).
+#: Ratio of decrements below which a step comes nearer to the solution of the equations, whatever its
+#: objective (natural monotonicity; Deuflhard 2004, Newton Methods for Nonlinear Problems, sec. 4.3).
 _NEARER = 0.5
 #: Step of a parameter in units of its sigma, or of all together (squared, the decrement), and change of
 #: chi-square between two iterations (for that tolerance), below which the adjustment has converged.
@@ -70,10 +70,10 @@ _LEVEL = 0.5
 
 
 class GaussNewton:
-    """The point that an adjustment has reached from the camera ``start``, and the way it came.
+    """The current point of an adjustment from the camera ``start``, and its last step.
 
-    Other parameters as in `adjustment.fit`. Steps that make things worse are taken back, those of a cold fit
-    once it is settled how well amplitudes are predicted.
+    Other parameters as in `solver.fit`. Steps that raise the objective are taken back; in a fit without a
+    warm start only once the error of predicted amplitudes is settled.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class GaussNewton:
             self._new = frozenset() if near else frozenset(start.effects.keys() - warm.camera.effects.keys())
             if warm.amplitude_model.gains:
                 self._begin_at(warm)
-        # the way
+        # the last step
         self._solved: Solved | None = None
         self._objective, self._square, self._fell = np.inf, np.inf, np.inf
         self._tried, self._damping = 0, 0.0
@@ -137,11 +137,11 @@ class GaussNewton:
 
     @property
     def ended(self) -> bool:
-        """Whether no further step is needed, or none is left to try."""
+        """Whether no further step is needed, or no step lowers the objective."""
         return self._converged or self._exhausted
 
     def predicted(self, count: int) -> Forward:
-        """Return the predictions at the point, with powers and errors of amplitudes, in an iteration."""
+        """Return the predictions in iteration ``count``, with powers and errors of amplitudes."""
         problem, forward = self._problem, self._forward()
         if self._gains is None:
             forward.estimate_amplitudes()
@@ -160,7 +160,7 @@ class GaussNewton:
         forward.amplitude_model = AmplitudeModel(dict(self._gains), self._tau, self._pixels)
         begun = self._iterations > 0 and count >= (0 if self._warm else _SETTLED)
         if begun and problem.masks is None and not problem.moves_edges:
-            # objectives of two points can be compared where they are of the same pixels
+            # objectives of two points can be compared only with the same pixels
             forward.masks = forward.pixels_used()
             self._problem = replace(problem, masks=forward.masks)
         return forward
@@ -213,7 +213,7 @@ class GaussNewton:
         own = slice(0, owned)
         matrix = reduced.gram[own, own] + np.diag(prior**-2)
         if count < _SHAPES_HELD:
-            # from a linear guess the strengths come first: shapes would leave for good
+            # after a linear guess strengths come first: shapes would not come back
             held = self._held(regressors)
             matrix[held, held] *= _HOLD
         right = reduced.right[own] - away / prior**2
@@ -241,24 +241,24 @@ class GaussNewton:
         return np.flatnonzero(new).tolist()
 
     def went_too_far(self, here: Linearised, count: int) -> bool:
-        """Return whether the last step made things worse, and a shorter one may be tried."""
+        """Return whether the last step raised the objective, and a shorter one may be tried."""
         solved = self._solved
-        # before that, objectives are of different errors of amplitudes
+        # before that, objectives have different errors of amplitudes
         comparable = self._warm or count > _SETTLED
         worse = comparable and here.objective > self._objective + _LEVEL
         if not worse or self._tried >= len(_DAMPING) or count > self._iterations or solved is None:
             return False
-        # weights follow the residuals: where equations are solved objectives need not be least
+        # weights follow the residuals: the objective need not be least at the solution of the equations
         undamped = abs(replace(solved, damping=0.0).forecast)
         if np.isinf(solved.damping) or undamped < _LEVEL or here.decrement < _NEARER * solved.decrement:
             return False
         if not self._near or self._tried or self._return is not None or count >= self._iterations:
             return True
-        # across the bend of a valley the next step may be the good one: short steps would follow the bend
+        # across a curved valley the next step may lower the objective: short steps would follow the valley
         return here.objective > self._objective + _OVER_THE_BEND * solved.forecast
 
     def shorten(self, *, final: bool) -> None:
-        """Take a shorter step from where the last one began, or none where no more may be tried."""
+        """Take a shorter step from where the last one began, or no step where none may be tried any more."""
         assert self._solved is not None
         if self._return is not None:
             self._solved, self._return = self._return, None
@@ -272,7 +272,7 @@ class GaussNewton:
         try:
             self._go(self._solved)
         except (InputError, ValueError):
-            # another direction may lead to no possible camera: where it began is one
+            # a step in another direction may lead to an invalid camera: return to where it began
             self._damping, self._solved = np.inf, replace(self._solved, damping=np.inf)
             self._go(self._solved)
         self._tau = self._solved.tau
@@ -280,7 +280,7 @@ class GaussNewton:
         self._exhausted |= bool(np.isinf(self._damping))
 
     def accept(self, here: Linearised) -> None:
-        """Stay where the last step led."""
+        """Accept the point to which the last step led."""
         if self._tried == 0:
             self._damping = self._damping / _LESS_DAMPED if self._damping > _DAMPING[0] else 0.0
         self._tried = 0
@@ -291,9 +291,9 @@ class GaussNewton:
         self._objective, self._return = here.objective, None
 
     def advance(self, here: Linearised, count: int) -> None:
-        """Take the next step, and judge whether it is one.
+        """Take the next step, and judge whether the adjustment has converged.
 
-        Raises `RimError` where it is not finite.
+        Raises `RimError` where the step is not finite.
         """
         if not np.all(np.isfinite(here.step)):
             raise RimError(NO_SOLUTION, remedy="check scene and camera file")
@@ -317,18 +317,18 @@ class GaussNewton:
         linear = np.array([is_linear(label) for label in here.labels], bool)
         small = bool(np.all(linear | (np.abs(here.step) <= self._tolerance * here.sigma)))
         self._converged = small and not self._solved.holds_shapes
-        # parameters that the data hardly tell apart wander along a valley whose floor is level
+        # parameters that are hardly distinguishable wander along a valley with a level floor
         level = _LEVEL * (self._tolerance / TOLERANCE) ** 2
         is_level = self._damping == 0 and abs(self._square - here.square) < level
         settled = count >= min(self._settled, _SETTLED) and not self._solved.holds_shapes
-        # within what is possible, and by steps that make nothing worse (Moré 1978, sec. 8), nothing is gained
+        # or no step within the bounds that lowers the objective gains anything (Moré 1978, sec. 8)
         left, forecast = here.decrement, self._solved.forecast
         if self._damping:
             is_level |= abs(self._fell) < level and forecast < level
         else:
             left = forecast
         self._converged |= settled and (is_level or abs(left) < self._tolerance)
-        # what was level while shapes were held need not be once they move
+        # chi-square that was level while shapes were held need not be once they move
         self._square = np.inf if self._solved.holds_shapes else here.square
         try:
             self._go(self._solved)
@@ -381,7 +381,7 @@ class GaussNewton:
         )
 
     def judge(self, best: Fit) -> None:
-        """Say in the best fit whether the adjustment came to its end."""
+        """State in the best fit whether the adjustment converged."""
         best.converged = self._converged and not self._stuck
         if self._stuck:
             best.notes.append("the adjustment stopped where no step leads to a possible camera")
@@ -394,7 +394,7 @@ class GaussNewton:
             path: abs(step) / max(sigma.get(path, 1.0), 1e-300) for path, step in self._last_step.items()
         }
         worst = max(ratios, key=lambda path: ratios[path])
-        # where no step made it better rounding may be all that is left
+        # where no step lowered the objective, the rest may be rounding
         if not self._exhausted or ratios[worst] > 1:
             best.moving = ratios
             best.notes.append(f"not converged after {best.iterations} iterations: {worst} still moves")

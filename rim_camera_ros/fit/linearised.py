@@ -24,13 +24,13 @@ NO_SOLUTION = "the adjustment found no finite solution"
 
 @dataclass(frozen=True)
 class Linearised:
-    """The equations where an adjustment stands, and their solution.
+    """The equations at the current point of an adjustment, and their solution.
 
-    ``matrix``, ``right``, ``step`` and ``covariance`` of the ``regressors`` with their ``prior`` (1-sigma).
-    Those numbered in ``at_bounds`` stay at the end of what is possible: the data would take them beyond, by
+    ``matrix``, ``right``, ``step`` and ``covariance`` are those of the ``regressors`` with their ``prior``
+    (1-sigma). Parameters whose numbers are in ``at_bounds`` stay at a bound, which the data would exceed by
     so many of their sigmas.
-    ``square`` is chi-square with the priors' terms, linear nuisances where they fit best; ``objective`` twice
-    the negative log likelihood; ``decrement`` by how much an undamped step should lower either.
+    ``square`` is chi-square with the priors' terms, linear nuisances at their optimum; ``objective`` is twice
+    the negative log likelihood; ``decrement`` is the forecast decrease of either by an undamped step.
     """
 
     forward: Forward
@@ -58,7 +58,7 @@ class Linearised:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def errors_and_offsets(self) -> tuple[dict[str, float], Array]:
-        """Return nuisances by name and offsets of pixels [m] at the point, no parameter moved."""
+        """Return nuisances by name and offsets of pixels [m], given the parameters at the point."""
         values, linear = np.zeros(len(self.equations.regressors)), linear_of(self.labels)
         values[linear] = self.step[linear]
         found, offsets, _ = self.reduced.recover(values)
@@ -68,9 +68,9 @@ class Linearised:
 def solution(
     matrix: Array, right: Array, sides: tuple[Array, Array]
 ) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Return the step (K,), which parameters stay at a bound, and the covariance (K, K) of some equations.
+    """Solve equations: return the step (K,), which parameters stay at a bound, and the covariance (K, K).
 
-    ``sides`` are how far parameters may go down and up. Raises `RimError` where the equations have none.
+    ``sides`` are how far parameters may go down and up. Raises `RimError` where there is no solution.
     """
     count = len(right)
     if not count:  # scipy 1.11 solves no empty equations

@@ -18,21 +18,21 @@ from rim_camera_ros.noise import Noise
 
 Array = NDArray[Any]
 
-#: Classes of amplitude, values that one needs, and classes that a fit needs.
+#: Number of classes of amplitude, least number of values in a class, and least number of classes for a fit.
 CLASSES = 32
 LEAST_VALUES = 200
 LEAST_CLASSES = 4
-#: Amplitude over its own noise from which on the noise of the distance is a normal one.
+#: Ratio of an amplitude to its noise above which the noise of the distance is normally distributed.
 LEAST_RATIO = 8.0
-#: Above this relative RMS of the classes about the model the model's form is doubted.
+#: Relative RMS of the classes about the model above which the form of the model is in doubt.
 POOR = 0.10
-#: Below this one the model of the file is as good as any.
+#: ... and below which the model of the file is kept.
 CLOSE = 0.015
 
 
 @dataclass(frozen=True)
 class NoiseClass:
-    """Pixels of like amplitude [counts]: 1-sigma of one distance [m] with its standard error, the model's."""
+    """Pixels of similar amplitude [counts]: 1-sigma of one distance [m], its error, and the model's value."""
 
     amplitude: float
     sigma: float
@@ -63,10 +63,10 @@ def fit_noise(dataset: Dataset, camera: Camera) -> NoiseFit | None:
 
     A pixel's variance over n frames scatters by a chi-square distribution of n - 1 degrees of freedom. In
     each class of amplitude the median variance, divided by that distribution's median, estimates the
-    variance: half of the pixels may be outliers. The classes are weighted by that estimator's error. What
-    rounding to counts adds is taken off.
+    variance: half of the pixels may be outliers. The classes are weighted by that estimator's error. The
+    variance by rounding to counts is subtracted.
 
-    Returns None without repeated frames, or where the amplitudes are too few to tell.
+    Returns None without repeated frames, or where there are too few values or classes.
     """
     amplitude, variance, freedom = _variances(dataset, camera)
     if amplitude.size < LEAST_VALUES * LEAST_CLASSES:
@@ -83,10 +83,10 @@ def fit_noise(dataset: Dataset, camera: Camera) -> NoiseFit | None:
         level = float(np.median(variance[mine] / medians)) - rounding
         error = level * float(np.sqrt(np.mean(errors**2) / mine.sum()))
         found.append((float(np.exp(np.mean(np.log(amplitude[mine])))), level, error, int(mine.sum())))
-    found = [one for one in found if one[1] > 0]
+    found = [values for values in found if values[1] > 0]
     if len(found) < LEAST_CLASSES:
         return None
-    a, level, error = np.array([one[:3] for one in found]).T
+    a, level, error = np.array([values[:3] for values in found]).T
     old = camera.sigma_distance(a) ** 2
     deviation = float(np.sum(((level - old) / error) ** 2))
     departs = float(np.sqrt(np.mean((np.sqrt(level / old) - 1) ** 2)))
@@ -108,7 +108,7 @@ def fit_noise(dataset: Dataset, camera: Camera) -> NoiseFit | None:
 
 
 def relative_variance(camera: Camera, amplitude: Array, distance: Array, settings: Settings) -> Array:
-    """Return the variance [-] of distances over that of the noise section, which knows amplitudes alone."""
+    """Return the ratio [-] of the variance of distances to that by the noise section (amplitudes alone)."""
     with np.errstate(invalid="ignore", divide="ignore"):
         plain = camera.sigma_distance(amplitude)
         whole = camera.sigma_distance(amplitude, distance=distance, settings=settings)
@@ -143,9 +143,9 @@ def _variances(dataset: Dataset, camera: Camera) -> tuple[Array, Array, Array]:
 
 
 def _medians(freedom: Array) -> tuple[Array, Array]:
-    """Return the median of chi-square over its degrees of freedom, and a sample median's relative error.
+    """Return the median of chi-square over its degrees of freedom, and the relative error of a sample median.
 
-    The latter for a sample of one, by 1 / (2 f(m) m) with the density f at the median m.
+    The error is that for a sample of one: 1 / (2 f(m) m) with the density f at the median m.
     """
     kinds, place = np.unique(freedom, return_inverse=True)
     median = np.asarray(chi2.median(kinds), float)
@@ -153,10 +153,10 @@ def _medians(freedom: Array) -> tuple[Array, Array]:
 
 
 def _fitted(amplitude: Array, level: Array, error: Array, camera: Camera) -> Noise:
-    """Weighted non-negative least squares in the squares of the three parameters.
+    """Fit the squares of the three parameters by weighted non-negative least squares.
 
-    Terms that cannot be told apart (over a narrow range of amplitudes) keep the old model's shape: then it
-    is scaled as a whole.
+    Where the terms are not distinguishable (over a narrow range of amplitudes), the old model is scaled as a
+    whole.
     """
     columns = np.stack([np.ones_like(amplitude), 1 / amplitude, 1 / amplitude**2], axis=1)
     weight = 1 / np.maximum(error, 1e-3 * level)
@@ -172,7 +172,7 @@ def _fitted(amplitude: Array, level: Array, error: Array, camera: Camera) -> Noi
         size = np.linalg.norm(scaled, axis=0)
         solution, _ = nnls(scaled / size, level * weight)
         solution = solution / size
-        # a class that stands off by far is something else than noise
+        # an outlying class is due to something else than noise
         z = np.abs(columns @ solution - level) * weight
         limit = 3 * max(float(np.median(z)) * 1.4826, 1.0)
         weight = weight * np.where(z > limit, limit / np.maximum(z, 1e-12), 1.0)

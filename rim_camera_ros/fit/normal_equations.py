@@ -1,9 +1,9 @@
-"""Normal equations of a joint fit: streamed over stations, folds of poses kept apart.
+"""Normal equations of a joint fit: streamed over stations, folds of poses kept separate.
 
 Unknowns are the regressors (parameters of effects), the errors of every pose and the emitter's power at
 every pose (random effects with priors), and one offset per pixel (the fixed pattern, eliminated by a Schur
-complement). What is kept does not grow with the number of frames: one Gram matrix per fold of poses and the
-weighted sums per pixel that the elimination of the pattern needs.
+complement). Memory does not grow with the number of frames: it holds one Gram matrix per fold of poses and
+the weighted sums per pixel that the elimination of the pattern needs.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from rim_camera_ros.threads import in_order
 Array = NDArray[Any]
 
 
-#: Share of what data and prior tell of regressors by themselves below which what elimination leaves of it is
+#: Share of the information of data and prior about regressors below which the rest after elimination is
 #: rounding: some hundred times the relative error of a double, as errors of thousands of products add up.
 _RANK = 1e-13
 
 
 @dataclass
 class NormalEquations:
-    """All folds; ``regressors`` in the order of the columns; ``threads`` that work on them may take.
+    """The sums of all folds; ``regressors`` in the order of the columns; ``threads`` may share work on them.
 
     ``away`` is how far the first regressors are from the middle of their priors (None: at it).
 
-    The folds do not change any more once one of them was reduced: what was is kept.
+    The folds must not change once some of them were reduced: the reduced equations are kept.
     """
 
     regressors: list[Regressor]
@@ -69,7 +69,7 @@ class NormalEquations:
         return result
 
     def reduced(self, leave_out: int | None = None) -> Reduced:
-        """Return the equations of the regressors alone, of all folds but one; nuisances are eliminated."""
+        """Return the equations without nuisances, which are eliminated, of all folds or all but one."""
         if leave_out not in self._reduced:
             kept = [fold for i, fold in enumerate(self.folds) if i != leave_out]
             self._reduced[leave_out] = reduce_folds(kept, priors_of(self.regressors), self.pixels)
@@ -81,10 +81,10 @@ class Reduced:
     """Equations of the regressors after eliminating all nuisances.
 
     ``gram`` (K, K) and ``right`` (K,) or (K, R); ``square`` y' V^-1 y; ``log_norm`` half the log
-    determinant of V; ``rows`` observations, whose squares are expected to sum up to ``expected``. ``recover``
-    gives nuisances, pattern [m] and changes of the gains of pixels (None: known) for given regressor values;
-    ``without_errors`` eliminates the nuisances from right-hand sides (M - 1, R) from which offsets and gains
-    of ``pixels`` are eliminated, as `pixel_elimination.stacked` orders them: (K, R).
+    determinant of V; ``rows`` the number of observations, ``expected`` the expected sum of their squares.
+    ``recover`` returns nuisances, pattern [m] and changes of the gains of pixels (None: known) for given
+    values of the regressors. ``without_errors`` eliminates the nuisances from right-hand sides (M - 1, R),
+    ordered as by `pixel_elimination.stacked` and without offsets and gains of ``pixels``; it returns (K, R).
     """
 
     gram: Array
@@ -107,10 +107,10 @@ def reduce_folds(folds: Sequence[Fold], priors: Array, pixel_priors: PixelPriors
 
 
 def reduce_further(folds: Sequence[Fold], priors: Array, sums: WithoutPixels) -> Reduced:
-    """Eliminate nuisances as well from the ``sums`` of folds; their priors may be others than before."""
+    """Eliminate nuisances as well from the ``sums`` of folds; the nuisances may have other priors."""
     count, pixels, full = len(priors), sums.pixels, sums.gram.copy()
     nuisances = [nuisance for fold in folds for nuisance in fold.nuisances]
-    # what some folds know of a regressor may be far less than rounding is beside its prior
+    # the information of some folds about a regressor may be far less than the rounding of its prior
     unit = np.hypot(np.sqrt(sums.diagonal[:count]), 1.0 / priors)
     inner = slice(count, count + len(nuisances))
     keep = np.r_[np.arange(count), full.shape[0] - 1]
@@ -130,7 +130,7 @@ def reduce_further(folds: Sequence[Fold], priors: Array, sums: WithoutPixels) ->
         reduced = full[np.ix_(keep, keep)]
     gram, directions = determined((reduced[:-1, :-1] + reduced[:-1, :-1].T) / 2, unit)
 
-    # the sums per pixel are put together anew when they are asked for: kept, they would fill the memory
+    # the sums per pixel are put together on request: kept, they would fill the memory
     def recover(values: Array) -> tuple[dict[str, float], Array, Array | None]:
         found = solved[:, -1] - solved[:, :-1] @ values if nuisances else np.zeros(0)
         offsets, gains = pixels.solve(np.concatenate([values, found, [-1.0]]))
@@ -156,12 +156,12 @@ def reduce_further(folds: Sequence[Fold], priors: Array, sums: WithoutPixels) ->
 
 
 def determined(gram: Array, unit: Array) -> tuple[Array, Callable[[Array], Array]]:
-    """Return a reduced normal matrix (K, K) without what is but rounding, and the same for right sides.
+    """Return a reduced normal matrix (K, K) without directions that are rounding, and this for right sides.
 
-    ``unit`` (K,) are the roots of its diagonal before anything was eliminated, the priors' included.
-    Elimination subtracts numbers that are nearly equal where nuisances can take on what a combination of
-    regressors does; what is left of it below `_RANK` is not known to be more than nothing, and nothing is
-    what the data then say of it: negative, it would be a normal matrix of no least-squares problem.
+    ``unit`` (K,) are the roots of its diagonal before the elimination, priors included. Where nuisances can
+    imitate a combination of regressors, elimination subtracts numbers that are nearly equal. A remainder
+    below `_RANK` cannot be distinguished from 0 and is set to 0: the data determine nothing in that
+    direction. A negative remainder would belong to no least-squares problem.
     """
     if not len(unit):  # scipy 1.11 decomposes no empty matrix
         return gram, lambda right: right
@@ -207,13 +207,13 @@ def accumulate(
     def taken() -> Iterator[tuple[Prediction, list[Sequence[Column]]]]:
         for prediction in forward.predictions():
             remembered = [block.columns(prediction.for_columns(block)) for block in ordered]
-            # what the next station remembers is another's
+            # a copy: the next station changes what effects remember
             for one in (prediction, prediction.inner):
                 one.context.memory = dict(one.context.memory)
             yield prediction, remembered
 
-    def share(one: tuple[Prediction, list[Sequence[Column]]]) -> tuple[int, Share]:
-        prediction, remembered = one[0], iter(one[1])
+    def share(station: tuple[Prediction, list[Sequence[Column]]]) -> tuple[int, Share]:
+        prediction, remembered = station[0], iter(station[1])
         columns: list[Column | None] = []
         groups: tuple[int, Groups] | None = None
         for block in blocks:
@@ -254,7 +254,7 @@ def accumulate(
                 stations=stations[number],
             )
         sums[number].add(found)
-    # each is let go of with its fold: they are the largest arrays of an adjustment
+    # each is freed once its fold is made: they are the largest arrays of an adjustment
     folds = [sums.pop(number).fold() for number in sorted(sums)]
     at = forward.amplitude_model.pixels
     priors = PixelPriors(

@@ -1,7 +1,7 @@
 """Elimination of the offset and the gain of each pixel from sums over stations.
 
-They are the most unknowns of an adjustment, and each is linked with no other of them: block by block of the
-pixels they leave the normal matrix by a Schur complement.
+They are the most numerous unknowns of an adjustment. The equations link those of different pixels only
+through the other unknowns, so that a Schur complement eliminates them block by block of the pixels.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from rim_camera_ros.fit.fold_sums import Fold
 Array = NDArray[Any]
 
 
-#: 1-sigma of the fixed pattern's prior [m]: unknown, also that of all pixels together. With 50 mm of each
-#: pixel by itself the mean of 6,000 pixels would be known to 0.6 mm, and every smooth field nearly as well,
-#: which no camera's is: effects that are smooth over the array would gain what it costs.
+#: 1-sigma of the fixed pattern's prior [m]: as good as unknown, also in the mean of all pixels. With 50 mm
+#: for each pixel the mean of 6,000 pixels would be known to 0.6 mm, and every smooth field nearly as well.
+#: Real patterns are not known so well, and effects that are smooth over the array would gain by that.
 PATTERN_PRIOR = 5.0
-#: Pixels of which the sums are put together at once.
+#: Number of pixels whose sums are put together at once.
 _BLOCK = 2048
 _ROUNDING = 1e-10
 
 
 @dataclass(frozen=True)
 class PixelPriors:
-    """What is known of every pixel: 1-sigma of its ``offset`` [m] and of its relative ``gain`` (0: known).
+    """Priors of every pixel: 1-sigma of its ``offset`` [m] and of its relative ``gain`` (0: known).
 
-    ``gains_at`` (P,) are the logarithms of the gains where the equations are linearised; their prior is
-    about 0. ``seen`` are the numbers of the P pixels of which there are sums, in an array of ``size``
-    pixels (None: all); the others keep the middle of their priors.
+    ``gains_at`` (P,) are the logarithms of the gains at the point of linearisation; their prior has the mean
+    0. ``seen`` are the numbers of the P pixels that have sums, in an array of ``size`` pixels (None: all);
+    the others keep the means of their priors.
     """
 
     offset: float = PATTERN_PRIOR
@@ -56,10 +56,10 @@ class PixelPriors:
 
 
 class PixelElimination:
-    """The offset and the gain of each pixel, eliminated from the sum of some folds.
+    """Elimination of the offset and the gain of each pixel from the sum of some folds.
 
-    Of each pixel the two unknowns are made independent of each other: ``rows`` are those of a matrix whose
-    product with its transpose is what their elimination takes from the normal matrix.
+    The two unknowns of each pixel are made independent of each other. ``rows`` returns the rows of a matrix
+    R; the elimination subtracts R' R from the normal matrix.
     """
 
     def __init__(self, folds: Sequence[Fold], count: int, priors: PixelPriors) -> None:
@@ -73,7 +73,7 @@ class PixelElimination:
         if self.with_gains:
             weight = np.sum([_given(fold.gain_weight) for fold in folds], axis=0)
             self._b: Array = np.sum([_given(fold.cross) for fold in folds], axis=0)
-            # what the offset leaves of it cannot be less than nothing
+            # the weight given the offset cannot be negative
             alone = np.maximum(weight - self._b**2 / self._a, _ROUNDING * weight)
             self._c = alone + priors.gain**-2
             self._pull = np.zeros(len(self._a)) if at is None else at / priors.gain**2
@@ -81,7 +81,7 @@ class PixelElimination:
             self.square = 0.0 if at is None else float(np.sum((at / priors.gain) ** 2))
 
     def blocks(self) -> Iterator[slice]:
-        """Yield the pixels, some at once: the sums of all of them would be the largest array of all."""
+        """Yield blocks of pixels: the sums of all pixels at once would be the largest array of all."""
         for first in range(0, len(self._a), _BLOCK):
             yield slice(first, min(first + _BLOCK, len(self._a)))
 
@@ -95,7 +95,7 @@ class PixelElimination:
         return self.whitened(block, offset, gain)
 
     def whitened(self, block: slice, offset: Array, gain: Array | None) -> list[Array]:
-        """Return sums of a block's pixels (N, R), which are written over, in units of independent noise."""
+        """Return sums of a block's pixels (N, R) in units of independent noise; arguments are overwritten."""
         result = [offset]
         if self.with_gains:
             assert gain is not None
@@ -106,7 +106,7 @@ class PixelElimination:
         return result
 
     def sums_of(self, block: slice, noise: Sequence[Array]) -> tuple[Array, Array | None]:
-        """Return sums of a block's pixels (N, R) from independent noise, as `whitened` takes them."""
+        """Return sums of a block's pixels (N, R) from independent noise: the inverse of `whitened`."""
         offset = np.sqrt(self._a[block])[:, None] * noise[0]
         if not self.with_gains:
             return offset, None
@@ -114,7 +114,7 @@ class PixelElimination:
         return offset, share * offset + np.sqrt(self._c[block])[:, None] * noise[1]
 
     def solve(self, values: Array) -> tuple[Array, Array | None]:
-        """Return offsets [m] and changes of the gains of all pixels for values of all else, as `stacked`."""
+        """Return offsets [m] and changes of gains of all pixels, given the other unknowns as in `stacked`."""
         offset = -_times(self._folds, self._count, values)
         everywhere = self._priors.everywhere
         if not self.with_gains:
@@ -126,10 +126,10 @@ class PixelElimination:
 
 @dataclass(frozen=True)
 class WithoutPixels:
-    """Sums of folds from which offsets and gains of pixels are eliminated, whatever is known of all else.
+    """Sums of folds after elimination of offsets and gains of pixels, without priors of other unknowns.
 
-    ``gram`` (M, M) over regressors, nuisances and observations, in the order of `stacked`; ``diagonal`` its
-    diagonal before; ``pixels`` gives offsets and gains for values of all else.
+    ``gram`` (M, M) is over regressors, nuisances and observations, in the order of `stacked`; ``diagonal`` is
+    its diagonal before the elimination; ``pixels`` gives offsets and gains given the other unknowns.
     """
 
     gram: Array

@@ -1,4 +1,4 @@
-"""Sums per pixel of the products of all columns of a design with one of the pixel's own."""
+"""Sums per pixel of the products of all columns of a design with a column of the pixel's own."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from rim_camera_ros.fit.channels import Products
 
 Array = NDArray[Any]
 
-#: Rows that groups have in common of which the products are taken at a time.
+#: Number of common rows of groups whose products are added at a time.
 _AT_A_TIME = 32
 
 
 class PixelSums:
-    """Sums per pixel of the products of all columns with one of the pixel's own.
+    """Sums per pixel of the products of all columns with a column of the pixel's own.
 
-    They are the largest arrays of an adjustment: room is made for about all of them at once, of which what is
-    never written takes no memory. Where it does not suffice, what was written is copied.
+    They are the largest arrays of an adjustment. Room is allocated once for about all of them; parts that are
+    never written take no memory. Where the room does not suffice, a larger one is allocated and filled.
     """
 
     def __init__(self, count: int, pixels: int, rows: Array) -> None:
@@ -28,7 +28,7 @@ class PixelSums:
         self._sums: Array = np.zeros((count, pixels))
         self._y: Array = np.zeros(pixels)
         self._written = count
-        # shares of groups, and the products that they have in common
+        # shares of groups, and the products of their common rows
         self._common: list[tuple[Array, Array]] = []
         self._first = 0
 
@@ -54,7 +54,7 @@ class PixelSums:
         if groups is None:
             return
         mine = np.flatnonzero(groups.number >= 0)
-        # a pixel has one of them: no place is named twice
+        # each pixel has one of them: no place occurs twice
         self._sums[groups.first + groups.number[mine], rows[mine]] += groups.value[mine] * part.factor[mine]
         if groups.common is not None:
             products = np.zeros(len(self._y))

@@ -1,4 +1,4 @@
-"""Which pixels of the stations take part: no gross outliers, and nothing beside edges that disagrees."""
+"""Which pixels of the stations take part: without gross outliers and inconsistent pixels beside edges."""
 
 from __future__ import annotations
 
@@ -25,18 +25,19 @@ Beside = Callable[[Prediction, int], Array]
 #: `GROSS` [m], is no measurement of the scene.
 GROSS_SIGMAS = 10.0
 GROSS = 0.1
-#: Noise of a single distance, as a share of the ambiguity range, above which it is no normal one any more.
+#: Noise of a single distance, as a share of the ambiguity range, above which it is not normal any more.
 NOISIEST = 0.025
 #: Pixels nearer than this to an edge of brightness or of a surface [px] are beside it.
 BESIDE = 2
-#: Where chi-square per value beside edges exceeds the first number, and that elsewhere by the second as a
-#: ratio, they are left out, if the third is left as a share of all. The ratio is small because the
-#: fit is drawn towards both.
+#: Pixels beside edges are excluded where their chi-square per value is at least `POOR`, and at least
+#: `DISAGREE` times that elsewhere, if a share of `LEAST_LEFT` of all pixels remains. The ratio is small
+#: because the fit is drawn towards both.
 POOR = 1.5
 DISAGREE = 1.1
 LEAST_LEFT = 0.1
-#: They are left out, too, as far as `WIDEST` [px] from edges, where a zone along them differs from what is
-#: far from any by more than `STEP` [m] in the median of some stations, with some pixels in both.
+#: They are also excluded, up to `WIDEST` [px] from edges, where distances in a zone along edges differ from
+#: those far from any edge by more than `STEP` [m], in the median of at least `LEAST_STATIONS` stations with
+#: `LEAST_PIXELS` pixels in both.
 WIDEST = 5
 STEP = 0.001
 LEAST_STATIONS = 8
@@ -46,9 +47,9 @@ LEAST_PIXELS = 4
 def usable_pixels(forward: Forward) -> tuple[Masks, int]:
     """Return the pixels of each station for both channels, (H, W) each, and the number of gross outliers.
 
-    One of them among thousands, metres off, would rule the first steps of an adjustment. Pixels so dark that
-    their noise wraps, and terms of the amplitude are steep, take no part, nor do those of the internal
-    reference.
+    A single outlier among thousands, metres off, would rule the first steps of an adjustment. Also excluded
+    are the pixels of the internal reference, and pixels so dark that their noise wraps and terms of the
+    amplitude are steep.
     """
     masks: Masks = []
     gross = 0
@@ -56,7 +57,7 @@ def usable_pixels(forward: Forward) -> tuple[Masks, int]:
     path = effect_of(forward.camera, InternalReference)
     reference = None if path is None else path.region()
     for prediction in forward.predictions(slopes=False):
-        # by the predicted amplitude: picking by the measured one would pick the bright half of the noise
+        # by the predicted amplitude: a selection by the measured one would take the bright half of the noise
         used = prediction.used & (
             prediction.sigma * np.sqrt(np.maximum(prediction.station.count, 1)) < darkest
         )
@@ -84,11 +85,11 @@ def without_edges(
     *,
     beside: Beside = beside_in_view,
 ) -> tuple[Masks, int, str] | None:
-    """Return the masks without the pixels beside edges, how wide that is [px], and a note; None: they agree.
+    """Return masks without pixels beside edges, the width of that zone [px], and a note; None: they agree.
 
-    They disagree where chi-square is larger within `BESIDE` of edges, or where distances there differ from
-    those of the same colour in the same pose, as far as they do. ``beside`` says which pixels (H, W) of a
-    station are within a margin [px] of edges. Outliers count no more than at the robust limit.
+    They disagree where chi-square is larger within `BESIDE` of edges, or where distances in a zone along
+    edges differ from those of the same colour in the same pose. ``beside`` returns which pixels (H, W) of a
+    station are within a margin [px] of edges. Outliers are clipped at the robust limit.
     """
     totals = np.zeros((2, 2))
     zones = _Zones()
@@ -120,18 +121,18 @@ def without_edges(
     if margin < BESIDE:
         return None
     lost = sum(int(used.sum()) for used, _ in masks) - sum(int(used.sum()) for used, _ in left)
-    shifted = f"by up to {step * 1e3:.1f} mm beside those of their colour, " if abs(step) > 0 else ""
+    shifted = f"by up to {step * 1e3:.1f} mm compared with their colour, " if abs(step) > 0 else ""
     return (
         left,
         margin,
-        f"left out: {lost} distances within {margin} px of edges of brightness or surfaces, "
+        f"excluded: {lost} distances within {margin} px of edges of brightness or surfaces, "
         f"which disagree with the others ({shifted}chi-square per value {chi_square[1]:.1f} against "
         f"{chi_square[0]:.1f}): stray light or blur that these recordings do not resolve",
     )
 
 
 def disagree(beside: float, elsewhere: float) -> bool:
-    """Return whether chi-squares per value say that pixels beside edges do not fit, while others do."""
+    """Return whether, by chi-squares per value, pixels beside edges fit badly and worse than the others."""
     return beside >= POOR and beside >= DISAGREE * elsewhere
 
 
@@ -159,7 +160,7 @@ class _Zones:
                     self._found.setdefault((number, float(colour)), []).append(difference)
 
     def margin(self) -> tuple[int, float]:
-        """Return how far from edges distances disagree [px], 0 where nowhere, and the greatest step [m]."""
+        """Return up to which margin distances disagree [px] (0: nowhere), and the greatest step [m]."""
         margin, most = 0, 0.0
         for number in range(WIDEST - BESIDE + 1):
             steps = [self._step(values) for (zone, _), values in self._found.items() if zone == number]
@@ -181,5 +182,5 @@ class _Zones:
 
 
 def more_pixels(masks: Sequence[tuple[Array, Array]], others: Sequence[tuple[Array, Array]]) -> bool:
-    """Return whether masks (H, W) of the same stations take in distances that others leave out."""
+    """Return whether masks (H, W) of the same stations include distances that others exclude."""
     return any(bool((mask[0] & ~other[0]).any()) for mask, other in zip(masks, others, strict=True))

@@ -1,4 +1,4 @@
-"""Errors of poses that are larger than scene files or recordings state, by what a fit finds of them."""
+"""Errors of poses that a fit finds to be larger than scene files or recordings state."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.scene import Scene, Surface
 
-#: Errors found in this ratio to those stated count as larger, and poses that it takes to say so.
+#: Ratio of the errors found to those stated above which they count as larger, and least number of poses.
 WIDER = 1.5
 LEAST_POSES = 8
 #: Rounds of widening, at most.
@@ -22,7 +22,7 @@ _TILTS = ("tilt_x", "tilt_y")
 
 @dataclass(frozen=True)
 class WiderSurface(Surface):
-    """A surface whose recorded poses err more than the recording states, by ``factors`` (normal, tilt)."""
+    """A surface whose recorded poses have larger errors than stated, by ``factors`` (normal, tilt)."""
 
     factors: tuple[float, float] = (1.0, 1.0)
 
@@ -35,7 +35,7 @@ class WiderSurface(Surface):
 
 
 def _wider(plane: Surface, offset: float, tilt: float, *, own: bool) -> Surface:
-    """Return the surface with larger errors of its poses; ``own``: the recording states some with them."""
+    """Return the surface with larger errors of its poses; ``own``: its recorded poses bring a covariance."""
     sigma = (plane.pose_sigma[0] * offset, plane.pose_sigma[1] * tilt)
     if not own:
         return replace(plane, pose_sigma=sigma)
@@ -45,10 +45,10 @@ def _wider(plane: Surface, offset: float, tilt: float, *, own: bool) -> Surface:
 
 
 def pose_error_ratios(fitted: Fit) -> dict[str, tuple[float, float]]:
-    """Return, for each surface, the errors found over those stated: along the normal, and of the tilts.
+    """Return, for each surface, the ratios of errors found to those stated: along the normal, and of tilts.
 
-    By the median, so that single bad poses do not count; 0 for too few poses. What the poses' distances leave
-    undetermined makes the ratio smaller, never larger.
+    They are from medians, so that single bad poses do not count; 0 for too few poses. Errors that the
+    distances do not determine make a ratio smaller, never larger.
     """
     stated = {name: prior for fold in fitted.equations.folds for name, prior, _ in fold.nuisances}
     found: dict[str, tuple[list[float], list[float]]] = {}
@@ -86,9 +86,9 @@ def with_wider_poses(scene: Scene, fitted: Fit) -> Scene | None:
 
 
 def settled_poses(problem: Problem, fitted: Fit) -> Scene | None:
-    """Return the scene with errors of poses that agree with what a fit of all effects finds; None: as stated.
+    """Return the scene with errors of poses that agree with those found by a fit of all effects.
 
-    Errors that are held too small come out too small, and so it takes some rounds.
+    None where they are as stated. It takes some rounds: priors that are too narrow make errors too small.
     """
     wider = with_wider_poses(problem.scene, fitted)
     if wider is None:
@@ -104,7 +104,7 @@ def settled_poses(problem: Problem, fitted: Fit) -> Scene | None:
 
 
 def widening_of_poses(stated: Scene, found: Scene) -> dict[str, float]:
-    """Return how many times larger errors of poses were found than stated, by surface, where they were."""
+    """Return, by surface, how many times larger than stated errors of poses were found, where they were."""
     result = {}
     for old, new in zip(stated.surfaces, found.surfaces, strict=True):
         ratios = [
@@ -118,7 +118,7 @@ def widening_of_poses(stated: Scene, found: Scene) -> dict[str, float]:
 
 
 def wider_poses_note(stated: Scene, found: Scene) -> str:
-    """Return in words by how much poses err more than the scene file states."""
+    """Return in words how much larger the errors of poses are than stated."""
     parts = [
         f"poses of '{new.name}' err by {new.factors[0]:.2g} (along the normal) and {new.factors[1]:.2g} "
         "(tilt) times what the recording states with them"

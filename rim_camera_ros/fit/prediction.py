@@ -1,4 +1,4 @@
-"""What one camera predicts of a station: readings, residuals and their derivatives."""
+"""The prediction of a station by one camera: readings, residuals and their derivatives."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Array = NDArray[Any]
 #: Derivatives (H, W) of measured distance and published amplitude (None: none) by one regressor.
 Column = tuple[Array, Array | None]
 
-#: Under which the derivatives by the emitter's power are kept, beside those by the poses.
+#: Key of the derivatives by the emitter's power, which are kept with those by the poses.
 _POWER = "power"
 #: Counts below which there is no light.
 _DARK = 1e-6
@@ -34,16 +34,16 @@ class Prediction:
     """One station: prediction, residuals, weights and derivatives, (H, W) each.
 
     ``residual`` [m] and ``amplitude_residual`` [counts] are measured - predicted; ``used`` and
-    ``amplitude_used`` mark the pixels to fit; ``sigma`` the standard deviation of the station's mean by the
-    noise model, with ``variance_of_other`` [m^2], that of a recording which it is compared with;
-    ``amplitude_noise`` that of the amplitude. ``amplitude_sigma`` holds the errors of predicted amplitudes as
-    well, which neighbours share: a pixel counts as ``amplitude_share`` of an observation, and its chi-square
-    is expected to be ``amplitude_freedom``, what its own noise makes of it. ``amplitude`` is
-    the latent amplitude [counts]: what the terms see; it follows a relative change of the predicted light by
-    the share ``amplitude_follows``, and one of the measured light by ``amplitude_measured``. ``model_slope``
-    [counts] is the derivative of the predicted published amplitude by the logarithm of the predicted light:
-    that of the latent one would have the noise of what it is compared with. ``of_window`` is the prediction
-    of the window of the array in which rays meet the scene, where that is computed by itself.
+    ``amplitude_used`` mark the pixels to fit. ``sigma`` is the standard deviation of the station's mean
+    distance by the noise model, including ``variance_of_other`` [m^2] of a recording that it is compared
+    with; ``amplitude_noise`` that of its mean amplitude. ``amplitude_sigma`` includes the errors of predicted
+    amplitudes, which neighbours share: so a pixel counts as ``amplitude_share`` of an observation, and the
+    expected value of its chi-square, by its own noise, is ``amplitude_freedom``. ``amplitude`` is the latent
+    amplitude [counts] that distance terms depend on; ``amplitude_follows`` is its relative derivative by the
+    predicted light, ``amplitude_measured`` that by the measured light. ``model_slope`` [counts] is the
+    derivative of the predicted published amplitude by the logarithm of the predicted light (not of the latent
+    amplitude, which contains the noise of the measurement). ``of_window`` is the prediction of
+    the window of the array in which rays meet the scene, where that is computed alone.
     """
 
     station: Station
@@ -103,7 +103,7 @@ class Prediction:
         return Places(pixels, self.used.size, within)
 
     def light_change(self, after: str | None, change: Array) -> tuple[Array, Array]:
-        """Carry a relative change of the complex image through the optics that follow an effect.
+        """Propagate a relative change of the complex image through the optics that follow an effect.
 
         ``change`` (H, W) complex: dS / S just after effect ``after`` (None: at the scene). Returns the
         derivatives of measured distance and published amplitude.
@@ -124,9 +124,9 @@ class Prediction:
     def groups_change(self, number: Array, count: int) -> Groups:
         """Return the derivatives by the relative light of groups of pixels at the scene.
 
-        ``number`` (H, W) is the group of each pixel of ``count`` (-1: none). What optics spread of the light
-        of a group is taken to arrive where that of all others does, in proportion to its light: fits with
-        these derivatives take as many steps as with the exact ones, which would be dense.
+        ``number`` (H, W) is the group of each pixel, of ``count`` groups (-1: none). Light that optics spread
+        is approximated: that of a group arrives where that of all groups does, in proportion to its light.
+        Fits with these derivatives take as many steps as with the exact ones, which would be dense.
         """
         groups = number.astype(np.intp)
         if not self.spread:
@@ -148,13 +148,13 @@ class Prediction:
         return self.reading_change(by_distance, relative.real)
 
     def _through(self, effect: ComplexEffect) -> tuple[Array, Array]:
-        """Return the image before an effect that spreads light, and one over that after it (0 where dark)."""
+        """Return the image before a spreading effect, and the inverse of that after it (0 where dark)."""
         found = self._images.get(effect.name)
         if found is None:
             light = self.before[effect.name]
             before = to_phasor(light.distance, light.amplitude, self.context.ambiguity)
             image = effect.apply(before, self.context)
-            # far from all light halos end in numbers that single precision has no inverse of
+            # far from all light, halos are so small that their inverse exceeds single precision
             dark = np.abs(image) < _DARK
             inverse = np.where(dark, 0, 1.0 / np.where(dark, 1.0, image))
             found = (before.astype(np.complex64), inverse.astype(np.complex64))
@@ -166,7 +166,7 @@ class Prediction:
         if self._by_light is None:
             by_latent = self.delivered.amplitude * self.slope_amplitude
             self._by_light = (self.amplitude_follows * by_latent, self.model_slope)
-        measured, published = (relative * one for one in self._by_light)
+        measured, published = (relative * slope for slope in self._by_light)
         if isinstance(by_distance, np.ndarray) or by_distance:
             measured = by_distance * self.slope_distance + measured
         return np.asarray(measured), np.asarray(published)
@@ -174,7 +174,7 @@ class Prediction:
     def columns(self, effect: Effect) -> dict[str, tuple[Array, Array]]:
         """Return the derivatives of measured distance and published amplitude by an effect's parameters.
 
-        The effect need not be one of the camera's: a candidate stands at its place in the order.
+        The effect need not be one of the camera's: a candidate has its place in the order of effects.
         """
         name = effect.name
         if isinstance(effect, ResponseEffect):
@@ -201,9 +201,10 @@ class Prediction:
         return {path: self._response_change(a * self.pixel_gain) for path, (_, a) in columns.items()}
 
     def _response_change(self, published: Array | float) -> tuple[Array, Array]:
-        """Return the derivatives of the readings by what changes ``published`` amplitudes of the same light.
+        """Return the derivatives of the readings by a change of ``published`` amplitudes of the same light.
 
-        Terms see the light that the measured amplitude stands for: less of it where more is published.
+        Distance terms depend on the light that the measured amplitude stands for: less where more is
+        published.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = np.where(self.model_slope > 0, published / self.model_slope, 0.0)
@@ -227,7 +228,7 @@ class Prediction:
         return self._changes[_POWER]
 
     def pixel_gain_column(self) -> tuple[Array, Array]:
-        """Return the derivatives by the relative gain of each pixel, which is one of readings."""
+        """Return the derivatives by the relative gain of each pixel, which multiplies readings."""
         return self.gain_column()[0], self.model_reading
 
     def curve_columns(self, labels: Sequence[str]) -> list[tuple[Array, Array]]:
@@ -239,15 +240,15 @@ class Prediction:
         changes = curves.columns(self.view.geometry, self.context.ambiguity, labels)
         if not self.spread:
             return [self.reading_change(0.0, change) for change in changes]
-        # a plane has few of the angles between which a curve bends, and spreading light is what takes time
+        # a plane shows few of the angles of a curve; columns that are 0 need no (slow) spreading of light
         none = (np.zeros(self.distance.shape), np.zeros(self.distance.shape))
         return [self.light_change(None, change + 0j) if change.any() else none for change in changes]
 
     def light_columns(self) -> dict[str, tuple[Array, Array]]:
         """Return the derivatives by light that is added to all pixels [counts], by name of its part.
 
-        Real and imaginary part of its mean, and of gradients over rows and columns (at the rim): a second
-        camera does not light the scene evenly.
+        The parts are the real and imaginary parts of its mean, and of its gradients over rows and columns (at
+        the rim): a second camera does not light the scene evenly.
         """
         level = to_phasor(self.delivered.distance, self.amplitude, self.context.ambiguity)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -275,11 +276,11 @@ class Prediction:
 def random_effects(
     prediction: Prediction, *, gain_sigma: float, stray_light: float
 ) -> list[tuple[str, float, float, Array, Array]]:
-    """Return what may differ between poses: name, 1-sigma, value at the point, derivatives of both channels.
+    """Return a station's random effects: name, 1-sigma, value at the point, derivatives of both channels.
 
-    Errors of poses; with a ``gain_sigma`` (relative) the emitted power, with ``stray_light`` [counts] light
-    that is added to all pixels of the station, unevenly by as much. But for that light images are those of
-    the prediction's `inner`.
+    These are errors of poses; with a ``gain_sigma`` (relative) the emitted power; with ``stray_light``
+    [counts] light that is added to all pixels of the station, with gradients of the same size. The images are
+    those of the prediction's `inner`, but for that light, which is of the whole array.
     """
     station = prediction.station
     key = f"{station.recording}.{station.pose}"

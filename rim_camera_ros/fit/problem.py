@@ -1,4 +1,4 @@
-"""What a joint adjustment is given, and what it results in."""
+"""The input of a joint adjustment, and its result."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class FreeResponse:
-    """What is published otherwise than by the one parameter of a response, as a curve over the amplitude.
+    """A free curve over the amplitude in addition to the one parameter of a response.
 
-    Relative to light of ``level`` [counts], with the relative 1-sigma ``sigma``. ``parameter`` is the value
-    and 1-sigma of the parameter by itself, by its path: beside a free curve neither would be known, and what
-    corrects best is the parameter without the curve.
+    The curve is relative to light of ``level`` [counts]; its relative 1-sigma is ``sigma``. ``parameter`` is,
+    by its path, the value and 1-sigma of the parameter without the curve: jointly with a free curve it is not
+    identifiable, and the parameter alone corrects best.
     """
 
     level: float
@@ -54,22 +54,22 @@ class FreeResponse:
 
 @dataclass(frozen=True)
 class Problem:
-    """What is fitted: the data, the scene, which effects are free, and what else.
+    """What is fitted: the data, the scene, the free effects, and the nuisance parameters.
 
-    ``effects`` None frees all that the camera has; ``geometry`` names of `effects.OPTICS` to estimate;
-    ``robust`` bounds the weight of outliers; ``pattern`` estimates an offset per pixel;
-    ``masks`` restrict the pixels, ``patches`` say which share an error of the predicted amplitude, ``shifts``
-    stand for another simulation (all as in `Forward`);
-    ``stray_light`` [counts] as in `accumulate`; ``reflectance`` estimates how surfaces reflect beside
-    Lambert's law, ``response`` what the effect on the response leaves of the amplitudes.
+    ``effects`` None frees all that the camera has; ``geometry`` are the names of `effects.OPTICS` to
+    estimate; ``robust`` bounds the weight of outliers; ``pattern`` estimates an offset per pixel.
+    ``masks`` restrict the pixels, ``patches`` state how many pixels share an error of the predicted
+    amplitude, ``shifts`` are the differences of another recording (all as in `Forward`);
+    ``stray_light`` [counts] as in `accumulate`; ``reflectance`` estimates deviations of surfaces from
+    Lambert's law, ``response`` a free curve in addition to the effect on the response.
     ``pattern_prior`` [m] is the 1-sigma of an offset per pixel. ``correlated_error`` and
     ``variance_factors`` as in `Forward`.
-    The table over covariates is fitted only where ``effects`` names it. ``imperfections`` estimates what no
-    scene and no camera file states exactly (`imperfections`), within its stated sizes. ``amplitude_error`` is
-    the relative 1-sigma of predicted amplitudes, the same in likelihoods that are compared (None: estimated).
-    Priors of the parameters of effects and optics are those of the camera ``origin``, where it has them,
-    and about its values, whatever a fit begins at: what earlier fits took up must not hold later ones. None:
-    those of the start.
+    The table over covariates is fitted only where ``effects`` names it. ``imperfections`` estimates
+    quantities that scene and camera files do not state exactly, within their stated errors
+    (`design.imperfection_blocks`). ``amplitude_error`` is the relative 1-sigma of predicted amplitudes, which
+    likelihoods that are compared must share (None: estimated).
+    The priors of parameters that the camera ``origin`` has are those of ``origin``, about its values,
+    wherever a fit begins: results of earlier fits must not constrain later ones. None: those of the start.
     ``tick`` is called for each station in every pass and may raise to end the work; ``threads`` share it.
     """
 
@@ -103,13 +103,13 @@ class Problem:
 
     @property
     def has_pattern_field(self) -> bool:
-        """Whether what offsets of pixels have in common is estimated beside offsets that are small."""
+        """Whether a smooth field is estimated in addition to offsets of pixels that are taken to be small."""
         return self.pattern and self.pattern_prior < PATTERN_PRIOR
 
 
 @dataclass(frozen=True)
 class Point:
-    """Where a fit stands, as another needs it that begins there: what is not data, small beside them."""
+    """The values at which a fit ended, from which another begins; without the data, so that it is small."""
 
     camera: Camera
     parameters: Mapping[str, float]
@@ -123,13 +123,12 @@ class Point:
 class Fit:
     """The result of an adjustment, from the camera ``start`` to ``camera``.
 
-    ``parameters`` by dotted path (``radiometry.gain`` in counts); ``covariance`` in their order;
-    ``pattern`` (H, W) m is what the fixed pattern is beyond the camera file's; ``nuisances`` the errors
-    found of poses and powers; ``chi_square`` of all residuals after the fit, prior terms left out, with
-    ``rows`` observations. ``equations`` are those at the solution, ``forward`` its predictions. ``moving``
-    are the parameters of a fit that has not converged which the last step moved, in units of their sigma.
-    ``at_bounds`` are the numbers of parameters that the data would take beyond what is possible, and by how
-    many of their sigmas.
+    ``parameters`` are by dotted path (``radiometry.gain`` in counts), ``covariance`` in their order.
+    ``pattern`` (H, W) [m] is the fixed pattern in addition to that of the camera file; ``nuisances`` are the
+    estimated errors of poses and powers; ``chi_square`` is that of the ``rows`` observations after the fit,
+    without prior terms. ``equations`` are those at the solution, ``forward`` its predictions. ``moving``, of
+    a fit that has not converged, is the last step of each parameter in units of its sigma. ``at_bounds`` are
+    the numbers of parameters at a bound which the data would exceed, and by how many of their sigmas.
     """
 
     start: Camera
@@ -154,16 +153,15 @@ class Fit:
 
     @property
     def point(self) -> Point:
-        """Where the fit stands."""
+        """The values at which the fit ended."""
         model, curves = self.forward.amplitude_model, self.forward.light_curves
         return Point(self.camera, self.parameters, self.nuisances, self.pattern, model, curves)
 
     def by_another(self, camera: Camera) -> Forward:
-        """Return the predictions by another camera beside all that this fit found of imperfections.
+        """Return the predictions by another camera, given the imperfections that this fit found.
 
-        Powers, reflectivities and weak lobes are those found, so that what differs is the physics: the
-        camera, `SURFACES` that reflect otherwise than Lambert says, and the curve of a response that the
-        other camera lacks.
+        Powers, reflectivities and weak lobes are those found, so that only the physics differs: the camera,
+        `SURFACES` that deviate from Lambert's law, and the curve of a response that the other camera lacks.
         """
         here = self.forward
         forward = Forward(here.dataset, self.scene, camera, views=here.views)
@@ -180,7 +178,7 @@ class Fit:
 
 
 def freed(problem: Problem, fitted: Fit) -> Problem:
-    """Return the problem in which exactly what a fit has estimated, of effects and light, is free."""
+    """Return the problem in which exactly those effects and light curves are free that a fit estimated."""
     names = {path.split(".")[1] for path in fitted.parameters if path.startswith("effects.")}
     curves = fitted.forward.light_curves
     return replace(
@@ -210,9 +208,9 @@ def forward_of(
 
 
 def clean_by(camera: Camera, problem: Problem, scene: Scene, *, views: Views | None) -> Problem:
-    """Return a problem with those of its pixels that stay away from edges by a camera's rays, too.
+    """Return a problem with only those of its pixels that are clean of edges by a camera's rays as well.
 
-    Pixels that an edge has reached say where it is, not how far anything is.
+    Pixels that an edge has reached contain information about the position of the edge, not about distances.
     """
     forward = forward_of(problem, scene, camera, views=views, offsets={})
     masks = [
@@ -223,7 +221,7 @@ def clean_by(camera: Camera, problem: Problem, scene: Scene, *, views: Views | N
 
 
 def light_groups(problem: Problem, camera: Camera) -> list[tuple[str, ...]]:
-    """Return the curves of the light that are fitted beside the camera."""
+    """Return the curves of the light that are fitted jointly with the camera."""
     # harmonics of a modulation make the light ripple: pulses have none
     groups = [RIPPLES] if problem.gain and measurement_of(camera).demodulates else []
     if problem.reflectance:
@@ -236,7 +234,7 @@ def light_groups(problem: Problem, camera: Camera) -> list[tuple[str, ...]]:
 def blocks_of(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
     """Return the regressors of all that is free in a problem."""
     response = problem.response
-    widths = {} if response is None else {path: one[1] for path, one in response.parameter.items()}
+    widths = {} if response is None else {path: sigma for path, (_, sigma) in response.parameter.items()}
     blocks = present_blocks(camera, effects=problem.effects, origin=problem.origin, widths=widths)
     table = effect_of(camera, CovariateTable)
     if table is not None and problem.effects is not None and table.name in problem.effects:
@@ -263,7 +261,7 @@ def blocks_of(problem: Problem, camera: Camera, scene: Scene) -> list[Block]:
 
 
 def away_from_priors(problem: Problem, start: Camera) -> dict[str, float]:
-    """Return how far numbers of a start are from the middles of their priors, by path; 0 where absent."""
+    """Return the deviations of a start's numbers from the means of their priors, by path; 0 where absent."""
     away = moved_from(problem.origin, start)
     if problem.response is not None:
         numbers = camera_numbers(start)
@@ -273,8 +271,8 @@ def away_from_priors(problem: Problem, start: Camera) -> dict[str, float]:
 
 
 def keeps_amplitude_error(warm: Camera, camera: Camera) -> bool:
-    """Return whether a fit keeps how well another predicts amplitudes: where it has other effects.
+    """Return whether a fit keeps the amplitude error of another: where the two have different effects.
 
-    Then likelihoods are those of the same noise.
+    Their likelihoods can then be compared, as they have the same noise.
     """
     return bool(warm.effects.keys() ^ camera.effects.keys())

@@ -1,6 +1,6 @@
-"""The reduction of a recording to stations: a pure function of recording and camera that may run anywhere.
+"""The reduction of a recording to stations: a pure function of recording and camera, for any process.
 
-Sums are integers where the recording holds counts, so that nothing is lost.
+Sums are integers where the recording holds counts, so that they are exact.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class _Block:
         self._camera = camera
         self.pose, self.placement = pose, placement
         self.first = first
-        # either image may hold counts or metres and numbers
+        # either image may hold integer counts, or metres (distances) and floating-point numbers (amplitudes)
         self._counts = first.distance.dtype == np.uint16
         self._whole_amplitudes = first.amplitude.dtype == np.uint16
         self._period = round(camera.sensor.ambiguity / camera.sensor.lsb) if camera.sensor.wraps else 0
@@ -127,7 +127,7 @@ class _Block:
 
 
 def _mean_settings(settings: list[Settings]) -> Settings:
-    """Return the first frame's settings with the means of what changes steadily."""
+    """Return the first frame's settings, with the means of quantities that change steadily."""
 
     def mean(name: str) -> float | None:
         values = [getattr(setting, name) for setting in settings]
@@ -153,7 +153,7 @@ def reduce_frames(
 ) -> Iterator[Station]:
     """Yield the stations of a recording's frames; ``codes`` (65536,) is counted up.
 
-    Where ``surfaces`` are given, poses of others are passed over: they make no stations.
+    Where ``surfaces`` are given, poses of others are ignored: they begin no stations.
 
     Raises `InputError` for images of another size than the camera's, or another modulation frequency.
     """
@@ -169,7 +169,7 @@ def reduce_frames(
         if surfaces is not None:
             frame = frame.with_truth_of(surfaces)
         if frame.truth != stated:
-            # a pose that is told again unchanged is the same placement, with the same error
+            # a pose that is published again unchanged is the same placement, with the same error
             placement, stated = placement + 1, frame.truth
         messages = tuple(sorted(frame.pose_stamps.items()))
         own = (messages, frame.settings.integration_time)
@@ -186,9 +186,10 @@ def reduce_frames(
 
 
 def of_known_exposure(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
-    """Yield the frames that state their integration time, or all where none of the first does.
+    """Yield the frames that state their integration time, or all frames where none of the first does.
 
-    Messages of settings can be lost, or begin later than the images: such a frame is of any integration time.
+    Messages of settings can be lost, or begin later than the images; such frames have no known integration
+    time.
     """
     waiting: list[RawFrame] = []
     stated = stateless = False
@@ -232,8 +233,8 @@ def reduce_recording(
 ) -> Dataset:
     """Return the stations of one recording, a pure function of recording, camera and scene.
 
-    Poses of surfaces that are not of the ``scene``, where one is given, are passed over. ``progress`` wraps
-    the iteration over frames. Raises `InputError` naming the recording.
+    Poses of surfaces that are not in the ``scene``, where one is given, are ignored. ``progress`` wraps the
+    iteration over frames. Raises `InputError` naming the recording.
     """
     with Recording(path, topics=topics) as bag:
         summary = bag.summary()
@@ -258,7 +259,7 @@ def reduce_recording(
         notes = list(bag.assumptions)
         if summary.damage:
             notes.append(f"{path}: {summary.damage}: only what could be read is used")
-        notes += [f"{path}: left out: {number} {why}" for why, number in bag.skipped.items() if number]
+        notes += [f"{path}: excluded: {number} {why}" for why, number in bag.skipped.items() if number]
     return Dataset(
         stations,
         [str(path)],

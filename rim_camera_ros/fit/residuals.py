@@ -1,4 +1,4 @@
-"""Residuals without what is known of errors of poses, powers and pixels; their weights and their excess."""
+"""Residuals given the estimated errors of poses, powers and pixels; their weights and excess scatter."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[Any]
 
 #: Residuals beyond this many sigma weigh less (Huber), the more the farther.
 ROBUST_LIMIT = 4.0
-#: The least pixels whose scatter tells the variance of their mean.
+#: Least number of pixels whose scatter gives the variance of their mean.
 LEAST_IN_PATCH = 8
 
 
@@ -39,19 +39,19 @@ def huber(pattern: Array, nuisances: Mapping[str, float]) -> Callable[[Predictio
 
 
 def beyond_limit(factors: Array) -> float:
-    """Return what the loss of Huber (1964) has beyond squares that are weighted by factors, in their units.
+    """Return the excess of the loss of Huber (1964) over squares that are weighted by factors.
 
-    With it the weighted squares are an upper bound of the loss, which touches it where the weights come from:
-    objectives by the weights of two points can be compared.
+    With it the weighted squares are an upper bound of the loss, and equal it where the weights were computed:
+    so objectives with the weights of two points can be compared.
     """
     return float(np.sum(ROBUST_LIMIT**2 * (1.0 / factors - 1.0)))
 
 
 def amplitude_error(forward: Forward, nuisances: Mapping[str, float]) -> float:
-    """Return the relative 1-sigma of predicted amplitudes that the pixels of a patch share (robustly).
+    """Return the relative 1-sigma of errors of predicted amplitudes that pixels of a patch share (robustly).
 
-    It is what means of patches scatter beyond what the pixels in them do: noise and gains of pixels are
-    independent errors, and no shared ones.
+    It is the excess scatter of the means of patches over that by the pixels in them: noise and gains of
+    pixels are independent errors.
     """
     pattern = np.zeros(forward.camera.shape)
 
@@ -87,7 +87,7 @@ def _means(values: Array, patches: Array) -> tuple[Array, Array]:
 def after_nuisances(
     prediction: Prediction, pattern: Array, nuisances: Mapping[str, float]
 ) -> tuple[Array, Array]:
-    """Return the residuals of distance [m] and amplitude [counts] without pattern, pose and power errors."""
+    """Return the residuals of distance [m] and amplitude [counts] after pattern, pose and power errors."""
     station, inner = prediction.station, prediction.inner
     key = f"{station.recording}.{station.pose}"
     distance = prediction.residual - pattern

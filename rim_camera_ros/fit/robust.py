@@ -12,7 +12,7 @@ Array = NDArray[Any]
 
 
 def excess(deviations: Array, variances: Array) -> float:
-    """Return the robust standard deviation that deviations have beyond their known variances."""
+    """Return the robust standard deviation of deviations in excess of their known variances."""
 
     def spread(tau: float) -> float:
         return float(1.4826 * np.median(np.abs(deviations) / np.sqrt(variances + tau**2)))

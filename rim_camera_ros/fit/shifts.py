@@ -1,4 +1,4 @@
-"""What another recording of the same stations, a simulation for example, measures beyond predictions."""
+"""Differences of another recording of the same stations, such as a simulation, from the predictions."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class Shift:
-    """What another recording of a station measures beyond the predictions (H, W): ``distance`` [m] and
-    ``amplitude`` [counts], and the variances of its noise.
+    """Differences (H, W) of another recording of a station from its predictions: ``distance`` [m] and
+    ``amplitude`` [counts], with the variances of its noise.
     """
 
     distance: Array
@@ -30,7 +30,7 @@ class Shift:
     amplitude_variance: Array
 
     def apply(self, predicted: Prediction) -> None:
-        """Compare with the other recording: both scatter."""
+        """Subtract the other recording's differences from residuals, and add the variances of its noise."""
         predicted.residual = predicted.residual - self.distance
         predicted.amplitude_residual = predicted.amplitude_residual - self.amplitude
         predicted.variance_of_other = self.distance_variance
@@ -40,7 +40,7 @@ class Shift:
 
 
 def shifts_between(dataset: Dataset, other: Dataset, scene: Scene, camera: Camera) -> list[Shift]:
-    """Return what ``other`` measures beyond the predictions of a camera, for each station of a dataset.
+    """Return the differences of another recording of a dataset's stations from the predictions of a camera.
 
     Raises `InputError` where it does not have the same stations.
     """

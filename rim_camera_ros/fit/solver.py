@@ -28,13 +28,13 @@ def fit(
 ) -> Fit:
     """Adjust a camera's parameters to the data.
 
-    Steps end when no parameter moves by more than ``tolerance`` of its sigma. Unless edges move the pixels
+    Steps end when no parameter moves by more than ``tolerance`` of its sigma. Unless edges move, the pixels
     stay the same once steps are compared, also where the problem has no masks. ``further`` blocks of
-    regressors stand beside the parameters in the final equations without being fitted (candidates).
-    ``warm`` is a fit of the same data, or where it stands, whose pattern, errors and powers are started from;
-    with no ``iterations`` the result is its own solution with the equations of the further blocks. ``near``
-    says that the camera is near the solution in effects that are new as well: their widths move at once, and
-    a step that makes things a little worse is followed by another before it is taken back.
+    regressors (candidates) are added to the final equations without being fitted. ``warm`` is a fit of the
+    same data, or its point: the fit starts from its pattern, errors and powers. With no ``iterations`` the
+    result is that solution, with the further blocks in its equations. ``near`` says that the camera is near
+    the solution also in effects that are new: their widths move at once, and a step that raises the
+    objective a little is followed by another one before it is taken back.
 
     Raises `RimError` where it does not converge to a finite solution, `InputError` without usable data.
     """

@@ -26,19 +26,19 @@ from rim_camera_ros.scene import Scene, ScenePose
 
 Array = NDArray[Any]
 
-#: Amplitude [m] below which that of a sinusoid counts as so large: the phase of none has no derivative.
+#: Least amplitude [m] of a sinusoid in derivatives: at amplitude 0 there is no derivative by its phase.
 _LEAST_PHASOR = 1e-8
 
 
 @dataclass(frozen=True)
 class Solved:
-    """Where a step began: equations (``matrix`` and ``right`` with priors, by label), errors of amplitudes,
-    powers, offsets and the step.
+    """The point at which a step began, with its equations (``matrix`` and ``right`` with priors, by label).
 
-    ``limits`` are how far each parameter may go down (not above 0) and up in one step; the others follow
-    those that may not go farther.
-    ``decrement`` is by how much a step without limits and ``damping`` should lower the objective;
-    ``holds_shapes`` says that widths and lags of new effects do not take part in it.
+    ``tau``, ``gains``, ``pixels`` and ``offsets`` are the errors of amplitudes, powers, gains of pixels and
+    offsets of parameters there. ``limits`` are how far each parameter may go down (not above 0) and up in one
+    step; the others are optimal given those at a limit. ``decrement`` is the forecast decrease of the
+    objective by a step without limits and ``damping``; ``holds_shapes`` says that widths and lags of new
+    effects are held in the step.
     """
 
     reduced: Reduced
@@ -56,10 +56,10 @@ class Solved:
 
     @cached_property
     def step(self) -> Array:
-        """The step, of equations whose diagonal is larger by the share ``damping`` (Marquardt 1963).
+        """The step by equations whose diagonal is larger by the share ``damping`` (Marquardt 1963).
 
-        What the equations tell least of is held back first; infinite damping is no step but of linear
-        nuisances, which are always where they fit best.
+        Damping shortens first the directions that the equations determine least. With infinite damping only
+        linear nuisances move; these are always at their optimum.
         """
         if np.isinf(self.damping):
             step, linear = np.zeros_like(self.right), linear_of(self.labels)
@@ -73,13 +73,13 @@ class Solved:
 
     @property
     def forecast(self) -> float:
-        """By how much the step should lower the objective."""
+        """The forecast decrease of the objective by the step."""
         whole = float(2 * self.right @ self.step - self.step @ self.matrix @ self.step)
         return whole - by_linear(self.matrix, self.right, self.labels)
 
     @property
     def changes(self) -> dict[str, float]:
-        """The step by label, of what is stepped."""
+        """The step by label, without linear nuisances."""
         pairs = zip(self.labels, self.step.tolist(), strict=True)
         return {label: value for label, value in pairs if not is_linear(label)}
 
@@ -113,10 +113,10 @@ def linear_of(labels: Sequence[str]) -> list[int]:
 
 
 def by_linear(matrix: Array, right: Array, labels: Sequence[str]) -> float:
-    """Return by how much linear nuisances lower chi-square where they fit best, all else at the point.
+    """Return the decrease of chi-square by linear nuisances at their optimum, other parameters at the point.
 
-    Objectives of two points can be compared only with them there (variable projection, Golub & Pereyra 1973):
-    every step moves them too.
+    Every step moves linear nuisances as well, so objectives of two points can be compared only with them at
+    their optimum (variable projection, Golub & Pereyra 1973).
     """
     linear = linear_of(labels)
     if not linear:
@@ -132,11 +132,12 @@ def stepped(
     bounds: Bounds,
     numbers: Mapping[str, float],
 ) -> tuple[Camera, dict[str, float]]:
-    """Take a step, or so much of it as leads to a possible camera.
+    """Take a step, or the largest part of it, by halving, that leads to a valid camera.
 
-    Amplitude and phase of a sinusoid go where their phasor does: by themselves a step through amplitude 0
-    would turn its sign, and phases of a small one would leave for good. The sign stays that of the camera
-    file, the phase within half a period of its. Raises `InputError` where not even a thousandth does.
+    Amplitude and phase of a sinusoid move as its phasor does: stepped by themselves, an amplitude through 0
+    would change its sign, and the phase of a small amplitude would run away. The sign stays that of the
+    camera file, the phase within half a period of its phase. Raises `InputError` where not even a thousandth
+    of the step leads to a valid camera.
     """
     share = 1.0
     while True:
@@ -163,12 +164,12 @@ def stepped(
 def of_phasors(
     regressors: Sequence[Regressor], away: Array, values: Mapping[str, float]
 ) -> tuple[list[Regressor], Array]:
-    """Return regressors and how far they are ``away`` from their priors, of sinusoids by their phasors.
+    """Return regressors and their deviations ``away`` from the priors, with priors on phasors of sinusoids.
 
-    A sinusoid's phasor is known as well in all directions, by the prior of its amplitude: of a small one the
-    phase may be any. ``values`` are those of amplitudes [m] and phases [rad] by label; turned into these
-    coordinates, which are orthogonal, that prior stays diagonal, exact in value, slope and Gauss-Newton
-    curvature. One of the phase itself would cost a turn by pi where an amplitude goes through 0.
+    The prior of a sinusoid's phasor is isotropic, with the width of the amplitude's prior: the phase of a
+    small one is free. ``values`` are those of amplitudes [m] and phases [rad] by label. In these coordinates,
+    which are orthogonal, the prior stays diagonal, exact in value, slope and Gauss-Newton curvature. A prior
+    of the phase itself would penalise the turn by pi where an amplitude goes through 0.
     """
     number = {regressor.label: i for i, regressor in enumerate(regressors)}
     found, moved = list(regressors), away.copy()
@@ -191,13 +192,13 @@ def power_factor(change: float) -> float:
 
 
 def value_of(path: str, camera: Camera, offsets: Mapping[str, float]) -> float:
-    """Return a parameter's value: of the camera, or how far one of the scene or of a table has moved."""
-    beside_numbers = of_scene(path) or is_linear(path) or path.startswith(LABEL)
-    return offsets.get(path, 0.0) if beside_numbers else camera_numbers(camera)[path]
+    """Return a parameter's value: that of the camera, or the change of one of the scene or of a table."""
+    is_change = of_scene(path) or is_linear(path) or path.startswith(LABEL)
+    return offsets.get(path, 0.0) if is_change else camera_numbers(camera)[path]
 
 
 def moved_light(offsets: Mapping[str, float], level: float | None, scene: Scene) -> LightCurves | None:
-    """Return how surfaces reflect; None: as Lambert and the scene file say."""
+    """Return the curves of the light in ``offsets``; None: light by Lambert's law and the scene file."""
     values = {path: value for path, value in offsets.items() if of_light(path)}
     tiles = tile_labels(scene) if any(path.startswith(TILES) for path in values) else ()
     if level is not None:
@@ -206,7 +207,7 @@ def moved_light(offsets: Mapping[str, float], level: float | None, scene: Scene)
 
 
 def in_units(covariance: Array, regressors: Sequence[Any], camera: Camera) -> Array:
-    """Return a covariance of steps as one of parameters: the gain in counts, not its logarithm."""
+    """Convert a covariance of steps to one of parameters: the gain in counts, not its logarithm."""
     scale = np.array([camera.radiometry.gain if regressor.label == GAIN else 1.0 for regressor in regressors])
     return np.asarray(covariance * scale[:, None] * scale[None, :])
 
@@ -251,7 +252,7 @@ def moved_scene(scene: Scene, offsets: Mapping[str, float]) -> Scene:
 
 
 def moved_from(origin: Camera | None, start: Camera) -> dict[str, float]:
-    """Return how far numbers of effects and optics of a start are from those of the origin, by path."""
+    """Return by path how far numbers of effects and optics of a start are from those of the origin."""
     if origin is None or origin is start:
         return {}
     numbers, centres = camera_numbers(start), camera_numbers(origin)
@@ -274,7 +275,7 @@ def of_scene(path: str) -> bool:
 
 
 def within_bounds(offsets: dict[str, float], camera: Camera, numbers: Mapping[str, float]) -> None:
-    """Take back of the offsets what the bounds of the parameters did not let through."""
+    """Reduce the offsets to those that the camera reached within the bounds of its parameters."""
     reached = camera_numbers(camera)
     for path in offsets:
         if path in numbers and path != GAIN:

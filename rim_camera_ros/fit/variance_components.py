@@ -1,9 +1,9 @@
-"""Sizes of random effects that the recordings tell: of offsets of pixels, weights of poses, shared errors.
+"""Variance components from the recordings: offsets of pixels, weights of poses, errors that neighbours share.
 
-An offset per pixel that may be anything takes all that a pixel tells which one pose sees: what a small board,
-held here and there, shows within a pose is lost then, and only differences between poses are left, with
-their errors. The size of the offsets that makes the recordings most likely (restricted maximum likelihood)
-keeps both apart.
+A free offset per pixel absorbs all information of a pixel that only one pose sees. With a small board, held
+here and there, the information within poses would be lost, and only differences between poses would remain,
+with the poses' errors. The size of the offsets that makes the recordings most likely (restricted maximum
+likelihood) separates the two.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from rim_camera_ros.fit.solver import fit
 
 Array = NDArray[Any]
 
-#: Values per pixel below which the pattern's size is asked for, and the size with which that begins [m]: from
-#: a large one nothing else would be seen to be wrong.
+#: Values per pixel below which the pattern's size is estimated, and the size with which the estimate begins
+#: [m]: a large one would hide every other error.
 FEW_LOOKS = 5.0
 FIRST_SIZE = 0.001
 #: Sizes that are tried, 1-sigma of a pixel's offset [m].
@@ -39,7 +39,7 @@ SIZES = (0.0003, 0.0005, 0.001, 0.002, 0.004, 0.008, 0.015, 0.03, 0.06, PATTERN_
 def first_pattern_prior(masks: Sequence[tuple[Array, Array]]) -> float:
     """Return the 1-sigma of pixels' offsets [m] to begin with, by the pixels of each station, (H, W) each.
 
-    `PATTERN_PRIOR`, as good as unknown, where every pixel has enough looks to tell its own.
+    It is `PATTERN_PRIOR`, as good as free, where pixels have enough values to determine their offsets.
     """
     count = np.sum([used for used, _ in masks], axis=0)
     looks = float(count[count > 0].mean()) if count.any() else FEW_LOOKS
@@ -60,7 +60,8 @@ def offsets_evidence(fitted: Fit, size: float) -> float:
 def correlated_evidences(fitted: Fit, sizes: Sequence[float]) -> list[float]:
     """Return the log likelihood of a fit's data for correlated errors of each of ``sizes`` [m, 1 sigma].
 
-    As `offsets_evidence`. The fit has such errors of some size; pixels are eliminated once for all of them.
+    As `offsets_evidence`. The fit must have such errors, of any size; pixels are eliminated once for all
+    sizes.
     """
     folds, priors = fitted.equations.folds, priors_of(fitted.equations.regressors)
     sums = without_pixels(folds, len(priors), fitted.equations.pixels)
@@ -98,19 +99,19 @@ def pattern_prior_note(size: float) -> str:
     """Return in words how large the offsets of pixels are taken to be."""
     return (
         f"pixels are seen by few poses each: their offsets are taken to be {size * 1e3:.1f} mm (1 sigma), "
-        "which makes the recordings most likely, lest they take what poses tell of the other effects"
+        "which makes the recordings most likely; free offsets would absorb the information on other effects"
     )
 
 
 Key = tuple[int, int]
 
-#: Chi-square per patch of a pose beyond which, in ratio to the median of all, poses are uneven; poses that it
-#: takes to say so, patches of a pose to be judged, their size [px], the most sigma that a residual counts.
+#: Ratio of a pose's chi-square per patch to the median of all poses beyond which poses are uneven; least
+#: number of patches in a pose, their size [px], and the sigmas at which residuals are clipped.
 UNEVEN = 4.0
 LEAST_PATCHES = 4
 PATCH = 4
 WILD = 30.0
-#: Factor on a pose's variance, at most: its errors must still be found, or its residuals are no residuals.
+#: Greatest factor on a pose's variance: its errors must still be estimated from its residuals.
 MOST = 100.0
 #: Ratio of factors between two fits below which they have settled, and the most rounds that it may take.
 _SETTLED = 1.25
@@ -146,11 +147,11 @@ def pose_chi_squares(fitted: Fit, *, patch: int = PATCH) -> dict[Key, float]:
 
 
 def likely_correlated_error(problem: Problem, fitted: Fit) -> float | None:
-    """Return the likeliest 1-sigma of what distances err by smoothly in each pose [m]; None: there is none.
+    """Return the likeliest 1-sigma [m] of smooth errors of the distances of each pose; None: there are none.
 
-    It is looked for where means of neighbours err `WIDER` times as much as independent pixels would, and
-    their variance is `WIDER` times that of pixels which scatter as these do: no neighbour shares mere noise,
-    however much more there is of it than the file states.
+    It is estimated where means of neighbours have errors `WIDER` times as large as those of independent
+    pixels, and a variance `WIDER` times as large as the scatter of single pixels gives: noise is not shared
+    by neighbours, however much it exceeds that of the file.
     """
     patches = pose_chi_squares(fitted)
     if len(patches) < LEAST_POSES:
@@ -162,11 +163,11 @@ def likely_correlated_error(problem: Problem, fitted: Fit) -> float | None:
     again = fit(free, fitted.camera, iterations=0, warm=fitted)
     sizes = SIZES[:-1]
     best = int(np.argmax(correlated_evidences(again, sizes)))
-    return sizes[best] if best else None  # the smallest of all is none
+    return sizes[best] if best else None  # the smallest size counts as none
 
 
 def correlated_error_rms(fitted: Fit) -> float:
-    """Return by how much poses of a fit err smoothly [m, RMS], beside what may be an error of the poses."""
+    """Return the RMS [m] of the smooth errors of a fit's poses, apart from possible errors of the poses."""
     squares = [
         correlated_error_of(prediction, fitted.nuisances)[prediction.used] ** 2
         for prediction in fitted.forward.predictions(slopes=False)
@@ -175,25 +176,25 @@ def correlated_error_rms(fitted: Fit) -> float:
 
 
 def correlated_error_note(fitted: Fit) -> str:
-    """Return in words by how much poses of a fit err smoothly."""
+    """Return in words how large the smooth errors of a fit's poses are."""
     found = correlated_error_rms(fitted)
     return (
-        f"distances of every pose err smoothly over the image, by {found * 1e3:.1f} mm (RMS) beside tilts "
-        "and all that is fitted, by light or shapes that the scene file does not describe: neighbours share "
-        "it, and count for less than independent pixels would"
+        f"distances of every pose err smoothly over the image, by {found * 1e3:.1f} mm (RMS) apart from "
+        "tilts and all that is fitted, by light or shapes that the scene file does not describe: neighbours "
+        "share these errors, and count for less than independent pixels would"
     )
 
 
 def pose_variance_factors(problem: Problem, fitted: Fit) -> dict[Key, float] | None:
-    """Return the factors on the variances of poses with which they agree with the fit; None: poses are even.
+    """Return factors on the variances of poses that make them agree with the median pose; None: not needed.
 
-    Where they have correlated errors, so that they agree with the noise. Factors change the fit and it them,
-    so that it takes some rounds.
+    With correlated errors, factors by which they agree with the noise. It takes some rounds, as factors
+    change the fit and the fit changes them.
     """
     found = pose_chi_squares(fitted)
     if len(found) < LEAST_POSES:
         return None
-    # beside waves of each pose, what all disagree with are shorter ones, which no effect is
+    # given the waves of each pose, all poses can disagree only by shorter waves, which are no effect
     absolute = problem.correlated_error > 0
     if max(found.values()) < UNEVEN * _level(found) and not (absolute and _level(found) >= WIDER**2):
         return None
@@ -213,7 +214,7 @@ def pose_variance_factors(problem: Problem, fitted: Fit) -> dict[Key, float] | N
 
 
 def _level(found: Mapping[Key, float]) -> float:
-    """Return the chi-square of the median pose, at least 1: what all disagree with is no pose's fault."""
+    """Return the chi-square of the median pose, 1 at least: a misfit of all poses is no error of one pose."""
     return max(1.0, float(np.median(list(found.values()))))
 
 

@@ -1,4 +1,4 @@
-"""What each station's pixels see: geometry, which pixels to trust, and how errors of a pose move it."""
+"""The geometry that each station's pixels see, which pixels are clean, and derivatives by errors of poses."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ class Margins(NamedTuple):
     tile: float
 
 
-#: Pixels whose rays pass nearer are left out: a pixel has an area, and a lens spreads its light.
+#: Pixels whose rays pass nearer are excluded: a pixel has an area, and a lens spreads its light.
 CLEAN = Margins(1.1, 1.1)
-#: ... while rays are looked for: pixels that stay clean where rays move by about a pixel.
+#: ... while rays are fitted: pixels that stay clean where rays move by about a pixel.
 WIDE = Margins(2.2, 2.2)
 #: ... of surfaces and tiles so small that an edge reaches every pixel.
 SMALL = Margins(0.4, 0.3)
-#: ... where pixels beside edges are looked at: as far as errors of poses move edges.
+#: ... where pixels beside edges are included: as far as errors of poses move edges.
 NEAR = Margins(0.25, 0.12)
-#: ... and where it shows that edges cross pixels: those that they cross show it best.
+#: ... and for effects that show in pixels which an edge crosses: such pixels are included as well.
 CROSSED = Margins(0.1, 0.05)
 
 #: Errors of predicted amplitudes are alike within a tile over this share of the array's width.
@@ -57,7 +57,7 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 class View:
     """Geometry of a station and the pixels (H, W) whose ray stays away from outlines and tile edges.
 
-    ``memory`` keeps what effects computed of this geometry. ``whole`` is the view of the whole array of which
+    ``memory`` keeps results of effects for this geometry. ``whole`` is the view of the whole array of which
     this is a ``window`` (None: this is).
     """
 
@@ -77,7 +77,7 @@ class PoseColumn:
     ``path`` names it: ``pose.SURFACE.offset|tilt_x|tilt_y`` with the 1-sigma ``prior`` of the reference
     instrument, or ``scene.SURFACE.AXIS`` of a free pose. ``distance`` (H, W) in m per m or per rad;
     ``amplitude`` (H, W) the relative change of the light, by the distance and by the angle of incidence.
-    ``is_smooth``: over the array, so that optics which spread light leave it as it is.
+    ``is_smooth``: it is smooth over the array, so that optics which spread light do not change it.
     """
 
     path: str
@@ -90,8 +90,8 @@ class PoseColumn:
 class Views:
     """The views of a scene's stations through one camera geometry; the latest are kept.
 
-    The camera has every ``decimation``-th pixel of the sensor's: a pixel reaches no farther for that.
-    ``alike`` are views of the same surfaces whose tiles reflect otherwise.
+    The camera has every ``decimation``-th pixel of the sensor; margins are in pixels of the sensor.
+    ``alike`` are views of the same surfaces with other reflectivities of their tiles.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class Views:
         return same_rays and scene.surfaces == self.scene.surfaces
 
     def of_scene(self, camera: Camera, scene: Scene) -> Views | None:
-        """Return these views, or what they are where tiles reflect otherwise; None where rays differ."""
+        """Return these views, or views for other reflectivities; None where rays or surfaces differ."""
         if self.fits(camera, scene):
             return self
         same_rays = self.fits(camera, self.scene)
@@ -138,7 +138,7 @@ class Views:
         geometry = see(self.scene, poses, self.camera.rays)
         clean = self._clean(geometry, poses, CLEAN)
         if not clean.any():
-            # of what is so small that edges reach all of it, the pixels that they reach least
+            # of surfaces so small that edges reach all pixels, those that they reach least
             clean = self._clean(geometry, poses, SMALL)
         found = View(geometry, clean, poses)
         found.pose_columns.extend(self._pose_columns(found))
@@ -246,7 +246,7 @@ class Views:
 
 
 def _unpainted(scene: Scene) -> tuple[Surface, ...]:
-    """Return surfaces as if their tiles, which stay where they are, all reflected alike."""
+    """Return the surfaces with equal reflectivities of all tiles, which stay where they are."""
     return tuple(
         replace(surface, reflectivity_sigma=0.0)
         if surface.texture is None
@@ -260,12 +260,12 @@ def _unpainted(scene: Scene) -> tuple[Surface, ...]:
 
 
 def _repainted(view: View, scene: Scene) -> View:
-    """Return a view whose tiles reflect as those of a scene."""
+    """Return a view with the reflectivities of a scene's tiles."""
     tiles = [
         [surface.nominal_reflectivity] if surface.texture is None else surface.texture.values.values.ravel()
         for surface in scene.surfaces
     ]
-    values = np.concatenate([*tiles, [np.nan]])  # the last is that of a ray that meets nothing
+    values = np.concatenate([*tiles, [np.nan]])  # the last is for rays that meet nothing
     geometry = replace(view.geometry, reflectivity=values[view.geometry.tile])
     return replace(view, geometry=geometry, memory={})
 
@@ -280,7 +280,7 @@ def _alone(tile: Array) -> NDArray[np.bool_]:
 def _truth_columns(surface: Surface, view: View, mine: Array, rays: Array) -> list[PoseColumn]:
     """Return the errors of a recorded pose, made independent of each other: C = L D L', L of unit diagonal.
 
-    A column is what its error changes together with what goes with it on average in the errors after it.
+    A column is the change of distances by its error and by the parts of later errors that correlate with it.
     """
     pose = view.poses[surface.name]
     rotation = rotation_matrix(pose.orientation)
@@ -297,7 +297,7 @@ def _truth_columns(surface: Surface, view: View, mine: Array, rays: Array) -> li
         share = rest[:, k] / variance
         rest -= np.outer(share, share) * variance
         together = [(factor, change) for factor, change in zip(share, changes, strict=True) if factor != 0]
-        column, light = (np.sum([f * one[part] for f, one in together], axis=0) for part in (0, 1))
+        column, light = (np.sum([f * change[part] for f, change in together], axis=0) for part in (0, 1))
         result.append(PoseColumn(f"pose.{surface.name}.{name}", float(np.sqrt(variance)), column, light))
     return result
 
@@ -322,7 +322,7 @@ def _along_rays(view: View, mine: Array, rays: Array) -> Array:
 
 
 def by_shift(direction: Array, view: View, mine: Array, rays: Array) -> tuple[Array, Array]:
-    """Return the changes of distance and (relative) light by a shift; the incidence of a plane stays."""
+    """Return the changes of distance and (relative) light by a shift; a plane's incidence does not change."""
     column, light = np.zeros(mine.shape), np.zeros(mine.shape)
     column[mine] = view.geometry.normals[mine] @ direction / _along_rays(view, mine, rays)
     light[mine] = -2 * column[mine] / view.geometry.distance[mine]

@@ -1,4 +1,4 @@
-"""The report of a calibration: how good it is, what of each effect, and what the recordings do not tell."""
+"""The report of a calibration: its accuracy, each effect, and what the recordings do not determine."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _MOODS: dict[str, tuple[str, Mood]] = {
     "undetermined": ("not determined", "warn"),
     "left out": ("not fitted", ""),
 }
-#: Effects that are named in the first sentence, at most.
+#: Most effects that are named in the first sentence.
 _MOST_OPEN = 2
 
 
@@ -76,7 +76,7 @@ def calibration_page(result: Calibration, *, title: str) -> str:
 
 
 def first_sentence(result: Calibration) -> str:
-    """Return the calibration in a sentence: how good, where, what was fitted, what to record next."""
+    """Return the calibration in a sentence: accuracy, range, fitted effects, what to record next."""
     accuracy = stated(result)
     good = millimetres(accuracy.after)
     lead = (
@@ -142,11 +142,11 @@ def _cards(result: Calibration) -> list[Card]:
 
 
 def _errors(result: Calibration) -> list[Part]:
-    """Return how wrong each effect was and is, in mm."""
+    """Return the error of each effect before and after, in mm."""
     if result.integral:
         return []
     found = effect_errors(result)
-    largest = sorted(found.items(), key=lambda one: -one[1].before)
+    largest = sorted(found.items(), key=lambda item: -item[1].before)
     rows = [[f"{_title(name)} ({name})", *_millimetres(effect_error)] for name, effect_error in largest]
     own = _pattern_error(result)
     if own is not None:
@@ -166,7 +166,7 @@ def _pattern_error(result: Calibration) -> EffectError | None:
 
 
 def _pattern_change(result: Calibration) -> Array:
-    """Return what the offsets of pixels (H, W) [m] gained over those of the file before."""
+    """Return the change of the offsets of pixels (H, W) [m] from those of the file before."""
     new, old = effect_of(result.camera, PixelMap), effect_of(result.before, PixelMap)
     if new is None:
         return np.zeros(result.camera.shape)
@@ -176,8 +176,8 @@ def _pattern_change(result: Calibration) -> Array:
 def _pattern_variance(result: Calibration) -> Array:
     """Return the variance (H, W) [m^2] of the offsets of pixels as they were written, NaN where unseen.
 
-    They are shrunk by the noise v of their estimate: of offsets that spread by s over the pixels the
-    variance s^2 / (s + v) is left, of which s follows, and the error of each has the variance s v / (s + v).
+    They are shrunk by the variance v of their estimate. Offsets with the variance s over the pixels have the
+    variance s^2 / (s + v) after that, from which s follows; the error of each has the variance s v / (s + v).
     """
     variance = np.where(np.isfinite(result.pattern_variance), result.pattern_variance, np.nan)
     left = float(np.var(_pattern_change(result)))
@@ -191,7 +191,7 @@ def _millimetres(effect_error: EffectError) -> list[str]:
 
 
 def _uncertainty(result: Calibration) -> list[Part]:
-    """Return what the covariance makes of corrected distances, over the image."""
+    """Return the standard deviation of corrected distances by the covariance, over the image."""
     if result.integral or not result.paths:
         return []
     camera = result.camera

@@ -55,13 +55,13 @@ def in_mm(value: float) -> str:
 
 
 def stated(result: Calibration) -> Accuracy:
-    """Return the accuracy of what is written: of the effects, or of the table."""
+    """Return the accuracy of the file that is written: with the effects, or with the table."""
     by_table = result.integral_accuracy
     return by_table if result.integral and by_table is not None else result.accuracy
 
 
 def poses_of(accuracy: Accuracy) -> str:
-    """Return which poses an accuracy is of."""
+    """Return the poses of an accuracy, in words."""
     return "held-out poses" if accuracy.held_out else "fitted poses"
 
 
@@ -112,18 +112,18 @@ def parameters(result: Calibration) -> list[Part]:
             rows.append([name, number_of(before.get(path)), *digits, unit_of(result.camera, path)])
     words: list[Part] = []
     undetermined = [] if result.integral else result.solution.undetermined()
-    kept = [one for one in undetermined if one in before and before[one] == after.get(one)]
+    kept = [path for path in undetermined if path in before and before[path] == after.get(path)]
     for names, why in (
         (kept, "as in the file before"),
-        ([one for one in undetermined if one not in kept], "set by what was known before"),
+        ([path for path in undetermined if path not in kept], "set by what was known before"),
     ):
         if names:
-            names_said = ", ".join(one.removeprefix("effects.") for one in names)
+            names_said = ", ".join(path.removeprefix("effects.") for path in names)
             words.append(Text(f"Not determined by these recordings, {why}: {names_said}."))
     factor = result.solution.factor
     said = "Sigma is one standard deviation, errors of poses and fixed pattern included."
     if factor > 1.01:
-        said += f" All are {np.sqrt(factor):.2f} times wider, as so much more is left than noise explains."
+        said += f" All are {np.sqrt(factor):.2f} times wider, as residuals exceed the noise by that factor."
     if any("gon" in row[-1] for row in rows):
         said += " An angle of 1 gon is 1/400 of a full turn: 100 gon = 90°."
     return [
@@ -155,7 +155,7 @@ def correlations(result: Calibration) -> list[Part]:
 
 
 def errors_over(result: Calibration) -> list[Part]:
-    """Return the errors before and after over what they depend on."""
+    """Return the errors before and after over covariates."""
     accuracy = stated(result)
     if not accuracy.samples:
         return []
@@ -174,7 +174,7 @@ def errors_over(result: Calibration) -> list[Part]:
     )
     caption = (
         "Mean frames of each pose against the scene: corrected by the camera file before (left), and "
-        f"{held} (right). Dots: medians; band: the middle 68 %; dashed: what noise alone makes."
+        f"{held} (right). Dots: medians; band: the middle 68 %; dashed: expected from noise alone."
     )
     alt = f"Errors before and after over {joined([covariate.label for covariate in shown])}"
     parts: list[Part] = [Figure(residuals(shown, before, after, expected=expected), alt, caption)]
@@ -229,7 +229,7 @@ def by_table(result: Calibration) -> list[Part]:
 
 
 def noise(result: Calibration) -> list[Part]:
-    """Return what repeated frames say of the noise."""
+    """Return the noise by repeated frames."""
     fit = result.noise
     if fit is None:
         return [Text("There are too few repeated frames: noise as in the camera file before.")]
@@ -282,7 +282,7 @@ def validity(result: Calibration) -> list[Part]:
 
 
 def provenance(result: Calibration) -> list[Part]:
-    """Return what was calibrated from what."""
+    """Return the sources of the calibration."""
     rows = [[source.path, str(source.frames), str(source.poses), source.sha256] for source in result.sources]
     command = result.camera.provenance.get("command", "")
     program = result.camera.provenance.get("program", "")

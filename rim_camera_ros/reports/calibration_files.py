@@ -1,4 +1,4 @@
-"""The files of a calibration: the camera file, and the report where matplotlib is there to draw it."""
+"""The files of a calibration: the camera file, and the report where matplotlib is installed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rim_camera_ros.yaml_files import write_whole
 
 
 def page_of(result: Calibration, *, title: str) -> tuple[bytes | None, list[str]]:
-    """Return the report (HTML), None where it cannot be drawn, and notes on what could not be made."""
+    """Return the report (HTML), None where it cannot be drawn, and notes on the reason."""
     try:
         from rim_camera_ros.reports.calibration import calibration_page
 
@@ -41,7 +41,7 @@ def write_calibration(
 ) -> None:
     """Write the camera file with its arrays, then the report; ``result.camera`` becomes what was written.
 
-    ``author`` is what calibrated, as ``rim calibrate``. Raises `OSError` where the disk refuses.
+    ``author`` is the program, as ``rim calibrate``. Raises `OSError` where the disk refuses.
     """
     accuracy = result.accuracy
     if result.integral and result.integral_accuracy is not None:

@@ -26,7 +26,7 @@ def calibration_text(result: Calibration) -> str:
         shown += [f"and {more} more, see the report"] if more > 0 else []
         parts.append("correlations above 0.9\n" + wrapped(_short(one) for one in shown))
     for heading, status in (
-        ("absent or left out", ("absent", "left out")),
+        ("absent or not fitted", ("absent", "left out")),
         ("not determined by these recordings", ("undetermined",)),
         ("kept as in the file", ("kept",)),
     ):
@@ -77,7 +77,7 @@ def accuracy_text(result: Calibration) -> str:
         ),
         ("systematic", f"{accuracy.systematic * 1e3:.2f} mm"),
         (
-            "beside offset and tilts of each pose",
+            "apart from offset and tilts of each pose",
             f"{accuracy.rigid_before * 1e3:.2f} mm before, {accuracy.rigid_after * 1e3:.2f} mm RMS corrected",
         ),
     ]

@@ -31,8 +31,8 @@ FORMAT = "rim_comparison/1"
 
 @dataclass(frozen=True)
 class EffectDifference:
-    """An effect that the files state otherwise: in which it ``stands`` (both, first, second), and what it
-    changes of corrected distances [m], RMS over image and distances; None where no wall shows it.
+    """An effect that the files state differently: where it ``stands`` (both, first, second), and its change
+    of corrected distances [m], RMS over image and distances; None where no wall shows it.
     """
 
     effect: str
@@ -83,8 +83,8 @@ class Comparison:
 def compare(file: Camera, other: Camera) -> Comparison:
     """Compare two camera files of a sensor.
 
-    A grey wall across the axis is what is looked at, by a warm camera, at distances in which both are valid.
-    Raises `InputError` where the sensors have other sizes or modulation frequencies.
+    The comparison is of a grey wall across the axis, seen by a warm camera, at distances where both are
+    valid. Raises `InputError` where the sensors have other sizes or modulation frequencies.
     """
     setting = setting_of(file, other)
     walls = tuple(Wall(distance, setting) for distance in distances_of(file, other, count=_DISTANCES))
@@ -159,7 +159,7 @@ def _variances(camera: Camera) -> dict[str, float]:
 
 
 def first_sentence(found: Comparison) -> str:
-    """Return by how much the files differ, where, and by which effect most."""
+    """Return in a sentence by how much the files differ, where, and by which effect most."""
     if not found.numbers and not found.effects:
         return "The camera files say the same."
     near, far = found.walls[0].distance, found.walls[-1].distance

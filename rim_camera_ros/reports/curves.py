@@ -1,4 +1,4 @@
-"""Each effect as a curve over what it depends on, with the band that its covariance makes."""
+"""Each effect as a curve over its covariate, with the band by its covariance."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def effect_panels(
 ) -> list[Panel]:
     """Return a panel for each effect that is a curve, in mm, with its 1-sigma by the covariance of ``paths``.
 
-    The camera's validity tells over which range. ``before`` adds the curves of another camera, dashed.
+    The range is that of the camera's validity. ``before`` adds the curves of another camera, dashed.
     """
     result = []
     for name, effect in camera.effects.items():
@@ -69,7 +69,7 @@ class _Bands:
         return Curve(line.x, y, np.sqrt(np.maximum(variance, 0.0)), label, points=line.points)
 
     def _slope(self, path: str, value: float, step: float, line: Line) -> Array:
-        """Return the change of a curve by a parameter, to one side where the other is no possible camera."""
+        """Return the change of a curve by a parameter, one-sided where the other side is no valid camera."""
         sides = []
         for at in (value + step, value - step, value):
             with contextlib.suppress(InputError, ValueError):

@@ -1,4 +1,4 @@
-"""How far off each effect was by the camera file before, and how well it is known now, in the recordings."""
+"""The error of each effect in the camera file before, and its uncertainty now, over the recordings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rim_camera_ros.select.effect_sizes import change_by, contribution
 
 Array = NDArray[Any]
 
-#: Stations that are looked at, evenly, where there are more.
+#: Most stations that are used, evenly chosen.
 _MOST_STATIONS = 24
 
 
@@ -26,8 +26,8 @@ _MOST_STATIONS = 24
 class EffectError:
     """An effect's share of the error of distances [m] (1-sigma, RMS over the recordings, less its mean).
 
-    ``size``: what the effect does to the distances. ``before``: what the camera file before had wrong of it.
-    ``after``: its uncertainty by the covariance, NaN where no parameter of it was determined.
+    ``size`` is the contribution of the effect to the distances, ``before`` the error of that in the camera
+    file before, ``after`` its uncertainty by the covariance, NaN where no parameter of it was determined.
     """
 
     size: float
@@ -38,7 +38,7 @@ class EffectError:
 def effect_errors(result: Calibration) -> dict[str, EffectError]:
     """Return the errors of every effect of the new camera that moves distances, by its name.
 
-    Means over all distances are taken out: the offsets of pixels take them up.
+    Means over all distances are subtracted, as the offsets of pixels absorb them.
     """
     fitted = result.solution.fit
     new = fitted.forward
@@ -53,9 +53,9 @@ def effect_errors(result: Calibration) -> dict[str, EffectError]:
     sums = {name: _Sums(name, paths, covariance) for name in names}
     pairs = zip(old.predictions(slopes=True, every=every), new.predictions(every=every), strict=True)
     for before, after in pairs:
-        for one in sums.values():
-            one.add(before, after, start)
-    return {name: one.error() for name, one in sums.items() if one.count}
+        for effect_sums in sums.values():
+            effect_sums.add(before, after, start)
+    return {name: effect_sums.error() for name, effect_sums in sums.items() if effect_sums.count}
 
 
 class _Sums:
@@ -74,7 +74,7 @@ class _Sums:
     def add(self, before: Prediction, after: Prediction, start: Camera) -> None:
         old: Array = np.zeros(after.used.shape)
         if self._name in OPTICS:
-            # what the optics do is their change already
+            # the contribution of the optics is already their change
             size = contribution(after, self._name, start)
         else:
             size = change_by(after, self._name)[0]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-# fonts that it looks for and replaces are no concern of who reads the terminal
+# messages on fonts that it replaces are of no use on the terminal
 logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
 
 #: Before, after, and further curves.
@@ -115,7 +115,7 @@ def draw_panel(axis: Any, panel: Panel) -> None:
 
 @dataclass(frozen=True)
 class Covariate:
-    """Values (N,) of a covariate with its axis' label; spaced in proportion where ``log``."""
+    """Values (N,) of a covariate with its axis' label; logarithmic where ``log``."""
 
     label: str
     values: Array
@@ -127,8 +127,8 @@ def residuals(
 ) -> bytes:
     """Return residuals [mm] before and after over covariates, a row of two panels for each.
 
-    Median of each class with the band that holds its middle 68 %; dashed the 1-sigma that is expected of
-    single values. The scales of both sides are their own.
+    Shown are the median of each class and the band with its middle 68 %; dashed is the expected 1-sigma of
+    single values. Both sides have their own scales.
     """
 
     def draw(figure: Any) -> None:

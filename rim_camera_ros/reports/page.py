@@ -1,6 +1,6 @@
-"""What pages are made of, and how a template becomes a page that stands alone: style and pictures in it.
+"""The parts of pages, and templates that become single files with style and pictures in them.
 
-Sections of a report are lists of parts; the templates say in which order they stand and how they look.
+Sections of a report are lists of parts; the templates determine their order and their look.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Mood = Literal["", "good", "warn"]
 
 @dataclass(frozen=True)
 class Card:
-    """A number that matters at a glance, with what it is."""
+    """An important number with its description."""
 
     value: str
     label: str
@@ -74,7 +74,7 @@ class Tagged:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture: SVG, or the name of a file beside the page. ``alt`` says what is seen without seeing it."""
+    """A picture: SVG, or the name of a file beside the page. ``alt`` describes it in words."""
 
     kind: ClassVar[str] = "figure"
     picture: bytes | str

@@ -1,4 +1,4 @@
-"""What a camera file makes of a flat wall, over the image: its uncertainty, and how two files differ."""
+"""Corrected distances of a flat wall over the image: their uncertainty, and the difference of two files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _ENOUGH = 4000
 
 @dataclass(frozen=True)
 class Wall:
-    """A flat wall perpendicular to the optical axis, and the setting that it is seen with.
+    """A flat wall perpendicular to the optical axis, and the setting of the camera.
 
     ``distance`` along the axis [m], diffuse ``reflectivity`` [-], ``integration_time`` in the device's unit.
     The camera is warm and at its reference temperature.
@@ -45,7 +45,7 @@ class Wall:
 def setting_of(*cameras: Camera) -> float | None:
     """Return an integration time that all cameras have rows for, the longest; None where none states any."""
     keys = [set(_settings(camera)) for camera in cameras]
-    stated = [one for one in keys if one]
+    stated = [times for times in keys if times]
     common = set.intersection(*stated) if stated else set()
     if common:
         return max(common)
@@ -54,7 +54,7 @@ def setting_of(*cameras: Camera) -> float | None:
             return camera.sensor.integration_time
         if camera.validity.integration_time is not None:
             return camera.validity.integration_time[1]
-    return max((max(one) for one in stated), default=None)
+    return max((max(times) for times in stated), default=None)
 
 
 def _settings(camera: Camera) -> list[float]:
@@ -73,7 +73,7 @@ def distances_of(*cameras: Camera, count: int = 3) -> list[float]:
 
 
 def raw_wall(camera: Camera, wall: Wall) -> RawFrame:
-    """Return what a camera measures of a wall, without noise: distance in metres, amplitude in counts.
+    """Return the measurement of a wall by a camera, without noise: distance in metres, amplitude in counts.
 
     Raises `InputError` where the camera needs an integration time and none is given.
     """
@@ -95,9 +95,9 @@ def corrected_walls(camera: Camera, raw: Sequence[RawFrame]) -> Array:
 
 
 def difference(file: Camera, other: Camera, wall: Wall) -> Array:
-    """Return how much longer ``other`` than ``one`` says that distances of a wall are (H, W) [m].
+    """Return the corrected distances of a wall by ``other`` minus those by ``file`` (H, W) [m].
 
-    The raw frame is that which ``one`` measures of the wall; both correct it. NaN where either has none.
+    The raw frame is the measurement of the wall by ``file``; both correct it. NaN where either has none.
     Raises `InputError` where the sensors have other sizes or modulation frequencies.
     """
     same = (file.shape, file.sensor.modulation_frequency) == (other.shape, other.sensor.modulation_frequency)
@@ -119,20 +119,20 @@ def uncertainty(
     *,
     pattern: Array | None = None,
 ) -> list[Array]:
-    """Return the 1-sigma (H, W) [m] of corrected distances of each wall by what is uncertain of the camera.
+    """Return the 1-sigma (H, W) [m] of corrected distances of each wall by the uncertainty of the camera.
 
     The covariance (N, N) of the parameters at dotted ``paths`` is propagated through the correction, J C J^T
-    with J by differences, and the variance ``pattern`` (H, W) [m^2] of the offsets of pixels added. It is
-    the error of the calibration, which averaging frames does not lessen, as the projection uncertainty of
-    mrcal is that of a lens model; noise is not in it, nor what the model leaves out. Of many pixels it is
-    computed at some and interpolated.
+    with J by differences, and the variance ``pattern`` (H, W) [m^2] of the offsets of pixels is added. It is
+    the error of the calibration, which averaging frames does not reduce, like the projection uncertainty of
+    mrcal for a lens model. It contains neither noise nor errors of the model. On large sensors it is computed
+    at some pixels and interpolated.
     """
     step = _coarseness(camera)
     small = decimated_camera(camera, step) if step > 1 else camera
     raw = [raw_wall(small, wall) for wall in walls]
     base = corrected_walls(small, raw)
     sigmas = np.sqrt(np.diag(covariance))
-    # in units of each sigma, for the sake of the digits
+    # in units of each sigma, for numerical accuracy
     scaled = covariance / sigmas[:, None] / sigmas[None, :]
     slopes = np.zeros((len(paths), *base.shape))
     for slope, path, sigma in zip(slopes, paths, sigmas, strict=True):
@@ -166,7 +166,7 @@ def _moved(camera: Camera, path: str, change: float) -> Camera:
 def _slopes(
     camera: Camera, path: str, sigma: float, raw: Sequence[RawFrame], base: Array, step: int
 ) -> Array:
-    """Return the change of corrected distances by one sigma, to the side where the camera is possible."""
+    """Return the change of corrected distances by one sigma, to the side where the camera is valid."""
     for change in (sigma, -sigma, 0.1 * sigma, -0.1 * sigma):
         try:
             moved = _moved(camera, path, change)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from rim_camera_ros.reports.page import Mood
 
-#: Ratio of differences to their noise, to which it is called as expected, and from which it is plain.
+#: Ratios of differences to their noise up to which they are as expected, and above which they are obvious.
 _AS_EXPECTED, _PLAIN = 1.05, 2.0
 
 
@@ -18,7 +18,7 @@ def joined(words: Sequence[str], last: str = "and") -> str:
 
 
 def noise_words(chi_square: float) -> tuple[str, Mood]:
-    """Return what chi-square per value means for differences, in words, with its mood."""
+    """Return the meaning of chi-square per value in words, with its mood."""
     ratio = chi_square**0.5
     if ratio <= _AS_EXPECTED:
         return "noise as expected", "good"

@@ -1,4 +1,4 @@
-"""Which effects recordings ask for: candidates, the evidence of held-out poses, null replicates, search.
+"""Selection of effects: candidates, the evidence of held-out poses, null replicates, and the search.
 
-docs/decision.md says how it decides, and with which numbers.
+docs/decision.md states the rules of decision and their numbers.
 """

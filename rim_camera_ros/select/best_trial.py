@@ -1,4 +1,4 @@
-"""Candidates of one step of a search, fitted beside each other: which of them is the best."""
+"""Non-linear fits of the candidates of one step of a search, compared with each other: which is the best."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rim_camera_ros.select.trials import Workers, fitted_trials, onwards, silent
 
 #: Fits that are tried for one effect.
 _MOST_TRIALS = 3
-#: Share of what the best gains within which others may be as good.
+#: Share of the gain of the best candidate within which others may be as good.
 _NEARLY = 0.15
 
 
@@ -25,11 +25,11 @@ Known = dict[tuple[int, ...], tuple[Exploration, Trial]]
 
 @dataclass(frozen=True)
 class Trials:
-    """What candidates of a ``step`` are fitted with, beside what a ``camera`` file came to have until then.
+    """The fits of candidates of a ``step`` of a search, each jointly with the effects found before it.
 
-    ``failed`` effects are no rivals; ``is_first`` where none was found before; ``with_edges`` pixels beside
-    edges take part. ``workers`` fit what needs nothing of one another. Trials that are ``known`` need no
-    other fit where another leads.
+    ``camera`` is that before the search. ``failed`` effects are no rivals; ``is_first`` says that no effect
+    was found before; ``with_edges`` that pixels beside edges take part. ``workers`` fit candidates in
+    parallel. ``known`` trials of the same step are not fitted again where another candidate leads.
     """
 
     problem: Problem
@@ -47,8 +47,8 @@ class Trials:
     def best(self, numbers: tuple[int, ...], leader: int) -> tuple[Trial, list[str]]:
         """Fit candidates and their near rivals non-linearly; return the best, and effects that are as good.
 
-        A pair must beat the leader alone by what a further effect must gain: linearly, one that bends the
-        light much looks worse than it is.
+        A pair must exceed its leader alone by the threshold of a further effect: in a linearised fit, a
+        single effect that changes the light strongly looks worse than it is.
         """
         rivals = near_rivals(self.step, numbers, leader, self.failed)
         choices, starts = self._ahead([numbers, *rivals][:_MOST_TRIALS])
@@ -77,9 +77,10 @@ class Trials:
     def _ahead(
         self, choices: Sequence[tuple[int, ...]]
     ) -> tuple[list[tuple[int, ...]], dict[tuple[int, ...], Camera]]:
-        """Fit choices to a few poses where there are many values; return who may win, and where fits begin.
+        """Fit choices to a few poses where there are many values, before they are fitted to all.
 
-        Rays are not moved by a few poses, and what follows the time of the poses needs them all.
+        Returns the choices that may still be the best, and the cameras at which their fits to all poses
+        begin. Effects that move rays and effects that follow time are not fitted to a few poses.
         """
         few = subsample_of(self.problem, seed=self.seed)
         if few is None:
@@ -92,13 +93,13 @@ class Trials:
         trials = self.fitted(able, few=few)
         lost: set[tuple[int, ...]] = set()
         if all(len(choice) == 1 for choice in choices):
-            # beside effects found before, those nearly as good as the best are told
+            # given effects found before, the result names those that are nearly as good as the best
             joint = [self.step.joint(*choice) for choice in able]
             gain = 0.0 if self.is_first else max(joint, default=0.0)
             least = _NEARLY * gain * len(few) / len(self.problem.dataset.stations)
             by_fold = {choice: trial.fitted.scores.log_likelihoods() for choice, trial in trials.items()}
             lost = dominated(by_fold, least=least)
-        # they cost little: the nearer they come to their end, the fewer steps remain with all poses
+        # such fits cost little: the nearer they are to convergence, the fewer steps remain with all poses
         left = [choice for choice in able if choice not in lost]
         further = [onwards(trials[choice], self.folds, self.seed) for choice in left]
         ends = fitted_trials(further, self.workers, self.say, to="a few poses")

@@ -1,8 +1,8 @@
-"""Candidates of a search, and what the forms of effects that were found may do otherwise.
+"""Candidates of a search, and possible changes of the forms of effects that were found.
 
-An effect's form is never quite the true one, and what a large effect leaves looks like small other ones.
-So further effects are judged beside columns that change what the named ones do: a discrepancy of the model in
-the sense of Kennedy and O'Hagan (2001), with the named effect as its scale.
+The form of an effect is never quite the true one, and the residuals of a large effect look like small other
+effects. So further effects are judged conditional on columns that change the contributions of those found: a
+model discrepancy in the sense of Kennedy and O'Hagan (2001), scaled by the effect that was found.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rim_camera_ros.select.effect_sizes import change_by
 def candidates(camera: Camera, facts: Facts, *, effects: Sequence[str] | None = None) -> list[Candidate]:
     """Return the variants of every effect that the camera lacks and the recordings could contain.
 
-    Those of a demodulation only where the camera demodulates.
+    Effects of the demodulation are candidates only where the camera demodulates.
     """
     known = vocabulary()
     if not measurement_of(camera).demodulates:
@@ -43,7 +43,7 @@ def candidates(camera: Camera, facts: Facts, *, effects: Sequence[str] | None = 
 
 Array = NDArray[Any]
 
-#: 1-sigma of each change of a form, as a share of what the effect does (RMS in units of the noise).
+#: 1-sigma of each change of a form, as a share of the effect's contribution (RMS in units of the noise).
 SHARE = 0.3
 #: Owner of these regressors.
 FORM = "form"
@@ -54,8 +54,8 @@ _MOST_STATIONS = 12
 def form_blocks(fitted: Fit, names: Sequence[str], variants: Sequence[Candidate]) -> list[Block]:
     """Return one block of changes for each effect of a fitted camera that acts on the light of the image.
 
-    ``variants`` of the same effects join where they have their name. Effects without a discrepancy have none,
-    nor have names that are no effects: they have curves of their own.
+    ``variants`` of the same effect add their columns to its block. Effects without a discrepancy have no
+    block, nor have names that are no effects of the camera (optics, surfaces): these have own curves.
     """
     effects = fitted.camera.effects
     blocks = []
@@ -70,11 +70,10 @@ def form_blocks(fitted: Fit, names: Sequence[str], variants: Sequence[Candidate]
 def change_of_forms(
     camera: Camera, names: Sequence[str], forms: Sequence[Block], values: Mapping[str, float]
 ) -> Callable[[Prediction], Array]:
-    """Return what changes of the forms of effects do to a station's distances [m].
+    """Return a function for the change of a station's distances [m] by changes of the forms of effects.
 
-    ``values`` are the coefficients of the ``forms`` and, beside them, of the parameters of the effects
-    ``names`` of the camera, by label. Nothing of effects whose changes the data do not determine where they
-    act most.
+    ``values`` are, by label, the coefficients of the ``forms`` and those of the parameters of the camera's
+    effects ``names``. Effects whose changes the data do not determine where they act most contribute nothing.
     """
     by_name = {form.regressors[0].label.split(".")[1]: form for form in forms}
     kept = [name for name in names if name in by_name and camera.effects[name].discrepancy_is_determined]
@@ -98,7 +97,7 @@ def change_of_forms(
 
 
 def _sized(fitted: Fit, name: str, variants: Sequence[Block]) -> Block:
-    """Return the block whose priors are shares of what the effect does."""
+    """Return the block of changes of an effect; its priors are shares of the effect's contribution."""
     every = max(1, len(fitted.forward.dataset.stations) // _MOST_STATIONS)
     some = list(fitted.forward.predictions(every=every))
     weights = [_squares(predicted, change_by(predicted, name)) for predicted in some]
@@ -152,7 +151,7 @@ def _changes(prediction: Prediction, name: str, factors: Array) -> Iterator[Colu
 
 
 def _factors(prediction: Prediction) -> Array:
-    """Return smooth factors (F, H, W) on what an effect does, where it acts otherwise from place to place."""
+    """Return smooth factors (F, H, W) that vary an effect's contribution over image, light and distance."""
     shape = prediction.distance.shape
     v = np.linspace(-1.0, 1.0, shape[0])[:, None]
     u = np.linspace(-1.0, 1.0, shape[1])[None, :]

@@ -1,8 +1,8 @@
-"""Comparisons of candidates: when one enters the model, who leads, who ties, and what a search comes to.
+"""Comparisons of candidates: when one enters the model, which leads, which tie, and a search's result.
 
-The form of an effect that was found is never quite the true one. What it leaves is compared with candidates
-as one of them: a smooth curve of a covariate that the effect depends on enters as its discrepancy (Kennedy
-and O'Hagan 2001), unnamed, where it predicts held-out poses better than every named candidate.
+The form of an effect that was found is never quite the true one. So its model discrepancy (Kennedy and
+O'Hagan 2001) competes with the candidates: a smooth curve of a covariate that the effect depends on enters
+the model, unnamed, where it predicts held-out poses better than every named candidate.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from rim_camera_ros.select.exploration import Exploration
 from rim_camera_ros.select.moved_poses import MovedPose
 from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
 
-#: Paired standard errors over poses that an effect must gain beside those found before it. The null
-#: replicates give the threshold of the first; what forms leave that are not quite true is not in them.
+#: Paired standard errors over poses that an effect must gain conditional on those found before it. The null
+#: replicates give the threshold of the first effect; they do not contain residuals of inexact forms.
 PAIRED_ERRORS = 2.0
-#: ... or the chance that every fold gains where none does on average (sign test), at most.
+#: ... or the greatest probability that every fold gains where none does on average (sign test).
 SIGN_CHANCE = 0.05
 #: An effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
 LEAST_SIZE = 0.0005
@@ -32,9 +32,9 @@ LEAST_SIZE = 0.0005
 
 @dataclass
 class Found:
-    """An effect that joined: its gain in nats alone at that step, and which others explain it as well.
+    """An effect that was found: its own gain in nats at that step, and ``ties``, others that gain as much.
 
-    ``step`` is the number of the exploration that it was found in, ``threshold`` what it had to gain there
+    ``step`` is the number of the exploration in which it was found, ``threshold`` its entry threshold there
     [nats].
     """
 
@@ -55,11 +55,10 @@ def paired_error(after: Sequence[float], before: Sequence[float]) -> float:
 
 
 def entry_gain(after: Sequence[float], before: Sequence[float], threshold: float) -> float:
-    """Return what an effect must gain in all [nats]: the threshold, and more than poses disagree about.
+    """Return the gain [nats] that an effect requires: its threshold or, if more, `PAIRED_ERRORS` of the gain.
 
-    `PAIRED_ERRORS` of its gain, where folds do not all speak for it. What acts on oblique surfaces, or near
-    ones, gains by a few poses most of all: the standard error of such a gain is large, and no evidence
-    against it.
+    The threshold alone where every fold gains. An effect that acts on oblique or near surfaces gains mostly
+    by a few poses: the standard error of such a gain is large, which is no evidence against the effect.
     """
     gains = np.asarray(after, float) - np.asarray(before, float)
     if gains.size and gains.min() > 0 and 0.5**gains.size <= SIGN_CHANCE:
@@ -68,9 +67,9 @@ def entry_gain(after: Sequence[float], before: Sequence[float], threshold: float
 
 
 def curve_of_forms(step: Exploration, found: Sequence[Found]) -> tuple[float, int] | None:
-    """Return gain and number of the best smooth curve of what the effects found depend on, if there is one.
+    """Return gain and number of the best smooth curve of a covariate of the effects found, if there is one.
 
-    The gain is that beside the changes of forms which the exploration has already.
+    The gain is conditional on the changes of forms that the exploration already contains.
     """
     effects = [step.fit.camera.effects.get(finding.effect) for finding in found]
     own = {name for effect in effects if effect is not None for name in effect.own_covariates()}
@@ -78,12 +77,12 @@ def curve_of_forms(step: Exploration, found: Sequence[Found]) -> tuple[float, in
     return max(((step.joint(k), k) for k in smooth), default=None)
 
 
-#: A smooth function of one covariate that gains this many times what any two effects do is another physics'
-#: mark: of an effect's own covariate it gains what the effect does.
+#: A smooth function of one covariate that gains this many times what any two effects gain is a sign of
+#: unknown physics: a smooth function of an effect's own covariate gains about as much as the effect.
 SMOOTHER = 1.5
-#: Variants of an effect that are looked at again once another effect was found.
+#: Variants of an effect that are scored again once another effect was found.
 _MOST_VARIANTS = 4
-#: Why an effect that would gain beside those found was not added.
+#: Why an effect that would gain conditional on those found was not added.
 NOT_IN_ALL_POSES = "as the poses do not agree that it gains"
 NOT_IN_QUIET_PIXELS = "as it gains only where what was found acts"
 ONCE_FITTED = "as it gains or moves too little once it is fitted"
@@ -93,7 +92,7 @@ SAME_PHYSICS = "as it is what was found, of another form: its own parameters hav
 
 @dataclass(frozen=True)
 class Refused:
-    """An effect that was not added though it would gain: gain and its threshold [nats], and why."""
+    """An effect that was not added though it gains: its gain and threshold [nats], and the reason."""
 
     effect: str
     gain: float
@@ -102,7 +101,7 @@ class Refused:
 
 
 def smooth_says_more(step: Exploration) -> bool:
-    """Return whether a smooth function explains so much more than effects do that none of them is it."""
+    """Return whether a smooth function explains so much more than any effects that none of them fits."""
     smooth = step.best_further()
     if smooth is None or smooth[0] <= SMOOTHER * float(step.thresholds[smooth[1]]):
         return False
@@ -112,9 +111,9 @@ def smooth_says_more(step: Exploration) -> bool:
 
 
 def discrepancy(step: Exploration, found: Sequence[Found], failed: Set[str]) -> int | None:
-    """Return the smooth curve that says more of what is left than any candidate does; None: there is none.
+    """Return the number of the smooth curve that gains more than every named candidate; None: there is none.
 
-    It is one of what the effects found depend on, whose form is not quite the true one then.
+    It is a curve of a covariate of the effects found, whose form is then not quite the true one.
     """
     curve = curve_of_forms(step, found)
     if curve is None or curve[0] <= float(step.thresholds[curve[1]]):
@@ -126,9 +125,9 @@ def discrepancy(step: Exploration, found: Sequence[Found], failed: Set[str]) -> 
 def leaders(step: Exploration, failed: Set[str]) -> tuple[tuple[int, ...], int] | None:
     """Return the candidate or the pair to fit next, and the leader alone; None where nothing gains enough.
 
-    ``failed`` effects are left out.
+    ``failed`` effects are excluded.
     """
-    named = [one for one in _named(step) if step.candidates[one[0]].effect not in failed]
+    named = [(k, gain) for k, gain in _named(step) if step.candidates[k].effect not in failed]
     if not named:
         return None
     leader, gain = named[0]
@@ -143,9 +142,9 @@ def leaders(step: Exploration, failed: Set[str]) -> tuple[tuple[int, ...], int] 
 
 
 def refused(step: Exploration, failed: Mapping[str, str]) -> list[Refused]:
-    """Return the effects that would gain at a step and were not added, the best first.
+    """Return the effects that gain at a step and were not added, the best first.
 
-    ``failed`` says why.
+    ``failed`` holds the reasons by effect.
     """
     result = []
     for effect, k in step.best().items():
@@ -158,7 +157,7 @@ def refused(step: Exploration, failed: Mapping[str, str]) -> list[Refused]:
 def near_rivals(
     step: Exploration, numbers: tuple[int, ...], leader: int, failed: Set[str]
 ) -> list[tuple[int, ...]]:
-    """Return what to fit beside the chosen: the leader alone for a pair, else who gains nearly as much."""
+    """Return rivals to fit as well: of a pair its leader alone, else the effects that gain nearly as much."""
     if len(numbers) == 2:
         return [(leader,)] if step.gains[leader] > step.thresholds[leader] else []
     lead = step.joint(*numbers)
@@ -172,13 +171,13 @@ def near_rivals(
 
 
 def _named(step: Exploration) -> list[tuple[int, float]]:
-    """Return candidates and gains, those first that exceed their threshold, by gain."""
+    """Return the named candidates and their gains, by gain; first those that exceed their threshold."""
     order = [(k, float(step.gains[k])) for k in range(step.named)]
-    return sorted(order, key=lambda one: (one[1] < step.thresholds[one[0]], -one[1]))
+    return sorted(order, key=lambda item: (item[1] < step.thresholds[item[0]], -item[1]))
 
 
 def leading_variants(step: Exploration) -> list[Candidate]:
-    """Return the variants of each effect that are still worth their columns, in their order."""
+    """Return the leading variants of each effect, at most `_MOST_VARIANTS`, in their order."""
     kept: set[int] = set()
     count: Counter[str] = Counter()
     for k in np.argsort(-step.gains[: step.named], kind="stable"):
@@ -190,9 +189,9 @@ def leading_variants(step: Exploration) -> list[Candidate]:
 
 
 def tied(step: Exploration, name: str, need: float) -> list[str]:
-    """Return the effects which the named one cannot be told apart from.
+    """Return the effects from which the named one cannot be distinguished.
 
-    The encompassing test: an effect ties unless the named effect gains well on top of it.
+    The encompassing test: another effect ties unless the named one gains enough conditional on it.
     """
     best = step.best()
     own = best.get(name)
@@ -210,10 +209,10 @@ def tied(step: Exploration, name: str, need: float) -> list[str]:
 def what_it_became(
     fitted: Exploration, trial: tuple[int, ...], step: Exploration, start: Camera
 ) -> tuple[int, ...] | None:
-    """Return what a trial became once it was fitted; None where each effect is what it was.
+    """Return the candidates to which a trial reduces once it is fitted; None where each effect stays itself.
 
-    A pair becomes one effect where the other moves next to nothing; an effect becomes another in a limit of
-    its parameters. ``start`` is the camera before anything was found.
+    A pair reduces to one effect where the other moves distances by next to nothing; an effect becomes another
+    effect in a limit of its parameters. ``start`` is the camera before anything was found.
     """
     if len(trial) == 2:
         for k, other in (trial, trial[::-1]):
@@ -225,15 +224,15 @@ def what_it_became(
         effect = effects.get(step.candidates[k].effect)
         limit = None if effect is None else effect.limit
         if limit in best and best[limit] not in trial:
-            return tuple(best[limit] if one == k else one for one in trial)
+            return tuple(best[limit] if number == k else number for number in trial)
     return None
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Effects that were fitted, the problem with what they free, the fit, and its log likelihood.
+    """Effects that were fitted, the problem with the parameters they free, the fit, and its log likelihood.
 
-    A pair's is less by what a further effect must gain.
+    The likelihood of a pair is reduced by the entry threshold of a further effect.
     """
 
     effects: list[str]
@@ -243,15 +242,16 @@ class Trial:
 
 
 def is_form_of_another(trial: Trial, found: Sequence[str]) -> bool:
-    """Return whether an effect has become one ``found`` before it, in a limit of its own parameters."""
+    """Return whether an effect of a trial equals an effect ``found`` before, in a limit of its parameters."""
     effects = trial.fitted.fit.camera.effects
     return any(effects[name].limit in found for name in trial.effects if name in effects)
 
 
 def as_good(alone: Mapping[str, Trial], best: Trial) -> list[str]:
-    """Return the effects, of those fitted ``alone``, of which poses do not agree that the best is better.
+    """Return the effects, of those fitted ``alone``, than which the best is not significantly better.
 
-    None where the best are two effects. Those whose paired difference is within two standard errors.
+    These are the effects whose paired difference is within two standard errors. Empty where the best trial
+    is of two effects.
     """
     if len(best.effects) > 1:
         return []
@@ -268,11 +268,11 @@ def as_good(alone: Mapping[str, Trial], best: Trial) -> list[str]:
 
 @dataclass
 class Result:
-    """The search's end: the camera with all that was found, its last fit, and every exploration.
+    """The result of a search: the camera with all that was found, its last fit, and every exploration.
 
-    ``refused`` are effects that would have gained beside those found; explorations from number
-    ``beside_edges`` on take in pixels beside edges. ``moved`` are surfaces that stand elsewhere in a few
-    poses, where nothing else explains as much.
+    ``refused`` are effects that gain conditional on those found and were not added. Explorations from number
+    ``beside_edges`` on include pixels beside edges. ``moved`` are surfaces that are displaced in a few poses,
+    where no physics explains as much.
     """
 
     camera: Camera
@@ -292,7 +292,7 @@ class Result:
         return self.explorations[-1].fit
 
     def forget(self) -> None:
-        """Let go of the sums per pixel, where the search is made anew."""
+        """Free the sums per pixel, where the search is repeated."""
         for exploration in self.explorations:
             exploration.forget()
 
@@ -315,7 +315,7 @@ class Result:
 
     @property
     def gained(self) -> float:
-        """What the search gained in held-out log likelihood [nats], each step at its own pixels."""
+        """The gain of the search in held-out log likelihood [nats], each step by its own pixels."""
         total = self.log_likelihood - self.start_log_likelihood
         if self.beside_edges is None:
             return total

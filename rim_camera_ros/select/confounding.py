@@ -1,8 +1,8 @@
-"""Whether a further effect shows also where the effects found before it do not act, and in the order of time.
+"""Whether a further effect is confounded with the effects found before it, or a drift with chance.
 
-The form of a large effect is never quite the true one, and what it leaves where it acts looks like small
-other effects. A true further effect is seen by the other pixels as well, in proportion to what they tell; a
-drift follows the time of the poses better than it follows shuffled times.
+The form of a large effect is never quite the true one, and its residuals look like small other effects in the
+pixels where it acts. A true further effect shows in the other pixels as well, in proportion to their
+information about it. A drift follows the time of the poses better than it follows permuted times.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
 
 Array = NDArray[Any]
 
-#: Random orders, and the share of them that may explain as much as the true one.
+#: Random orders of the poses, and the share of them that may explain as much as the true order.
 _ORDERS = 400
 _SHARE = 0.01
-#: Poses below which orders are too few to tell.
+#: Poses below which there are too few orders for a test.
 _LEAST_POSES = 8
-#: What may be left of the poses' own shifts, in sigmas of chi-square beyond what the stated errors make; more
-#: where the drift explains this share of it.
+#: Greatest remainder of the poses' own shifts, in sigmas of chi-square beyond that of their stated errors;
+#: more where the drift explains the following share of it.
 _LEFT = 3.0
 _MOST = 2 / 3
 #: 1-sigma of a pose's own shift [m]: as good as free.
@@ -51,10 +51,10 @@ def follows_time(
 ) -> bool | None:
     """Return whether the drift ``name`` of a fit explains more than in nearly all random orders of poses.
 
-    And whether poses are then as good as stated, or nearly all that moved them is explained.
-    ``variants`` are its candidates in the library; ``conditional_on`` are further regressors beside it.
-    True where there are too few poses to tell, None where the pixels of the ``problem`` show nothing of it,
-    and know too little of the poses to show even the drift as it was fitted.
+    It must also leave errors of the poses that are as small as stated, or explain most of their excess.
+    ``variants`` are its candidates in the library; the test is ``conditional_on`` further regressors. True
+    where there are too few poses for a test. None where the pixels of the ``problem`` show no drift and
+    contain too little information to show even one of the size that was fitted.
     """
     poses = list(dict.fromkeys((station.recording, station.placed) for station in problem.dataset.stations))
     if len(poses) < _LEAST_POSES or not variants:
@@ -112,7 +112,7 @@ def _pose_block(poses: Sequence[tuple[int, int]]) -> Block:
 
 
 def _explained(gram: Array, right: Array, shapes: Sequence[tuple[Array, Array]], order: Array) -> float:
-    """Return how much the best shape explains [nats] with its values dealt to the poses in an order."""
+    """Return how much the best shape explains [nats] with its values assigned to the poses in an order."""
     best = 0.0
     for values, prior in shapes:
         dealt = values[order] * prior
@@ -124,9 +124,9 @@ def _explained(gram: Array, right: Array, shapes: Sequence[tuple[Array, Array]],
 
 #: An effect does not act on a pixel that it changes by less than this, in sigmas of the pixel's mean.
 _QUIET = 0.3
-#: Share of the pixels that must be left for the question to be asked.
+#: Least share of the pixels that must remain for a test.
 _LEAST_LEFT = 0.05
-#: A further effect must gain this share of what the pixels left tell of it.
+#: A further effect must gain this share of what is expected of it in the remaining pixels.
 _LEAST_PART = 0.3
 
 
@@ -139,8 +139,8 @@ def shows_in_quiet_pixels(
 ) -> bool:
     """Return whether a candidate of an exploration gains where the effects ``found`` do not act.
 
-    Also where that cannot be told: too few pixels are left, or they would tell too little, or what was found
-    are parameters of the optics or surfaces, which act everywhere.
+    True also where that cannot be tested: too few pixels remain, or they contain too little information, or
+    what was found are parameters of the optics or of surfaces, which act everywhere.
     """
     names = [name for name in found if name in step.fit.camera.effects]
     if not names:
@@ -175,7 +175,7 @@ def shows_in_quiet_pixels(
 def quiet_pixels(fitted: Fit, names: Sequence[str]) -> list[tuple[Array, Array]] | None:
     """Return the pixels of each station and channel (H, W) that effects do not change.
 
-    None where too few are left.
+    None where too few remain.
     """
     masks, used, kept = [], 0, 0
     for prediction in fitted.forward.predictions():
@@ -203,15 +203,15 @@ def follows_time_in_quiet_pixels(
     variants: Sequence[Candidate],
     seed: int,
 ) -> bool:
-    """Return whether a drift ``name`` of a fit follows time, as `follows_time`, where others do not act.
+    """Return whether a drift ``name`` follows time, as in `follows_time`, where effects found do not act.
 
-    These are the effects ``found`` before it, whose form is never quite the true one: beside it stand
-    ``curves`` of what they depend on, and changes of their forms by their ``variants``. ``drifts`` are its
-    own candidates. Where such pixels tell too little, as those of one integration time do where that of the
-    others has another offset, all pixels are asked.
+    The forms of the effects ``found`` before it are never quite the true ones. So the test is conditional on
+    ``curves`` of their covariates and on changes of their forms by their ``variants``. ``drifts`` are the
+    candidates of the drift itself. The test uses all pixels where those on which the effects do not act
+    contain too little information: as where only the pixels of one integration time remain.
     """
-    # such a form leaves what changes with its own covariates, and these with time
-    effects = [fitted.camera.effects[one] for one in found if one in fitted.camera.effects]
+    # the residuals of an inexact form vary with its own covariates, and these may vary with time
+    effects = [fitted.camera.effects[effect] for effect in found if effect in fitted.camera.effects]
     covariates = {covariate for effect in effects for covariate in effect.own_covariates()}
     own = [curve.block for curve in curves if curve.variant in covariates]
     conditional_on = [*own, *form_blocks(fitted, found, variants)]

@@ -1,4 +1,4 @@
-"""Pixels beside edges, which a search leaves out until it looks for what acts there."""
+"""Pixels beside edges, which a search excludes until it looks for effects that act there."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from rim_camera_ros.select.compare import Trial
 from rim_camera_ros.select.exploration import Exploration, explore
 from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
 
-#: Share of what such an effect must gain that it gains before the other parameters are fitted.
+#: Share of its entry threshold that such an effect must gain before the other parameters are fitted.
 _AT_FIRST_SIGHT = 0.5
 _REPLICATES = 200
-#: Side [px] of footprints up to which only the pixels show them that an edge crosses amid.
+#: Side [px] up to which a footprint shows only in pixels that an edge crosses near their centre.
 _NARROW = 0.4
 
 
 class Fits(Protocol):
-    """A search's way to fit a camera to pixels, from the nuisances of a step, and to score candidates."""
+    """A function that fits a camera to pixels, from the nuisances of a step, and scores candidates."""
 
     def __call__(
         self,
@@ -50,7 +50,7 @@ class Look:
 
 
 def edge_candidates(*, at_first_sight: bool = False) -> list[Candidate]:
-    """Return the variants of all effects that only pixels show which an edge crosses."""
+    """Return the variants of all effects that show only in pixels which an edge crosses."""
     kinds = registry().values()
     return [candidate for kind in kinds for candidate in kind.edge_candidates(at_first_sight=at_first_sight)]
 
@@ -60,7 +60,7 @@ def where_clean(
 ) -> tuple[Exploration, Exploration]:
     """Return the fits with and without a trial's effects, by the pixels that are clean by both cameras.
 
-    They differ where its effects move rays.
+    Where the effects move no rays these are the pixels of the trial, and the fits are those given.
     """
     after = trial.fitted
     if not any(vocabulary()[name].moves_rays for name in trial.effects):
@@ -88,7 +88,7 @@ def where_clean(
 
 
 def with_edges(problem: Problem, fitted: Fit) -> Problem:
-    """Return the problem with the pixels beside edges, the same where there are none."""
+    """Return the problem with the pixels beside edges; the same problem where there are none."""
     masks = fitted.forward.pixels_near_edges()
     if problem.masks is not None and not more_pixels(masks, problem.masks):
         return problem
@@ -103,10 +103,11 @@ def promising(
     *,
     footprint: bool,
 ) -> Look | None:
-    """Return a fit of pixels beside edges in which a variant gains what it must; None: none does.
+    """Return a fit with pixels beside edges in which a variant exceeds its threshold; None: none does.
 
-    The ``footprint`` of a pixel is looked for as well, unless it is left out; a narrow one in those that
-    edges cross amid, where errors of poses tell most. ``step`` is the last exploration away from edges.
+    With ``footprint`` the variants include the footprint of a pixel. A narrow one is tested by the pixels
+    that edges cross near their centre, where errors of poses matter most. ``step`` is the last exploration
+    without pixels beside edges.
     """
     camera = step.fit.camera
     variants = [*blurs, *(edge_candidates(at_first_sight=True) if footprint else [])]
@@ -123,7 +124,7 @@ def promising(
 
 
 def refined(step: Exploration, names: Sequence[str], problem: Problem, fit: Fits) -> Exploration:
-    """Return a step's fit with some of its effects in their finest forms; itself where these gain nothing."""
+    """Return a step's fit with some effects in their finest forms; the step where these gain nothing."""
     camera = step.fit.camera
     finest = {name: camera.effects[name].finest() for name in names if name in camera.effects}
     finest = {name: effect for name, effect in finest.items() if effect != camera.effects[name]}
@@ -136,10 +137,10 @@ def refined(step: Exploration, names: Sequence[str], problem: Problem, fit: Fits
 
 
 def sharper(problem: Problem, step: Exploration, fit: Fits) -> tuple[Exploration, Exploration] | None:
-    """Return the fits of pixels beside edges by the blur of a step's camera and by a footprint instead of it.
+    """Return two fits with pixels beside edges: by the blur of a step's camera, and by a footprint instead.
 
-    None where the footprint fits no better, or so badly that neither is the form of what edges show: what was
-    found away from them stands, then.
+    None where the footprint fits no better, or so badly that neither describes what edges show: the result
+    without pixels beside edges then stands.
     """
     camera = step.fit.camera
     without = with_effects(camera, {n: effect for n, effect in camera.effects.items() if not effect.at_edges})
@@ -162,6 +163,6 @@ def _chi_square(step: Exploration) -> float:
 
 
 def _leader(step: Exploration, share: float) -> Candidate | None:
-    """Return the best variant where it gains a share of what it must."""
+    """Return the best variant where it gains a share of its threshold."""
     number = next(iter(step.best().values()))
     return step.candidates[number] if step.gains[number] > share * step.thresholds[number] else None

@@ -23,9 +23,9 @@ SAME_SIZE = 0.1
 
 
 def effect_size(fitted: Fit, names: Sequence[str], start: Camera) -> float:
-    """Return how far effects move distances [m], or relative amplitudes times 0.1 m where those tell more.
+    """Return how far effects move distances [m], or 0.1 m times relative amplitudes where these change more.
 
-    RMS over the 5 % of pixel values that they move most, after the fit of all else.
+    RMS over the 5 % of pixel values that they move most, after the fit of all other parameters.
     """
     parts = []
     for prediction in fitted.forward.predictions():
@@ -34,7 +34,7 @@ def effect_size(fitted: Fit, names: Sequence[str], start: Camera) -> float:
             total = total + contribution(prediction, name, start)
             effect = prediction.context.camera.effects.get(name)
             if effect is not None and effect.at_edges:
-                # on one surface the edges of its texture show it in the amplitudes alone
+                # on a single surface the edges of its texture show the effect in the amplitudes alone
                 total = np.maximum(np.abs(total), SAME_SIZE * np.abs(_relative_light(prediction, name)[0]))
         parts.append(np.abs(np.broadcast_to(total, prediction.used.shape)[prediction.used]))
     values = np.concatenate(parts) if parts else np.zeros(1)
@@ -47,8 +47,8 @@ def effect_size(fitted: Fit, names: Sequence[str], start: Camera) -> float:
 def contribution(prediction: Prediction, name: str, start: Camera) -> Array:
     """Return what an effect of the camera does to the measured distance [m] of a station, (H, W).
 
-    For effects on the light, by leaving it out; where it only changes amplitudes, their relative change
-    times 0.1 m; for the camera geometry, by the optics of ``start``.
+    For an effect on the light: the difference to a prediction without it, or 0.1 m times the relative change
+    of amplitudes where it only changes these. For the optics: the difference to those of ``start``.
     """
     camera = prediction.context.camera
     if name in OF_SURFACES:

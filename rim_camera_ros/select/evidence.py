@@ -1,9 +1,9 @@
-"""Which effects the data speak for: marginal likelihood of held-out poses, from reduced normal equations.
+"""The evidence for effects: marginal likelihood of held-out poses, from reduced normal equations.
 
-With all nuisances eliminated, a set of regressors is scored by the logarithm of the probability of every
-fold of poses given the others: log p(all) - log p(all but the fold), summed over the folds. What the files
-state of errors that poses share is one more such observation, given all poses. Everything comes from (K, K)
-matrices, so that thousands of sets cost a second.
+With all nuisance parameters eliminated, a set of regressors is scored by the logarithm of the probability of
+every fold of poses given the others: log p(all) - log p(all but the fold), summed over the folds. The values
+that files state for errors which poses share count as one more observation, given all poses. Everything is
+computed from (K, K) matrices, so that thousands of sets take a second.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from rim_camera_ros.threads import in_order
 Array = NDArray[Any]
 Key = tuple[int, int]
 
-#: Beginnings of the labels of errors that poses share, of which what is stated is held out.
+#: Beginnings of the labels of errors that poses share, whose stated size is held out.
 STATED = (COMMON_POSE, LOBE_PREFIX)
-#: Factors on their stated 1-sigma where that is held out: hardly known.
+#: Factors on their stated 1-sigma where it is held out: then hardly known.
 UNSTATED = tuple(np.geomspace(10.0, 10.0**0.25, 4).tolist())
 
 
@@ -64,9 +64,10 @@ def _scaled(
 
 @dataclass(frozen=True)
 class _Base:
-    """The evidence of a base, whose Cholesky factor serves all that is scored beside it.
+    """The evidence of a base; its Cholesky factor serves all regressors that are scored conditional on it.
 
-    ``factor`` (B, B) of its equations in units of the priors ``scale`` (B,), ``solved`` (B,) or (B, R) by it.
+    ``factor`` (B, B) is that of its equations in units of the priors ``scale`` (B,); ``solved``, (B,) or
+    (B, R), are their right-hand sides solved by it.
     """
 
     reduced: Reduced
@@ -85,7 +86,7 @@ class _Base:
             nothing = np.zeros(right.shape[1:])
             return cls(reduced, columns, scale, temper, away, matrix, right, nothing)
         factor, solved, evidence = _evidence(matrix, right)
-        # of where the fit stands, without which priors of several widths could not be compared
+        # the prior's density at the linearisation point: needed to compare priors of several widths
         evidence = evidence - 0.5 * float(np.sum((away[columns] / scale) ** 2))
         return cls(reduced, columns, scale, temper, away, factor, solved, evidence)
 
@@ -108,10 +109,10 @@ def _evidence(matrix: Array, right: Array) -> tuple[Array, Array, Any]:
 
 
 class Scores:
-    """Scores of sets of regressors beside a base that is always there.
+    """Scores of sets of regressors conditional on a base that is part of every model.
 
-    ``base`` are the indices of the regressors of the baseline. ``held`` are those of them at a bound which
-    the data would take beyond it: they stay there, and likelihoods, coefficients, errors are of the others.
+    ``base`` are the indices of the regressors of the baseline. ``held`` are those of them at a bound that
+    the data would exceed: they stay at it, and likelihoods, coefficients and errors are those of the others.
     """
 
     def __init__(
@@ -149,11 +150,11 @@ class Scores:
         return result
 
     def likeliest(self, extra: Iterable[int] = ()) -> Scores:
-        """Return the scores with priors of the likeliest sizes: these, as none is a hyperparameter."""
+        """Return the scores with priors of the likeliest size: these scores, without a hyperparameter."""
         return self
 
     def relative_size(self, extra: Iterable[int] = ()) -> float:
-        """Return the likeliest size of what is a hyperparameter, in that of its prior: 1, as nothing is."""
+        """Return the likeliest value of the hyperparameter, relative to the prior: 1, as there is none."""
         return 1.0
 
     def columns(self, extra: Iterable[int]) -> Array:
@@ -165,7 +166,7 @@ class Scores:
         return _scaled(reduced, columns, self.prior[columns], self.temper, self.away)
 
     def _of_base(self, number: int | None, unstated: float) -> _Base:
-        """Return the base's part of the evidence of all folds (None), or of all but one."""
+        """Return the evidence of the base by all folds (None), or by all but one."""
         if (number, unstated) not in self._bases:
             reduced = self.full if number is None else self.trained[number]
             columns = self.columns([])
@@ -191,11 +192,11 @@ class Scores:
         return of_folds + self.stated(extra)
 
     def stated(self, extra: Iterable[int] = ()) -> Any:
-        """Return the log density of what is stated of errors that poses share, given all poses [nats].
+        """Return the log evidence [nats] for the stated size of errors that poses share, given all poses.
 
-        Over the mean of that where they are `UNSTATED` times as large (a size that is not known, MacKay,
-        Neural Computation 4, 1992); (R,) for replicates. An effect that these errors imitate gains here, and
-        a fit that strains them loses.
+        It is relative to the mean evidence for sizes `UNSTATED` times as large (an unknown size; MacKay,
+        Neural Computation 4, 1992); (R,) for replicates. An effect that such errors imitate gains here; a
+        fit that needs larger errors than stated loses.
         """
         extra = list(extra)
         larger = [self._evidence(None, extra, unstated=factor) for factor in UNSTATED]
@@ -223,7 +224,7 @@ class Scores:
         ]
 
     def gain(self, extra: Iterable[int]) -> Any:
-        """Return the gain of a set over the base alone, in nats."""
+        """Return the gain of a set of regressors over the base alone, in nats."""
         return self.held_out(extra) - self.held_out()
 
     def values(self, extra: Iterable[int] = (), *, leave_out: int | None = None) -> dict[str, float]:
@@ -235,11 +236,11 @@ class Scores:
         return {self.regressors[i].label: solution.get(i, 0.0) for i in every}
 
     def errors(self, extra: Iterable[int] = ()) -> dict[str, float]:
-        """Return the errors of poses and powers that go with the coefficients of base and extra."""
+        """Return the estimated errors of poses and powers, given the coefficients of base and extra."""
         return self.errors_and_offsets(extra)[0]
 
     def errors_and_offsets(self, extra: Iterable[int] = ()) -> tuple[dict[str, float], Array]:
-        """Return these errors, and the offsets of all pixels (P,) [m]."""
+        """Return the estimated errors of poses and powers, and the offsets of all pixels (P,) [m]."""
         columns = self.columns(extra)
         values = np.zeros(len(self.regressors))
         values[columns] = self._solve(self.full, columns)
@@ -258,10 +259,10 @@ class Scores:
         return np.asarray(linalg.inv(matrix) * scale[:, None] * scale[None, :])
 
     def chi_square(self, extra: Iterable[int] = (), *, held_out: bool = False) -> tuple[float, int]:
-        """Return chi-square of the residuals and what is expected of it: fitted, or of held-out poses.
+        """Return chi-square of the residuals and its expected value: of the fit, or of held-out poses.
 
-        Held out, it is that of the predictive distribution. Noise alone makes squares of amplitudes smaller
-        than their variance, which holds the error of predictions, too.
+        Of held-out poses it is that of the predictive distribution. The expected value is less than the
+        number of values: variances of amplitudes include the error of predictions, squares only the noise.
         """
         columns = self.columns(extra)
 
@@ -273,23 +274,24 @@ class Scores:
         if not held_out or not self.trained:
             return minimum(self.full), round(self.full.expected)
         total, expected = 0.0, 0.0
-        for one in self.trained:
-            total += minimum(self.full) - minimum(one)
-            expected += self.full.expected - one.expected
+        for reduced in self.trained:
+            total += minimum(self.full) - minimum(reduced)
+            expected += self.full.expected - reduced.expected
         return total, round(expected)
 
     def information(self, extra: Sequence[int]) -> float:
-        """Return what the data tell about regressors beside the base: half the logarithm of the determinant
-        of their prior over their posterior covariance, in nats.
+        """Return the information of the data about regressors, conditional on the base [nats].
+
+        Half the logarithm of the ratio of the determinants of their prior and posterior covariances.
         """
         sign_and_log = np.linalg.slogdet(self._conditional(list(extra)))
         return float(0.5 * sign_and_log[1])
 
     def identifiability(self, extra: Sequence[int]) -> tuple[float, float]:
-        """Return how well an effect of the estimated strength can be told from everything else.
+        """Return how identifiable an effect of the estimated strength is, given everything else.
 
-        The share of its energy (sum of its squared contributions over the variances) that is left after
-        projecting on all that is fitted beside it, 0 to 1; and what that is expected to gain [nats].
+        The share of its energy (sum of its squared contributions over the variances) that remains after
+        projecting out all that is fitted jointly with it, 0 to 1; and the expected gain of that [nats].
         """
         values = self.values(extra)
         strength = np.array([values[self.regressors[i].label] for i in extra])
@@ -300,14 +302,14 @@ class Scores:
         return float(np.clip(2 * expected * self.temper / energy, 0.0, 1.0)), max(expected, 0.0)
 
     def expected_gain(self, extra: Sequence[int], strength: Array) -> float:
-        """Return what regressors of this strength (K,) should gain [nats] after the base is fitted."""
+        """Return the expected gain [nats] of regressors of this strength (K,), conditional on the base."""
         scaled = strength / self.prior[list(extra)]
         return float(0.5 * scaled @ (self._conditional(extra) - np.eye(len(scaled))) @ scaled)
 
     def conditional_on_base(self, extra: Sequence[int]) -> tuple[Array, Array]:
         """Return normal matrix (K, K) and right side (K,) of some regressors after the base is eliminated.
 
-        Without the regressors' own priors.
+        The regressors' own priors are not in them.
         """
         base = self.columns([])
         columns = np.array([*base, *extra], int)
@@ -320,7 +322,7 @@ class Scores:
         return np.asarray(gram / scale[:, None] / scale[None, :]), np.asarray(side / scale)
 
     def _conditional(self, extra: Sequence[int]) -> Array:
-        """Posterior precision of some regressors in units of their priors, after the base is fitted."""
+        """Return the posterior precision of some regressors, base eliminated, in units of their priors."""
         base = [i for i in self.columns([]) if i not in set(extra)]
         columns = np.array([*base, *extra], int)
         matrix, _ = self._scaled(self.full, columns)

@@ -33,7 +33,7 @@ from rim_camera_ros.select.thresholds import (
 Array = NDArray[Any]
 
 
-#: Least share of a linear fit's strengths at which an effect is begun.
+#: Least share of the strengths by a linear fit at which the fit of an effect may begin.
 _LEAST_SHARE = 1e-3
 
 
@@ -41,11 +41,11 @@ _LEAST_SHARE = 1e-3
 class Exploration:
     """Scores of all candidates at one fit.
 
-    ``gains`` in nats of held-out log likelihood and ``thresholds``, one per candidate, the latter from its
-    gains in replicates in which nothing is missing, of the noise and the errors that are stated;
-    ``null_maxima`` is the greatest gain in each of them. The first ``named`` candidates are of the
-    vocabulary, the others stand for what is not. ``conditional`` scores the named ones conditional on changes
-    of the ``forms`` of effects found before them, where there are such.
+    ``gains`` [nats of held-out log likelihood] and ``thresholds`` are per candidate. A threshold comes from
+    the candidate's gains in null replicates, in which no effect is missing and noise and errors are as
+    stated; ``null_maxima`` is the greatest gain in each of them. The first ``named`` candidates are of the
+    vocabulary, the others stand for unknown physics. ``conditional`` scores the named ones conditional on
+    changes of the ``forms`` of effects found before them, where there are any.
     """
 
     fit: Fit
@@ -71,19 +71,19 @@ class Exploration:
 
     @property
     def unexplained(self) -> float:
-        """What the residuals of held-out poses cost beyond their noise, in nats."""
+        """Excess of chi-square of held-out poses over its expected value, in nats; 0 at least."""
         chi_square, rows = self.scores.chi_square(held_out=True)
         return max(0.5 * (chi_square - rows), 0.0)
 
     def forget(self) -> None:
-        """Let go of the sums per pixel, which only the last exploration still needs."""
+        """Free the sums per pixel, which only the last exploration still needs."""
         for fold in self.fit.equations.folds:
             # a view would keep them
             fold.pixel = fold.pixel[:, :0].copy()
             fold.gain = None if fold.gain is None else fold.gain[:, :0].copy()
 
     def recalled(self, problem: Problem, folds: Mapping[tuple[int, int], int]) -> Exploration:
-        """Return the exploration with the sums per pixel of its parameters, also where it let go of them."""
+        """Return the exploration with the sums per pixel of its parameters, again where they were freed."""
         folded = self.fit.equations.folds
         if all(fold.pixel.shape[1] for fold in folded):
             return self
@@ -92,8 +92,8 @@ class Exploration:
     def conditional_fit(self, problem: Problem, numbers: Sequence[int] = ()) -> Fit:
         """Return the fit conditional on changes of the ``forms``, and on some candidates.
 
-        Residuals and errors of poses are then what neither takes up: the changes, and what they make of the
-        parameters, are added to the predictions linearly.
+        Its residuals and errors of poses are those that neither explains. The changes, and the changes of the
+        parameters that go with them, are added to the predictions linearly.
         """
         fitted, forward = self.fit, copy(self.fit.forward)
         columns = [i for k in numbers for i in self.spans[k]]
@@ -113,7 +113,7 @@ class Exploration:
         )
 
     def best(self) -> dict[str, int]:
-        """Return the best variant of each effect, the best effect first; further candidates left out."""
+        """Return the best variant of each named effect by its name, the best effect first."""
         result: dict[str, int] = {}
         for k in np.argsort(-self.gains[: self.named]):
             result.setdefault(self.candidates[int(k)].effect, int(k))
@@ -154,10 +154,10 @@ class Exploration:
         return max(pairs, default=None)
 
     def camera_with(self, numbers: Sequence[int]) -> Camera:
-        """Return the fitted camera with candidates at the strength that the linear fit gives them.
+        """Return the fitted camera with candidates at the strengths by the linear fit.
 
-        Or at so much of it as makes a possible camera: a linear fit knows nothing of what an effect may be
-        where no light was seen. Raises `InputError` where not even a thousandth does.
+        The strengths are halved until the camera is a valid one: a linear fit does not know the bounds of an
+        effect. Raises `InputError` or `ValueError` where not even a thousandth of them is valid.
         """
         values = self.scores.values([i for k in numbers for i in self.spans[k]])
         share = 1.0
@@ -192,7 +192,7 @@ def explore(
 ) -> Exploration:
     """Fit the camera to ``tolerance`` of each sigma and score all candidates at the solution.
 
-    Other parameters as in `adjustment.fit`.
+    The other parameters are those of `solver.fit`.
     """
     blocks: list[Block] = [candidate.block for candidate in (*found, *further)]
     fitted = fit(
@@ -219,10 +219,10 @@ def explored(
     seed: int = 0,
     replicates: int = 200,
 ) -> Exploration:
-    """Score the candidates whose columns stand in a fit's equations after its parameters.
+    """Score the candidates whose columns follow the parameters in a fit's equations.
 
-    The last columns of the equations are ``forms``, changes of those of the camera's effects, beside which
-    the named candidates are scored. Thresholds are those without them.
+    The last columns of the equations are ``forms``, changes of the forms of the camera's effects: the named
+    candidates are scored conditional on them. Thresholds are not conditional on them.
     """
     count = len(fitted.parameters)
     found = [*named, *further]
@@ -245,13 +245,13 @@ def explored(
     maxima = np.zeros(0)
     thresholds = np.full(len(found), WITHOUT_REPLICATES)
     if fitted.camera.sensor.width * fitted.camera.sensor.height > MANY_PIXELS:
-        # for the memory that they take
+        # limits the memory
         replicates = min(replicates, 60)
     if replicates and scores.trained and found:
         nulls = null_scores(scores, replicates=replicates, seed=seed, errors=fitted.nuisances)
         drawn = _gains_by_chance(nulls, spans)
         widths = [len(span) for span in spans]
-        # beside effects, terms that are not of the vocabulary raise no alarm of their own
+        # where there are effects, terms that are not of the vocabulary do not count in the alarm rate
         family = len(named) or len(found)
         maxima = drawn[:family].max(axis=0)
         rate = rate_of_each(drawn[:family], widths[:family])
@@ -282,11 +282,11 @@ def _given_candidate(
     replicates: int,
     seed: int,
 ) -> Array:
-    """Return the thresholds at a rate, the leading effect's from errors of poses that are found beside it.
+    """Return the thresholds at a rate; that of the leading effect by errors of poses conditional on it.
 
-    What is missing makes errors of poses that pass for larger ones than stated, and replicates with such
-    errors hide it. Permuted residuals are those of the model with what is tested (ter Braak 1992), and their
-    size is corrected for the parameters that took a part of them up.
+    A missing effect inflates the estimated errors of poses, and replicates with inflated errors hide it. So
+    the replicates draw from the errors of the model with the effect under test (permutation of residuals of
+    the full model, ter Braak 1992), scaled up for the degrees of freedom that the effect takes.
     """
     held_back = [k for k in range(len(names)) if least_threshold(rate) < gains[k] <= thresholds[k]]
     equations = scores.equations
@@ -311,7 +311,7 @@ def _given_candidate(
 def further_equations(
     fitted: Fit, blocks: Sequence[Block], folds: Mapping[tuple[int, int], int], problem: Problem
 ) -> Fit:
-    """Return a fit with the equations of more regressors at its solution."""
+    """Return a fit, at its solution, with further regressors in its equations."""
     return fit(
         problem,
         fitted.camera,
@@ -324,16 +324,17 @@ def further_equations(
 
 
 def _gain(scores: Scores, candidate: Candidate, span: Sequence[int]) -> float:
-    """Return the gain of a candidate by what is possible of it.
+    """Return the gain of a candidate within the bounds of its parameters.
 
-    Parameters that chance makes negative, though they cannot be, are held at zero. 0 where one is so by more.
+    Parameters that must be positive and are negative within their errors are held at zero. The gain is 0
+    where one is negative by more than that.
     """
     gain = float(scores.gain(span))
     if not candidate.positive or gain <= 0:
         return gain
     values = scores.values(span)
     labels = {scores.regressors[i].label: i for i in span}
-    below = [labels[one] for one in candidate.positive if values[one] < 0]
+    below = [labels[label] for label in candidate.positive if values[label] < 0]
     if not below:
         return gain
     columns = scores.columns(span)

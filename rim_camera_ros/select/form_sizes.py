@@ -1,4 +1,4 @@
-"""Evidence conditional on changes of the forms of effects, whose size the data tell."""
+"""Evidence conditional on changes of the forms of effects, whose size is estimated from the data."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from rim_camera_ros.select.evidence import Scores
 
 Array = NDArray[Any]
 
-#: The least size of changes of form, in that of their priors, `candidates.SHARE` of an effect.
+#: The least size of changes of form, relative to their priors (`candidates.SHARE` of an effect).
 LEAST_SIZE = 0.03
-#: Sizes over which likelihoods are means: evenly spaced in their logarithm, as a scale parameter's prior is.
+#: Sizes over which likelihoods are averaged: even in their logarithm, the prior of a scale parameter.
 SIZES = tuple(np.geomspace(1.0, LEAST_SIZE, 4).tolist())
 
 
 class ConditionalOnForms(Scores):
-    """Scores conditional on ``changes`` of forms beside the base.
+    """Scores conditional on the base and on ``changes`` of forms.
 
-    Their size is a hyperparameter: likelihoods are means over `SIZES`, coefficients those of the likeliest
-    (MacKay, Bayesian interpolation, Neural Computation 4, 1992). Where an effect does what its form says,
-    changes of a third of it would take up most of what another effect does.
+    The size of the changes is a hyperparameter: likelihoods are means over `SIZES`, coefficients are those of
+    the likeliest size (MacKay, Bayesian interpolation, Neural Computation 4, 1992). Were it fixed, changes by
+    a third of an effect whose form is exact would absorb most of another effect.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class ConditionalOnForms(Scores):
         return max(self._of_sizes, key=lambda scores: float(scores.held_out(extra)))
 
     def relative_size(self, extra: Iterable[int] = ()) -> float:
-        """Return the likeliest size of the changes, in that of their priors."""
+        """Return the likeliest size of the changes, relative to their priors."""
         return float(np.min(self.likeliest(extra).prior / self.prior))
 
     def values(self, extra: Iterable[int] = (), *, leave_out: int | None = None) -> dict[str, float]:
@@ -69,7 +69,7 @@ class ConditionalOnForms(Scores):
         return self.likeliest(extra).values(extra, leave_out=leave_out)
 
     def covariance(self, columns: Array) -> Array:
-        """Return the posterior covariance (K, K) of some regressors together, by the likeliest size."""
+        """Return the joint posterior covariance (K, K) of some regressors, by the likeliest size."""
         return self.likeliest(columns.tolist()).covariance(columns)
 
     def errors_and_offsets(self, extra: Iterable[int] = ()) -> tuple[dict[str, float], Array]:

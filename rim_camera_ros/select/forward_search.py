@@ -1,4 +1,4 @@
-"""The steps of a forward search: leaders are fitted, the best joins, needless ones are dropped."""
+"""The steps of a forward search: leaders are fitted, the best one enters, needless effects are dropped."""
 
 from __future__ import annotations
 
@@ -42,23 +42,23 @@ from rim_camera_ros.select.trials import (
     without_effect,
 )
 
-#: Leaders that may prove wrong when they are fitted, until the search ends.
+#: Leaders that may be refused once they are fitted, before the search ends.
 _MOST_FAILURES = 2
-#: Gain of a fit over its linear forecast above which it is looked at what gained it.
+#: Gain of a fit over its linear forecast above which its cause is examined.
 _BY_ITSELF = 2.0
 
 
 @dataclass
 class Search:
-    """What was found so far, and what the next steps need to know.
+    """The state of a search: what was found so far, and what the next steps need.
 
     ``explorations`` begin with that of the camera file; each effect found adds one. ``pool`` are all
-    candidates, ``variants`` those worth their columns at first. ``failed`` are leaders that proved wrong
-    since then, and why; ``settled`` the numbers of effects found at which the fit was repeated. ``may_look``
-    allows pixels beside edges; explorations from number ``beside_edges`` on take them in. With ``may_narrow``
-    a search ends where rays move, with the ``narrowed`` problem of the pixels that are clean by both cameras,
-    of which it is to be made anew. ``curves`` are those of the smooth ``further`` candidates that entered as
-    discrepancies of effects found. ``workers`` and ``known`` as in `Trials`.
+    candidates, ``variants`` the leading ones at first. ``failed`` are leaders that were refused since the
+    last effect was found, with the reason; ``settled`` the numbers of effects found at which the fit was
+    repeated. ``may_look`` allows pixels beside edges; explorations from number ``beside_edges`` on include
+    them. With ``may_narrow`` a search ends where an effect moves rays; ``narrowed`` is then the problem with
+    the pixels that are clean by both cameras, by which to search again. ``curves`` are those ``further``
+    candidates that entered as discrepancies of effects found. ``workers`` and ``known`` as in `Trials`.
     """
 
     problem: Problem
@@ -83,19 +83,19 @@ class Search:
 
     @property
     def step(self) -> Exploration:
-        """The last exploration: what the effects found leave."""
+        """The last exploration, conditional on the effects found."""
         return self.explorations[-1]
 
     @property
     def at_bounds(self) -> frozenset[str]:
-        """The effects found of which the data would take a parameter beyond what is possible."""
+        """The effects found that have a parameter at a bound which the data would exceed."""
         fitted = self.step.fit
         labels = list(fitted.parameters)
         owners = {labels[i].split(".")[1] for i in fitted.at_bounds}
         return frozenset(finding.effect for finding in self.found if finding.effect in owners)
 
     def add(self, most: int) -> None:
-        """Add effects, ``most`` in all, until nothing gains enough or too many leaders proved wrong."""
+        """Add effects, ``most`` in all, until nothing gains enough or too many leaders were refused."""
         while len(self.found) < most and len(self.failed) <= _MOST_FAILURES and self.narrowed is None:
             curve = discrepancy(self.step, self.found, self.failed.keys())
             if curve is not None:
@@ -111,19 +111,19 @@ class Search:
             else:
                 self._try(numbers, leader)
                 if any(self.failed.get(name) == ONCE_FITTED for name in self.at_edges):
-                    # perhaps of another form, which only the pixels beside edges tell
+                    # perhaps of another form, which only the pixels beside edges determine
                     self.look_beside_edges()
 
     def drop_needless(self) -> None:
-        """Drop effects that gain too little beside those that joined after them.
+        """Drop effects that gain too little conditional on those found after them.
 
-        An effect that stood in for others, found first, is needless once they are there, and one that ended
-        at a bound may be nothing. The last exploration is replaced by one without them.
+        An effect that was found first in place of others is needless once these are found, and one that
+        ended at a bound may be none. The last exploration is replaced by one without them.
         """
         at_bounds = self.at_bounds
         ahead = {finding.effect for finding in self.found[:-1]}
         for name in [finding.effect for finding in self.found if finding.effect in ahead | at_bounds]:
-            # what became the first is judged anew: of no effect is what was before
+            # the finding that has become the first is judged anew: its gain was relative to others
             finding = next(each for each in self.found if each.effect == name)
             left = without_effect(name, self.problem, self.step.fit.camera, self.camera)
             if left is None or (len(self.found) < 2 and name not in at_bounds):
@@ -148,7 +148,7 @@ class Search:
                 self._judge_first_anew()
 
     def _judge_first_anew(self) -> None:
-        """Judge what became the first effect by what the camera file alone leaves."""
+        """Judge the effect that has become the first by the exploration of the camera file alone."""
         first, start = self.found[0], self.explorations[0]
         by_others = sum(finding.gain for finding in self.found[1:])
         gain = self.step.scores.log_likelihood() - start.scores.log_likelihood() - by_others
@@ -160,9 +160,9 @@ class Search:
         self.found[0] = Found(first.effect, max(gain, first.gain), ties, step=0, threshold=threshold)
 
     def look_beside_edges(self) -> None:
-        """Look for what acts at edges in the pixels beside them, which are left out while others are sought.
+        """Look for effects at edges in the pixels beside them, which are excluded in the search for others.
 
-        There a footprint no wider than a pixel shows, and everything else shows no better.
+        A footprint no wider than a pixel shows only there; other effects show no better there.
         """
         own = [variant for variant in self.variants if variant.effect in self.at_edges]
         if not self.may_look or self.beside_edges is not None or not own:
@@ -176,14 +176,14 @@ class Search:
             if any(effect.finest() != effect for effect in at_edges):
                 self._sharpen(problem)
             return
-        # the rest that one form leaves looks like the other
+        # the residuals of one form look like the other
         for with_footprints in (True, False):
             look = promising(problem, self.step, own, self._fitted, footprint=with_footprints)
             if look is None or self._joins(look):
                 return
 
     def _joins(self, look: Look) -> bool:
-        """Try what acts at edges in pixels beside them; say whether it joined."""
+        """Try the leading effect at edges in the pixels beside them; return whether it entered."""
         names = [finding.effect for finding in self.found]
         step = self._explored(look.fitted.fit, names, self.step, look.problem, mixed=look.variants)
         kept, self.explorations = self.explorations, [*self.explorations, step]
@@ -198,7 +198,7 @@ class Search:
         return False
 
     def _sharpen(self, problem: Problem) -> None:
-        """Put a footprint in the place of a blur that was found, where it fits pixels beside edges better."""
+        """Replace a blur that was found by a footprint, where this fits pixels beside edges better."""
         fits = sharper(problem, self.step, self._fitted)
         if fits is None:
             return
@@ -227,19 +227,19 @@ class Search:
         return after.scores.log_likelihood() - before.scores.log_likelihood()
 
     def _entry(self, threshold: float, after: Exploration, before: Exploration) -> float:
-        """Return what an effect must gain [nats]: beside others more than poses disagree about."""
+        """Return the entry threshold [nats]; conditional on others, also over the poses' disagreement."""
         if not self.found:
             return threshold
         return entry_gain(after.scores.log_likelihoods(), before.scores.log_likelihoods(), threshold)
 
     def _enter(self, curve: Candidate) -> None:
-        """Score all that follows beside a curve of what an effect found depends on."""
+        """Score all that follows conditional on a curve of a covariate of an effect found."""
         self.say(f"another form of what is found, over {curve.variant}")
         self.curves.append(curve)
         self._replace_step(self.step.fit, self.step)
 
     def _try(self, numbers: tuple[int, ...], leader: int) -> None:
-        """Fit candidates and what rivals them; the best joins, where it gains and moves enough."""
+        """Fit candidates and their rivals; the best enters where it gains and moves distances enough."""
         trial, close = self._trials().best(numbers, leader)
         fitted = trial.fitted
         threshold = self.step.threshold_of(self.step.best_of(trial.effects))
@@ -251,13 +251,13 @@ class Search:
             more = self._gain(again, self.step)
             gain -= max(more, 0.0)
             if gain <= need < more and len(self.found) not in self.settled:
-                # the fit before had not come to its end: look at what is left of it
+                # the fit before had not converged: explore it again
                 self.settled.add(len(self.found))
                 self._replace_step(again.fit, self.step)
                 return
         why = self._why_not(trial, gain, threshold, need)
         if why is not None:
-            # what looked like it is something else: perhaps the next in line
+            # the residuals have another cause: perhaps the next in line
             self.failed |= {self._effect(k): why for k in numbers}
             return
         if self.may_narrow and any(vocabulary()[name].moves_rays for name in trial.effects):
@@ -268,13 +268,13 @@ class Search:
         self.known.clear()
         for name in trial.effects:
             ties = tied(self.step, name, threshold)
-            # of a first one, what joins it decides
+            # ties of a first effect are decided by the effects that enter after it
             ties += [other for other in close if self.found and other not in ties]
             own_threshold = float(self.step.thresholds[self.step.best()[name]])
             joined = Found(name, gain, ties, step=len(self.explorations) - 1, threshold=own_threshold)
             self.found.append(joined)
         self.problem = trial.problem
-        # or the next effect, whose fit goes on and estimates errors of amplitudes anew, gained what this did
+        # otherwise the next effect's fit, which goes on and estimates amplitude errors anew, gained that part
         fitted = self._fitted(self.problem, lean_camera(fitted.fit.camera), fitted)
         fitted = refined(fitted, trial.effects, self.problem, self._fitted)
         # the largest arrays of a search: not twice at once
@@ -323,9 +323,9 @@ class Search:
         )
 
     def _without(self, effects: Sequence[str], after: Exploration, gain: float) -> Exploration | None:
-        """Return the fit without further effects from where that with them ended, where it gained much.
+        """Return the fit without further effects from where that with them ended, where that gained much.
 
-        Perhaps it is the effects found before them that gained, whose fit had not come to its end.
+        Perhaps the gain is due to the effects found before, whose fit had not converged.
         """
         step = self.step
         if not self.found or gain <= _BY_ITSELF * step.joint(*step.best_of(effects)):
@@ -334,7 +334,7 @@ class Search:
         try:
             start = with_effects(step.fit.camera, left)
         except InputError:
-            # by the rays without the further effects they are impossible
+            # the remaining effects are invalid with the rays of the camera without the further ones
             start = step.fit.camera
         alike = replace(self.problem, amplitude_error=after.fit.forward.amplitude_model.tau)
         return self._fitted(alike, start, after)
@@ -350,7 +350,7 @@ class Search:
         *,
         near: bool = False,
     ) -> Exploration:
-        """Return the fit of a camera that begins at the nuisances of a step, and scores candidates."""
+        """Fit a camera, beginning at the nuisances of a step, and score candidates."""
         return explore(
             problem,
             camera,
@@ -366,7 +366,7 @@ class Search:
         )
 
     def _replace_step(self, fitted: Fit, before: Exploration) -> None:
-        """Replace the last exploration by that of another fit, with the candidates of one before."""
+        """Replace the last exploration by that of another fit, with the candidates of an earlier one."""
         names = [finding.effect for finding in self.found]
         self.step.forget()
         self.explorations[-1] = self._explored(fitted, names, before, self.problem)
@@ -380,9 +380,9 @@ class Search:
         *,
         mixed: Sequence[Candidate] = (),
     ) -> Exploration:
-        """Explore what a fit leaves, beside changes of the forms of the effects that were found.
+        """Explore a fit conditional on changes of the forms of the effects that were found.
 
-        Candidates are the leading ones of an exploration before, but those present.
+        Candidates are the leading ones of an earlier exploration, except those present.
         """
         left = [variant for variant in leading_variants(before) if variant.effect not in present]
         if mixed:

@@ -1,9 +1,9 @@
-"""Surfaces that stand elsewhere in a few poses than is said, by the evidence of the whole recording.
+"""Surfaces that are displaced from their stated poses in a few poses, by the evidence of all data.
 
-A pose's errors are random effects of a stated size. Where that size is a hundred times larger for one pose,
-the marginal likelihood of all data says what the recording gains: the ratio of two Gaussian integrals over
-the errors of that pose, everything else integrated out (Kass & Raftery 1995, Bayes factors). It pays for its
-freedom, about 14 nats for an offset and two tilts.
+The errors of a pose are random effects of a stated size. The gain of a pose is the logarithm of a Bayes
+factor (Kass & Raftery 1995): the marginal likelihood of all data with that size a hundred times larger for
+this pose over that with the stated size, everything else integrated out. Its penalty for the wider prior is
+about 14 nats for an offset and two tilts.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from rim_camera_ros.select.exploration import Exploration
 Array = NDArray[Any]
 Key = tuple[int, int]
 
-#: By how much errors of a pose that was moved may be larger than stated: 0.1 m where the instrument is good
-#: to a millimetre. Another power of ten changes the gain of three errors by 7 nats.
+#: Factor on the stated errors of a pose that was moved: 0.1 m where the instrument is good to a millimetre.
+#: Another power of ten changes the gain of three errors by 7 nats.
 FREEDOM = 100.0
 
 
 @dataclass(frozen=True)
 class MovedPose:
-    """A surface in one placement of a recording that stands elsewhere: what it ``gain``s [nats].
+    """A surface that is displaced in one placement of a recording: the ``gain`` of that [nats].
 
     ``errors`` by direction (``offset`` along the normal, away from the camera [m], ``tilt_x``, ``tilt_y``
-    [rad]), each without what goes with those before it by a covariance that is stated; ``sigmas`` is the
-    greatest of them in stated sigmas.
+    [rad]). With a stated covariance each is without the part that is correlated with those before it.
+    ``sigmas`` is the greatest of them in stated sigmas.
     """
 
     placement: Key
@@ -46,7 +46,7 @@ class MovedPose:
 
     @property
     def sentence(self) -> str:
-        """Where it stands, in words."""
+        """The displacement, in words."""
         parts = [
             f"{abs(value) * 1e3:.1f} mm {'farther' if value > 0 else 'nearer'} along its normal"
             if direction == "offset"
@@ -59,9 +59,10 @@ class MovedPose:
 def moved_poses(
     scores: Scores, extra: Iterable[int] = (), *, least_gain: float, most: int
 ) -> list[MovedPose]:
-    """Return the surfaces that stand elsewhere in a pose, each conditional on those before, the best first.
+    """Return the surfaces that are displaced in a pose, each conditional on those before, the best first.
 
-    Conditional on the ``extra`` regressors as well. Each gains ``least_gain`` nats; ``most`` placements.
+    They are conditional on the ``extra`` regressors as well. Each gains at least ``least_gain`` nats; they
+    are of ``most`` placements at most.
     """
     scores = scores.likeliest(extra)
     equations, columns = scores.equations, scores.columns(extra)
@@ -108,20 +109,20 @@ def moved_poses(
 
 @dataclass(frozen=True)
 class MayHaveMoved:
-    """How many placements may stand elsewhere, ``most``, and the least that each must gain [nats]."""
+    """How many placements may be displaced, ``most``, and the least that each surface must gain [nats]."""
 
     most: int
     least_gain: float
 
 
-#: No surface is to blame.
+#: No surface may be displaced.
 NONE_MOVED = MayHaveMoved(0, np.inf)
 
 
 def moved_before_physics(step: Exploration, may: MayHaveMoved) -> list[MovedPose]:
-    """Return the surfaces that stand elsewhere where that explains more than any physics does.
+    """Return the displaced surfaces where they explain more than any physics does; none otherwise.
 
-    By ``may.least_gain`` more than the best candidate, smooth function or pair of effects; none otherwise.
+    They must gain ``may.least_gain`` more than the best candidate, smooth function or pair of effects.
     """
     found = moved_poses(step.conditional, least_gain=may.least_gain, most=may.most)
     pair = step.best_pair() if found else None
@@ -132,16 +133,17 @@ def moved_before_physics(step: Exploration, may: MayHaveMoved) -> list[MovedPose
 def moved_beside_physics(
     step: Exploration, may: MayHaveMoved, *, extra: Sequence[int] = ()
 ) -> list[MovedPose]:
-    """Return the surfaces that stand elsewhere beside what was found, conditional on changes of its forms.
+    """Return the displaced surfaces conditional on the physics found and on changes of its forms.
 
-    And on ``extra`` regressors. None where more placements do than may: what many poses show is physics.
+    They are conditional on ``extra`` regressors as well. None where more than ``may.most`` placements are
+    displaced: what many poses show is physics.
     """
     found = moved_poses(step.conditional, extra, least_gain=may.least_gain, most=may.most + 1)
     return found if len({pose.placement for pose in found}) <= may.most else []
 
 
 def total_gain(poses: Sequence[MovedPose]) -> float:
-    """Return what poses that stand elsewhere gain together [nats]."""
+    """Return the total gain of displaced surfaces [nats]."""
     return sum(pose.gain for pose in poses)
 
 
@@ -154,7 +156,7 @@ def _posterior(gram: Array, precision: Array, right: Array) -> tuple[Array, Arra
 
 
 def _gain(covariance: Array, mean: Array, precision: Array) -> float:
-    """Return the log ratio of the evidence with the prior of some unknowns wider to that as it is."""
+    """Return the log Bayes factor of a prior of some unknowns that is `FREEDOM` times wider, to theirs."""
     narrow = np.linalg.inv(covariance)
     wide = narrow - np.diag(precision) * (1 - FREEDOM**-2)
     right = narrow @ mean

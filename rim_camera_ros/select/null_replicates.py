@@ -1,7 +1,7 @@
-"""Recordings in which nothing is left out, drawn in the space of the normal equations.
+"""Null replicates: recordings in which no effect is missing, drawn in the space of the normal equations.
 
-Under the fitted baseline the sums that the equations consist of are Gaussian with a known covariance, so that
-a replicate of noise, pose errors and powers costs a few products instead of a simulated recording.
+Under the fitted baseline the sums of which the equations consist are Gaussian with a known covariance, so
+that a replicate of noise, pose errors and powers costs a few products instead of a simulated recording.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ def null_scores(
 ) -> Scores:
     """Return ``scores`` whose right-hand sides are those of replicates, (K, R).
 
-    ``errors`` found of poses and powers give the replicates' errors their shape: instruments err with
-    heavier tails than a Gaussian, and a few large errors imitate a drift. They are dealt to the poses at
-    random.
+    The estimated ``errors`` of poses and powers give the distribution from which the replicates' errors are
+    drawn at random: errors of instruments have heavier tails than a Gaussian, and a few large ones imitate a
+    drift.
     """
     rng = np.random.default_rng([seed, 41])
     equations, base = scores.equations, scores.base.tolist()
@@ -77,11 +77,11 @@ def null_scores(
         return found, eliminated
 
     for found, eliminated in in_order(of_block, noise(), threads=equations.threads):
-        for one, own in zip(drawn, found, strict=True):
-            one.add(own)
+        for fold_replicates, own in zip(drawn, found, strict=True):
+            fold_replicates.add(own)
         for side, part in zip(sides, eliminated, strict=True):
             side -= part
-    rights = [one.right(rng) for one in drawn]
+    rights = [fold_replicates.right(rng) for fold_replicates in drawn]
     full, *trained = (
         replace(
             reduced,
@@ -97,7 +97,7 @@ def _kept[Item](items: Sequence[Item], leave_out: int | None) -> list[Item]:
 
 
 def _error_shapes(equations: NormalEquations, errors: Mapping[str, float]) -> dict[str, Array]:
-    """Return standardised errors by kind (surface and direction), of unit variance at least."""
+    """Return standardised errors by kind (surface and direction), scaled to unit variance at least."""
     found: dict[str, list[float]] = {}
     for fold in equations.folds:
         for name, prior, at in fold.nuisances:
@@ -113,7 +113,7 @@ def _error_shapes(equations: NormalEquations, errors: Mapping[str, float]) -> di
 
 
 def error_size(equations: NormalEquations, errors: Mapping[str, float]) -> float:
-    """Return by how much the errors of the worst kind exceed their stated size (RMS, 1 at least)."""
+    """Return the ratio of the errors of the worst kind to their stated size (RMS, 1 at least)."""
     shapes = _error_shapes(equations, errors).values()
     return max((float(np.sqrt(np.mean(z**2))) for z in shapes), default=1.0)
 
@@ -124,7 +124,7 @@ def kind_of_error(name: str) -> str:
     return kind.rpartition(".")[0] if kind.startswith("light.") else kind
 
 
-#: Owners of regressors that stand for what every set-up has, whatever the camera: replicates contain them.
+#: Owners of regressors for errors that every set-up has, whatever the camera: replicates contain them.
 IMPERFECTIONS = (TILES, COMMON_POSE, OPTICS, LOBE_PREFIX, SENSOR)
 
 
@@ -135,7 +135,7 @@ def _errors(
     rng: np.random.Generator,
     shapes: Mapping[str, Array],
 ) -> list[tuple[Array, Array]]:
-    """Return which columns of each fold err, and by how much (n, R): what all folds share, and their own."""
+    """Return for each fold the columns that have errors, and these (n, R): shared ones, then its own."""
     numbers = [int(i) for i in base if equations.regressors[int(i)].label.startswith(IMPERFECTIONS)]
     prior = priors_of([equations.regressors[i] for i in numbers])
     shared = prior[:, None] * rng.standard_normal((len(numbers), replicates))
@@ -156,7 +156,9 @@ def _errors(
 
 @dataclass(frozen=True)
 class _OfBlock:
-    """Of a block's pixels: sums (N, R), what they add to right sides (M - 1, R) and take from the rest."""
+    """Sums of a block's pixels (N, R); the terms that they add to right sides (M - 1, R) and take from the
+    rest (M - 1, M - 1).
+    """
 
     offset: Array
     gain: Array | None
@@ -165,12 +167,12 @@ class _OfBlock:
 
 
 class _Replicates:
-    """Replicates of a fold, of whose ``columns`` errors (n, R) are known, streamed over the pixels."""
+    """Replicates of a fold, streamed over the pixels; the ``errors`` (n, R) of ``columns`` are given."""
 
     def __init__(self, fold: Fold, columns: Array, errors: Array) -> None:
         self._fold, self._columns, self._errors = fold, columns, errors
         size = len(fold.gram) - 1
-        # a pixel that no pose saw says nothing, whatever its prior
+        # a pixel that no pose saw contributes nothing, whatever its prior
         priors = PixelPriors(1e6, 1e6 if fold.gain is not None else 0.0)
         self._flat = PixelElimination([fold], size - len(fold.nuisances), priors)
         self._rest = fold.gram[:size, :size].copy()
@@ -202,7 +204,7 @@ class _Replicates:
         self._rest -= block_sums.rest
 
     def right(self, rng: np.random.Generator) -> Array:
-        """Return the right-hand sides (M - 1, R) of all blocks, with the noise that no pixel takes up."""
+        """Return the right-hand sides (M - 1, R) of all blocks, with the noise that no offset absorbs."""
         # columns differ by many orders of magnitude
         diagonal = np.diag(self._rest)
         unit = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))

@@ -1,7 +1,7 @@
-"""Forward search: which effects the recordings ask for, beyond those of the camera file.
+"""Forward search: which effects the recordings require in addition to those of the camera file.
 
-The leaders of an exploration are fitted non-linearly in the full forward chain, and the best joins the
-camera; then everything is looked at anew.
+The leading candidates of an exploration are fitted non-linearly in the full forward chain, and the best
+enters the camera; then all candidates are explored again.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ def search(
     workers: Workers = map,
     progress: Callable[[str], None] | None = None,
 ) -> Result:
-    """Add effects to a camera one after the other as long as held-out poses ask for them.
+    """Add effects to a camera one after the other as long as they improve the prediction of held-out poses.
 
-    ``effects`` restricts the candidates. ``further`` candidates are scored with the others but never join
-    (smooth terms); where one of them explains far more than any effects, none joins. The search goes on from
-    what one of fewer stations found, ``begin``: its effects count among the ``most`` that may join, and are
-    needed still once others did. ``views`` are those of the same scene by the same rays, if there are any.
-    Where surfaces that stand elsewhere in a few poses, as many as ``may_have_moved``, explain more than any
-    effect does, none joins either. ``workers`` fit candidates, as `cluster.on_workers` does.
+    ``effects`` restricts the candidates. ``further`` candidates (smooth terms) are scored with the others but
+    are never named; where one of them explains far more than any effects, no effect enters. ``begin`` is the
+    result of a search of fewer stations, from which this one goes on: its effects count among the ``most``
+    that may enter, and are tested again. ``views`` are those of the same scene by the same rays, if there are
+    any. Where displaced surfaces in a few poses, within ``may_have_moved``, explain more than any effect, no
+    effect enters either. ``workers`` fit candidates, as `cluster.on_workers` does.
     """
     say = progress if progress is not None else silent
     folds = folds_of(problem.dataset)
@@ -69,7 +69,7 @@ def search(
     say(f"baseline and {len(pool)} candidates")
 
     def begun(problem: Problem, *, again: bool) -> Search:
-        # gains of poses that nobody knows yet come first, then what some poses could not tell
+        # first the poses that the search before did not have, then what its poses could not determine
         settled = None if begin is None else fit(problem, start_camera, views=views, near=True)
         first = explore(
             problem,
@@ -97,7 +97,7 @@ def search(
             variants=leading_variants(first),
             seed=seed,
             say=say,
-            # masks that somebody chose may leave out pixels beside edges for good
+            # masks that the caller chose may exclude pixels beside edges for good
             may_look=may_look,
             may_narrow=may_look and not again,
             workers=workers,
@@ -119,10 +119,10 @@ def search(
         say("whether each is still needed")
         state.drop_needless()
         if not state.found and most > len(ahead):
-            # nothing had been looked for without what ended at a bound; the pixels are decided by now
+            # no search was made yet without the effect that ended at a bound; the pixels are decided by now
             state.may_narrow = False
             state.add(most)
-    left_out = refused(state.step, state.failed)
+    not_added = refused(state.step, state.failed)
     if len(state.found) < most:
         state.look_beside_edges()
     names = {finding.effect for finding in state.found}
@@ -134,7 +134,7 @@ def search(
         start_log_likelihood=start,
         problem=state.problem,
         folds=folds,
-        refused=[one for one in left_out if one.effect not in names],
+        refused=[finding for finding in not_added if finding.effect not in names],
         beside_edges=state.beside_edges,
         moved=moved,
     )

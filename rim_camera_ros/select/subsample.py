@@ -1,4 +1,4 @@
-"""A few poses ahead of all: where fits of a large recording begin, and which of them need not be made."""
+"""Fits to a few poses before those to all: they give starting points and exclude hopeless candidates."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 
 from rim_camera_ros.fit.problem import Problem
 
-#: Pixels of all images, which all are predicted whether they can be used or not, above which fits begin with
-#: a few poses, and about how many those hold. Of recordings that are twice as large as the former so many are
-#: searched for effects before all are.
+#: Pixels of all images, used or not (all are predicted), above which fits begin with a few poses; and about
+#: how many pixels those few poses have. In recordings of more than twice `MANY_PIXELS`, poses of about
+#: `MANY_PIXELS` are searched for effects before all poses are.
 MANY_PIXELS, _FEW_PIXELS = 500_000, 200_000
-#: Fewer poses than these tell too little, whatever they hold.
+#: Fewer poses than these determine too little, whatever their number of pixels.
 _LEAST_POSES = 8
-#: Nats by which a fit to a few poses must be worse than the best of them, in all folds, to be left alone.
+#: Nats by which a fit to a few poses must be worse than the best of them, in every fold, to be excluded.
 _BEHIND = 30.0
 
 
 def subsample_of(problem: Problem, *, seed: int, hold: int | None = None) -> list[int] | None:
     """Return the numbers of the stations of a few poses, some of each setting; None where all may be fitted.
 
-    They ``hold`` about so many pixels (None: as many as fits begin with). The poses are drawn: every so many
-    of them could all have the same distance.
+    They ``hold`` about so many pixels (None: as many as fits begin with). The poses are drawn at random:
+    regularly spaced ones could all have the same distance.
     """
     stations = problem.dataset.stations
     pixels = sum(station.distance.size for station in stations)

@@ -1,8 +1,9 @@
-"""What candidates must gain: by chance in few of the recordings in which nothing is missing.
+"""Entry thresholds of candidates, at a stated rate of false alarms.
 
-Many candidates are tried, so that the greatest of their gains is large by chance. Each has the same chance to
-exceed its threshold, by its own gains in replicates, and together they raise an alarm in a stated share of
-recordings (the min-P procedure of Westfall & Young 1993, with Sidak's correction for independent tests).
+Many candidates are tested, so that the greatest of their gains is large by chance. In null replicates, in
+which no effect is missing, each candidate exceeds its threshold at the same rate, and any of them does in a
+stated share of recordings (the min-P procedure of Westfall & Young 1993, with Sidak's correction for
+independent tests).
 """
 
 from __future__ import annotations
@@ -20,18 +21,18 @@ Array = NDArray[Any]
 ALARM_RATE = 0.02
 #: Threshold [nats] where no replicates say what chance gains: four sigma of one parameter.
 WITHOUT_REPLICATES = 8.0
-#: Share of replicates with the greatest gains, which tell how many independent tests candidates amount to:
-#: of all replicates they would be too few, as gains that correlate do so less the rarer they are.
+#: Share of replicates with the greatest gains, which determine the effective number of independent tests. All
+#: replicates would give too few: correlated gains are the less correlated the rarer they are.
 _RARE = 0.1
-#: Spread of gains that says nothing [nats].
+#: Spread of gains below which they do not vary [nats].
 _NO_SPREAD = 1e-9
 
 
 def rate_of_each(by_chance: Array, widths: Sequence[int]) -> float:
     """Return the rate at which each of several candidates may exceed its threshold by chance.
 
-    ``by_chance`` (C, R) are gains [nats] of candidates of so many regressors (C,) in replicates; all
-    together exceed their thresholds at `ALARM_RATE`.
+    ``by_chance`` (C, R) are the gains [nats] of candidates in replicates, ``widths`` (C,) their numbers of
+    regressors. At this rate any of them exceeds its threshold at `ALARM_RATE`.
     """
     least = float(np.quantile(_chances(by_chance, widths).min(axis=0), _RARE))
     # of n independent chances the least is below this one in 1 - (1 - it)^n of replicates
@@ -42,7 +43,7 @@ def rate_of_each(by_chance: Array, widths: Sequence[int]) -> float:
 def thresholds_at(rate: float, by_chance: Array, widths: Sequence[int]) -> Array:
     """Return the gains (C,) [nats] that candidates exceed at a rate, by their gains (C, R) in replicates.
 
-    No less than `least_threshold`: priors and bounds leave some gains without a spread.
+    They are no less than `least_threshold`: priors and bounds leave some gains without a spread.
     """
     width, mean, scale = _distributions(by_chance, widths)
     own = mean + scale * (chdtri(width, rate) - width) / 2
@@ -57,8 +58,8 @@ def least_threshold(rate: float) -> float:
 def _distributions(by_chance: Array, widths: Sequence[int]) -> tuple[Array, Array, Array]:
     """Return degrees of freedom, mean and scale (C,) of gains.
 
-    Twice the gain of a fit is distributed as chi-square, with a degree of freedom a regressor (Wilks 1938).
-    That poses are held out, priors, and errors of poses shift and widen it.
+    Twice the gain of a fit is distributed as chi-square with one degree of freedom per regressor (Wilks
+    1938). Held-out poses, priors and errors of poses shift and widen that distribution.
     """
     width = np.asarray(widths, float)
     scale = np.std(by_chance, axis=1) / np.sqrt(width / 2)
@@ -66,6 +67,6 @@ def _distributions(by_chance: Array, widths: Sequence[int]) -> tuple[Array, Arra
 
 
 def _chances(by_chance: Array, widths: Sequence[int]) -> Array:
-    """Return the chances (C, R) of gains at least as great."""
+    """Return the probabilities (C, R) of gains at least as great (p-values)."""
     width, mean, scale = (distribution[:, None] for distribution in _distributions(by_chance, widths))
     return np.asarray(chdtrc(width, np.maximum(2 * (by_chance - mean) / scale + width, 0.0)))

@@ -1,4 +1,4 @@
-"""Trials of a search: fits of candidates that need nothing of one another, here or on workers."""
+"""Trials of a search: independent fits of candidates, in this process or on workers."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from rim_camera_ros.select.compare import Trial
 from rim_camera_ros.select.exploration import Exploration, explore
 from rim_camera_ros.select.subsample import at_stations
 
-#: Sizes of what the one parameter of a response leaves of the published amplitude (relative, 1-sigma): the
-#: largest is that of an unknown curve, the least what amplitudes are predicted to at best.
+#: Sizes of a free curve in addition to the one parameter of a response (relative amplitude, 1-sigma): the
+#: largest is that of an unknown curve, the least is below the accuracy of predicted amplitudes.
 RESPONSE_SIZES = tuple(np.geomspace(REFLECTANCE_PRIOR, AMPLITUDE_MODEL / 10, 6).tolist())
-#: Iterations of fits that add an effect, and shares of the sigmas at which they end.
+#: Iterations of fits that add an effect, and the share of the sigmas at which they end.
 ITERATIONS = 12
 TOLERANCE = 0.15
 
@@ -37,7 +37,7 @@ def silent(text: str) -> None:
     return
 
 
-#: What calls a function for each of some things, and yields the results in their order: ``map``, or workers.
+#: A function that maps a function over items and yields the results in their order: ``map``, or workers.
 Workers = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 
 
@@ -45,8 +45,8 @@ Workers = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 class TrialFit:
     """A fit of ``effects`` to a ``problem`` from a camera ``start`` and the ``point`` of a fit without them.
 
-    ``near`` as in `adjustment.fit`; ``views`` are those of that fit, None where they are elsewhere. Fits
-    ``away_from_edges`` keep to pixels that stay clean wherever their rays go.
+    ``near`` as in `solver.fit`. ``views`` are those of the fit without them; they are not pickled, and None
+    on workers. Fits ``away_from_edges`` begin with the pixels that stay clean however their rays move.
     """
 
     effects: tuple[str, ...]
@@ -64,12 +64,12 @@ class TrialFit:
 
 
 def fit_trial(trial: TrialFit) -> Exploration:
-    """Fit a trial; a pure function that may run anywhere.
+    """Fit a trial; a pure function that may run in any process.
 
-    Where rays move, edges move to other pixels. Those that one has reached say where it is: they hold the
-    rays where they were. A first fit is of pixels that no edge comes near, that of all begins where it ended.
+    Where rays move, edges move to other pixels, and pixels that an edge reaches hold the rays at their start.
+    So a first fit is to pixels that no edge comes near; the fit to all begins where it ended.
     """
-    # likelihoods are compared with that of the step: they are of the same noise
+    # likelihoods are compared with that of the step: they require the same noise
     error = trial.point.amplitude_model.tau
 
     def fitted_to(problem: Problem, camera: Camera, views: Views | None, point: Point) -> Exploration:
@@ -90,7 +90,7 @@ def fit_trial(trial: TrialFit) -> Exploration:
     problem, start, views, point = trial.problem, trial.start, trial.views, trial.point
     responds = any(vocabulary()[name].is_response for name in trial.effects)
     if responds:
-        # its one parameter first: together with a free response it would not find the way
+        # its one parameter first: jointly with a free response the fit would not converge
         least = FreeResponse(level_of(problem.dataset), RESPONSE_SIZES[-1])
         problem = replace(problem, response=least)
     far = _far_from_edges(trial) if trial.away_from_edges else None
@@ -106,10 +106,10 @@ def fit_trial(trial: TrialFit) -> Exploration:
 
 
 def _free_response(fitted: Exploration, level: float) -> FreeResponse:
-    """Return the curve about a ``level`` [counts] that a response leaves free.
+    """Return the free curve about a ``level`` [counts], in addition to the parameter of a response.
 
-    Of the size by which held-out poses are predicted best, from a fit of the response's parameter with next
-    to no curve.
+    Its size is that by which held-out poses are predicted best, from a fit of the response's parameter with
+    next to no curve.
     """
     scores, sigma = fitted.scores, fitted.fit.sigma
     curve = np.array([regressor.label in RESPONSE for regressor in scores.regressors], bool)
@@ -125,7 +125,7 @@ def _free_response(fitted: Exploration, level: float) -> FreeResponse:
 
 
 def _far_from_edges(trial: TrialFit) -> Problem | None:
-    """Return a trial's problem with the pixels that no edge comes near; None where too few are left."""
+    """Return a trial's problem with the pixels that no edge comes near; None where too few remain."""
     problem = trial.problem
     forward = forward_of(problem, problem.scene, trial.start, views=trial.views, offsets={})
     now = forward.pixels_used()
@@ -138,23 +138,23 @@ def _far_from_edges(trial: TrialFit) -> Problem | None:
 def fitted_trials(
     trials: Sequence[TrialFit], workers: Workers, say: Callable[[str], None], *, to: str = "all poses"
 ) -> Iterator[Exploration]:
-    """Yield the fits of trials in their order, and tell how many are done and how long the rest takes."""
+    """Yield the fits of trials in their order; report how many are done and how long the rest takes."""
     begun, done, count = monotonic(), 0, len(trials)
 
-    def tell(words: str) -> None:
+    def report(words: str) -> None:
         seconds = f", about {(monotonic() - begun) / done * (count - done):.0f} s left" if done else ""
         say(f"fitting{words} to {to} ({done} of {count} fits done{seconds})")
 
-    def told() -> Iterator[TrialFit]:
+    def reported() -> Iterator[TrialFit]:
         for trial in trials:
-            tell(" " + " and ".join(trial.effects) if trial.effects else "")
+            report(" " + " and ".join(trial.effects) if trial.effects else "")
             yield trial
 
-    for trial, fitted in zip(trials, workers(fit_trial, told()), strict=True):
-        # what comes from elsewhere brings its own data
+    for trial, fitted in zip(trials, workers(fit_trial, reported()), strict=True):
+        # the result of a worker has a copy of the data
         fitted.fit.forward.dataset, fitted.fit.forward.masks = trial.problem.dataset, trial.problem.masks
         done += 1
-        tell("")
+        report("")
         yield fitted
 
 
@@ -169,9 +169,10 @@ def trial_fit(
     *,
     with_edges: bool = False,
 ) -> TrialFit:
-    """Return the fit of some candidates of a ``step`` beside what it has, to the stations ``few`` if given.
+    """Return the fit of some candidates jointly with the effects of a ``step``, to stations ``few`` if given.
 
-    It begins at a guess, or nearer by, at the camera ``start``. ``with_edges`` pixels beside edges take part.
+    It begins at the linear guess, or at the camera ``start``, which is nearer to the solution. With
+    ``with_edges`` pixels beside edges take part.
     """
     names = tuple(step.candidates[k].effect for k in choice)
     geometry = tuple(dict.fromkeys([*problem.geometry, *(n for n in names if n in OPTICS)]))
@@ -181,8 +182,7 @@ def trial_fit(
         problem = at_stations(problem, few)
     near, views = start is not None, step.fit.forward.views
     if start is None:
-        # first by itself: what loses need not be explored; rays from where they are, as a linear guess of
-        # them may put a texture's edges on other pixels
+        # rays begin where they are: a linear guess of them may put a texture's edges on other pixels
         start = step.camera_with([k for k in choice if step.candidates[k].effect not in OPTICS])
     moves = any(vocabulary()[name].moves_rays for name in names)
     return TrialFit(
@@ -201,13 +201,12 @@ def trial_fit(
 def without_effect(
     name: str, problem: Problem, camera: Camera, origin: Camera
 ) -> tuple[Problem, Camera] | None:
-    """Return problem and camera without an effect that was found; None where it is none of the camera's.
+    """Return problem and camera without an effect that was found; None where the camera does not have it.
 
-    Optics are as those of the camera ``origin`` then; None also where the other effects are impossible by
-    these.
+    Optics become those of the camera ``origin``; None also where the other effects are invalid with these.
     """
     if name in problem.geometry:
-        left = tuple(one for one in problem.geometry if one != name)
+        left = tuple(kept for kept in problem.geometry if kept != name)
         try:
             return replace(problem, geometry=left), in_order(OPTICS[name].of_another(camera, origin))
         except InputError:

@@ -34,6 +34,6 @@ def test_an_error_that_grows_as_the_light_goes_is_no_wrong_pose(tmp_path: Path, 
         return
     assert len(kept.stations) == 35
     assert kept.notes[-1].startswith(
-        "simulated: left out 1 of 36 poses that are off from what was recorded: "
+        "simulated: excluded 1 of 36 poses that are off from what was recorded: "
     )
     assert "'board' in pose 7 at 385.0 s by -" in kept.notes[-1]

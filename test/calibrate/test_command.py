@@ -305,7 +305,7 @@ def test_what_speaks_for_an_effect_that_is_left_out_is_said_without_units_of_evi
     words = ["calibrate", folder / "bag", *files, "--effects", "distance_scale", "--force-result"]
     status, out, error = run(capsys, *words)
     assert status == 0, error
-    said = r"left out, at most [\d.]+ mm RMS, though with it held-out poses are 10\^(\d+) times as probable"
+    said = r"not fitted, at most [\d.]+ mm RMS, though with it held-out poses are 10\^(\d+) times as probable"
     page = (folder / "scale.report.html").read_text()
     found = re.search(f"cyclic_error {said}", " ".join(out.split()))
     assert found is not None

@@ -67,8 +67,8 @@ def test_errors_that_poses_do_not_explain(tmp_path: Path) -> None:
     worse = replace(SEEN, after=0.0114, rigid_before=0.0081, rigid_after=0.0094, held_out=False)
     (reason,) = refusals(fitted(scene), worse, scene)
     assert reason == (
-        "it does not improve the poses that it was fitted to: 9.40 mm RMS beside offset and tilts of each "
-        "pose, 8.10 mm by the file before"
+        "it does not improve the poses that it was fitted to: 9.40 mm RMS apart from offset and tilts of "
+        "each pose, 8.10 mm by the file before"
     )
     # what offsets of pixels carry of their noise into a file that was right
     assert refusals(fitted(scene), replace(worse, rigid_after=0.0083), scene) == []
@@ -143,7 +143,7 @@ def test_the_command_writes_nothing_unless_it_is_forced(
     assert "takes poses of 'floor' to err" in error
     assert "--force-result writes it" in error
     # the table shows why
-    assert "beside offset and tilts of each pose" in printed
+    assert "apart from offset and tilts of each pose" in printed
     status, _, error = run(capsys, *words[:-1], "--force-result")
     assert status == 0
     assert out.exists()

@@ -312,7 +312,7 @@ def test_poses_off_by_a_metre_are_named(folder: Path, given: Camera, truth: Came
     found = calibrate(
         Request((few,), given, scene(folder), effects=("cyclic_error", "amplitude_offset")), integral=False
     )
-    note = next(one for one in found.notes if "left out 2 of 20 poses" in one)
+    note = next(one for one in found.notes if "excluded 2 of 20 poses" in one)
     assert "'board' in pose 4 at 220.1 s by -1." in note
     assert "in pose 9" in note
     assert found.poses == 18

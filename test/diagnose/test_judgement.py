@@ -265,7 +265,7 @@ def test_what_names_explain_is_of_all_errors() -> None:
     """Beside errors that neighbours share, which take up most of an effect, it would be 17 %."""
     found = Accuracy(0.012, 0.011, 0.008, 1.32, 1.27, True, all_before=3.0, all_after=1.66)
     assert found.explained == pytest.approx(1.34 / 2.0)
-    assert re.search("or something else is left out", found.notes()[0])
+    assert re.search("or something else is missing", found.notes()[0])
     alone = replace(found, all_after=1.02)
     assert alone.explained == pytest.approx(1.98 / 2.0)
     assert re.fullmatch(

@@ -51,7 +51,8 @@ def test_the_sentence_says_it(tmp_path: Path) -> None:
     found = diagnose(record(truth, board, poses=18, seed=3), board, told)
     (one,) = found.missing
     said = re.search(
-        r"\(99 % of them less\), beside offsets of the pixels known to ([\d.]+) mm \(1 sigma\)", one.sentence
+        r"\(99 % of them less\), known to ([\d.]+) mm \(1 sigma\) apart from offsets of the pixels",
+        one.sentence,
     )
     assert said is not None
     assert 0.05 < float(said[1]) < 2.0

@@ -76,7 +76,7 @@ def test_what_to_record_next_in_words() -> None:
     )
     assert text is not None
     assert text.startswith(
-        "track_line_experiment (25 min) is expected to tell cyclic error and distance scale apart by 61 nats"
+        "track_line_experiment (25 min) is expected to distinguish cyclic error and distance scale by 61 nats"
     )
     assert "for background_light: " in text
     assert "none of the shipped experiments" in str(

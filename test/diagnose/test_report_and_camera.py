@@ -163,7 +163,7 @@ def test_another_noise_beside_unknown_physics_is_adjusted(tmp_path: Path) -> Non
     assert noise["from"] == {"floor": 0.003, "shot": 0.0, "amplitude": 4.0}
     assert noise["to"]["floor"] == pytest.approx(0.009, rel=0.05)
     assert found.improved.noise.floor == noise["to"]["floor"]
-    assert any(one.startswith("beside it, and in camera.yaml: noise") for one in found.report["notes"])
+    assert any(one.startswith("in addition to it, and in camera") for one in found.report["notes"])
 
 
 @pytest.mark.long
@@ -179,7 +179,7 @@ def test_counts_left_out_hide_what_is_beside_them(tmp_path: Path) -> None:
     assert found.missing == ["unknown"]
     assert found.improved.effects == {}
     assert found.report["fit"]["rms_after"] == found.report["fit"]["rms_before"]
-    assert any("not told beside counts that are left out" in one for one in found.report["notes"])
+    assert any("not named, as missing counts may look like it" in one for one in found.report["notes"])
 
 
 @pytest.mark.long

@@ -53,7 +53,7 @@ def test_the_poses_of_a_placement_that_was_told_wrongly_are_those_to_blame(tmp_p
         "3 of 48 poses do not agree with the rest (15, 16, 17); pose 15 at 15.0 s: 'board'"
     )
     assert "mm nearer along its normal" in said
-    assert said.endswith("--without-poses 15,16,17 leaves them out")
+    assert said.endswith("--without-poses 15,16,17 excludes them")
 
 
 @pytest.mark.parametrize("bent", [0, 1])

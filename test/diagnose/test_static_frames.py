@@ -37,7 +37,7 @@ def test_a_floor_that_moves_within_poses_is_a_fault_of_the_setup(tmp_path: Path)
     )
     assert report["verdict"] == "inconsistent_setup"
     assert report["missing"] == []
-    assert report["reason"].startswith("surfaces move, or the camera does, within poses that are told as one")
+    assert report["reason"].startswith("surfaces move, or the camera does, within poses that are stated")
     assert "record each pose at rest" in report["reason"]
 
 

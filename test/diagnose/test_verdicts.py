@@ -276,7 +276,7 @@ def test_stray_light_on_a_board_is_told_from_what_darkens_slopes(tmp_path: Path)
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ("0,1,2", r"bag: --without-poses: all poses are left out \(name fewer of them\)"),
+        ("0,1,2", r"bag: --without-poses: all poses are excluded \(name fewer of them\)"),
         ("1,9", r"bag: --without-poses: there is no pose 9 \(the recording's are numbered 0 to 2\)"),
     ],
 )

@@ -67,8 +67,8 @@ def test_as_far_as_distances_beside_edges_are_others(tmp_path: Path) -> None:
     assert found is not None
     margin, note, lost = found
     assert margin == 3
-    assert note.startswith(f"left out: {lost} distances within 3 px of edges")
-    assert "beside those of their colour" in note
+    assert note.startswith(f"excluded: {lost} distances within 3 px of edges")
+    assert "compared with their colour" in note
 
 
 def test_none_where_they_are_the_same(tmp_path: Path) -> None:

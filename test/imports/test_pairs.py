@@ -72,8 +72,8 @@ def test_images_without_a_partner_are_counted(tmp_path: Path, capsys: Any) -> No
     bag = write_driver_bag(tmp_path / "bag", pico(offsets), ros1=False)
     status, said, notes = run(capsys, "import", bag, "--out", tmp_path / "out")
     assert (status, said.split(" imported")[0]) == (0, "3 frames")
-    assert "left out: 2 distance images without a partner within half a period" in notes
-    assert "left out: 2 amplitude images without a partner" in notes
+    assert "excluded: 2 distance images without a partner within half a period" in notes
+    assert "excluded: 2 amplitude images without a partner" in notes
     assert "up to 13.3 ms apart (half a period: 16.7 ms)" in notes
     with Recording(tmp_path / "out") as recording:
         frames = list(recording.frames())

@@ -188,7 +188,7 @@ def test_page_tells_rivals_and_what_to_record(case: Case) -> None:
         next_recording="for cyclic_error: a sweep; for distance_scale: a wall",
     )
     content = rendered(result)
-    assert "this recording cannot tell which" in content
+    assert "indistinguishable by this recording" in content
     assert "<li>for cyclic_error: a sweep</li>" in content
     assert "<li>for distance_scale: a wall</li>" in content
 
@@ -206,7 +206,7 @@ def test_page_says_what_is_left_beside_the_curve(case: Case, left: float, told: 
     result = replace(case.missing, accuracy=replace(case.missing.accuracy, chi2_after=left))
     shown = text_of(rendered(result))
     assert told in shown
-    assert ("what its form does not say (chi-square per value" in shown) is (left > 1.1)
+    assert ("that its form does not explain (chi-square per value" in shown) is (left > 1.1)
 
 
 def test_page_without_repeated_frames_says_so(case: Case) -> None:

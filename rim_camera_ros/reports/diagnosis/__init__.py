@@ -1,1 +1,1 @@
-"""The page of a diagnosis: what was left out, the proof, and the pictures."""
+"""The page of a diagnosis: the missing physics, the evidence, and the pictures."""

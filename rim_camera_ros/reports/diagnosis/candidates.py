@@ -1,4 +1,4 @@
-"""The sections of a diagnosis' report on candidates: what each would gain, and what chance would."""
+"""The sections of a diagnosis' report on candidates: the gain of each, and gains by chance."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rim_camera_ros.select.exploration import Exploration
 from rim_camera_ros.select.thresholds import ALARM_RATE
 
 _MOST_SMOOTH = 3
-#: Share of an effect's energy above which it is plain to see and not stated.
+#: Share of an effect's energy that is identifiable, above which it is not stated.
 _PLAIN = 0.2
 #: Label, gain [nats], own threshold, kind of bar.
 Row = tuple[str, float, float | None, str]
@@ -32,7 +32,7 @@ def _with_share(rival: Ranked) -> str:
 
 
 def ranking(result: Diagnosis) -> list[Part]:
-    """Return the gains of candidates given what is named; where nothing is, of each alone."""
+    """Return the gains of candidates given the named effects; without names, of each alone."""
     alone = _alone(result)
     if not result.found or result.final is result.baseline:
         return alone
@@ -87,7 +87,7 @@ def _smooth_label(variant: str) -> str:
 
 
 def _alone(result: Diagnosis) -> list[Part]:
-    """Return what each candidate would gain alone."""
+    """Return the gain of each candidate alone."""
     from rim_camera_ros.reports.diagnosis import figures
 
     step = result.baseline
@@ -105,7 +105,7 @@ def _alone(result: Diagnosis) -> list[Part]:
     if not rows:
         return []
     if any(kind == "named" for _, _, _, kind in rows[len(result.ranking) :]):
-        # the smooth function is what is unknown: one row tells it
+        # the smooth function is the unknown physics: one row suffices
         rows = [row for row in rows if row[0] != words.label_of(UNKNOWN)]
     rows.sort(key=lambda row: -row[1])
     absent = len([row for row in rows if row[3] == "named"]) == 0
@@ -115,15 +115,15 @@ def _alone(result: Diagnosis) -> list[Part]:
         "about 2 % of recordings. "
         + ("No effect is named." if absent else "Coloured: what is named.")
         + " Sand: smooth functions without physics, as a check of the vocabulary. "
-        "In brackets, where little is left: the share of an effect's signal that no other parameter could "
-        "take on in this recording; of a small share a large effect is still seen."
+        "In brackets, where it is small: the share of an effect's signal that no other parameter could "
+        "imitate in this recording; a large effect is still seen by a small share."
     )
     alt = f"Bars of what each effect alone would gain; the most: {rows[0][0]}, {rows[0][1]:,.0f} nats"
     return [Figure(figures.ranking(rows, threshold=step.threshold), alt, caption)]
 
 
 def nulls(result: Diagnosis) -> list[Part]:
-    """Return what chance alone would gain, with the scores in it."""
+    """Return the gains by chance alone, with those of the best effects."""
     from rim_camera_ros.reports.diagnosis import figures
 
     items = []

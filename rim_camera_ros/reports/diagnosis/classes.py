@@ -35,9 +35,9 @@ def binned(
     """Return weighted means of some values over classes of a covariate of equal population.
 
     ``by_size`` makes the classes of equal width in the square root of the covariate's size instead, which
-    keeps apart the few large values of an effect that is small nearly everywhere. Their standard errors are
-    the greater of those from the scatter between stations and between pixels: the residuals of one image are
-    not independent.
+    separates the few large values of an effect that is small nearly everywhere. The standard errors are the
+    greater of those from the scatter between stations and between pixels: the residuals of one image are not
+    independent.
     """
     good = np.isfinite(x) & np.all([np.isfinite(v) for v in values], axis=0)
     x, weight, station = x[good], weight[good], station[good]
@@ -58,8 +58,8 @@ def binned(
     own = np.bincount(place, minlength=size) >= 30
     safe = np.where(total > 0, total, 1.0)
     means, errors = [], []
-    for one in values:
-        v = one[good]
+    for image in values:
+        v = image[good]
         mean = np.bincount(place, weight * v, size) / safe
         means.append(mean[own])
         errors.append(_standard_error(v - mean[place], place, weight, station, safe)[own])
@@ -96,7 +96,7 @@ def explained(samples: Samples, values: Array) -> list[tuple[str, float]]:
         variance = float(np.average((v - overall) ** 2, weights=w))
         if variance > 0:
             found.append((name, float(np.sum(total * (means - overall) ** 2) / total.sum()) / variance))
-    return sorted(found, key=lambda one: -one[1])
+    return sorted(found, key=lambda item: -item[1])
 
 
 def region(pixels: Array, share: float = 0.9) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""The curve that gave an effect away: which covariate to draw, and the classes of residuals over it."""
+"""The curve by which an effect shows: the covariate to draw, and the classes of residuals over it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _of_distance(result: Diagnosis, found: Evidence, name: str) -> list[Telling]
     for covariate in names:
         settings = np.unique(samples.setting[np.isfinite(samples.setting)])
         effect = result.camera.effects.get(name)
-        # a term that is of the setting alone is drawn over it
+        # a term that depends on the setting alone is drawn over it
         rows = effect is not None and covariate != "integration_time" and bool(effect.rows())
         if rows and 1 < settings.size <= 4:
             for setting in settings:

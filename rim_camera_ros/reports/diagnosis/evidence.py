@@ -1,4 +1,4 @@
-"""The numbers behind the pictures of a diagnosis: residuals with and without what was found."""
+"""The numbers behind the pictures of a diagnosis: residuals with and without the effects found."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ _SEED = 11
 class Samples:
     """Values of pixels drawn from every station, (N,) each.
 
-    ``after`` [m] residuals of the better simulation; ``parts`` [m] what each effect adds, less its mean over
-    all pixels; ``weight`` 1 / variance [m^-2]. ``brightness`` residuals of the amplitude relative to it,
-    ``brightness_part`` what the better camera changes of it. ``station`` numbers them.
+    ``after`` [m] are residuals of the better simulation; ``parts`` [m] the contribution of each effect, less
+    its mean over all pixels; ``weight`` is 1 / variance [m^-2]. ``brightness`` are relative residuals of the
+    amplitude, ``brightness_part`` its relative change by the better camera. ``station`` is the number of the
+    station.
     """
 
     station: Array
@@ -52,8 +53,8 @@ class Samples:
 class PoseImage:
     """The station that shows an effect best: (H, W), NaN where nothing is compared.
 
-    Residuals ``without`` the effects and ``after`` in sigmas of the station's mean, what they add (``part``)
-    in m.
+    Residuals ``without`` the effects and ``after`` are in sigmas of the station's mean, the contribution of
+    the effects ``part`` is in m.
     """
 
     pose: int
@@ -79,13 +80,13 @@ class SetupImage:
 
 @dataclass
 class Evidence:
-    """Residuals of the simulation as it was (None: nothing changed) and of the better one.
+    """Residuals of the simulation before (None: nothing changed) and of the better one.
 
     Maps (H, W): ``rms_*`` over the poses in sigmas of a pose's mean (1: noise), ``brightness_*`` mean
     relative residual of the amplitude. Per station: ``times`` [s], ``poses``, ``placements`` (numbers of
-    recording and placement), ``chi_*`` per value,
-    ``strength`` [m] the RMS of what was found. ``changed`` are the effects that distances are taken apart by.
-    ``worst`` is there where the setup cannot be trusted.
+    recording and placement), ``chi_*`` per value, and ``strength``, the RMS [m] of the effects found.
+    ``changed`` are the effects whose contributions are shown separately. ``worst`` is set where the set-up
+    cannot be trusted.
     """
 
     times: Array
@@ -118,8 +119,8 @@ class _Compared:
 def evidence(result: Diagnosis) -> Evidence:
     """Compare the recording with the camera file as it was and with the improved one.
 
-    Both with the errors of poses and powers of the improved fit, and each with the fixed pattern that suits
-    it best, so that what differs is the physics.
+    Both have the errors of poses and powers of the improved fit, and each the fixed pattern that fits it
+    best, so that only the physics differs.
     """
     fitted = better_fit(result)
     start = result.baseline.fit.start
@@ -174,13 +175,13 @@ def evidence(result: Diagnosis) -> Evidence:
 
 
 def better_fit(result: Diagnosis) -> Fit:
-    """Return a fit by the improved camera: one of the search where there is one, or its nuisances anew."""
+    """Return a fit by the improved camera: one of the search if possible, else with new nuisances."""
     final, baseline = result.final.fit, result.baseline.fit
     if result.verdict in ("consistent", "inconsistent_setup"):
         return final
-    for one in (final, baseline):
-        if one.camera.effects == result.model.effects and one.camera.optics == result.model.optics:
-            return one
+    for fitted in (final, baseline):
+        if fitted.camera.effects == result.model.effects and fitted.camera.optics == result.model.optics:
+            return fitted
     frozen = Problem(
         final.forward.dataset,
         final.scene,
@@ -277,7 +278,7 @@ def _chi(z: Array) -> Array:
 
 def _rms(z: Array) -> Array:
     count = np.isfinite(z).sum(axis=0)
-    # the figure of a pixel that few poses see is chance
+    # the value of a pixel that few poses see is random
     enough = count >= max(2, len(z) // 8)
     return np.asarray(np.sqrt(np.nansum(z**2, axis=0) / np.where(enough, count, np.nan)))
 
@@ -289,7 +290,7 @@ def _mean(images: Sequence[Array]) -> Array:
 
 
 def _found(comparison: _Compared) -> Array:
-    """Return what the effects add to distances [m]; by way of amplitudes alone, all that changed."""
+    """Return the changes of distances [m] by the effects; all changes where these act by amplitudes alone."""
     return (
         np.asarray(np.sum(list(comparison.parts.values()), axis=0)) if comparison.parts else comparison.change
     )
@@ -367,7 +368,7 @@ def _as_set_up(prediction: Prediction) -> SetupImage:
 
 
 def _worst(pictures: Sequence[SetupImage], chi: Array) -> SetupImage | None:
-    """Return the station with the greatest chi-square, or where distances tell none the first."""
+    """Return the station with the greatest chi-square, or the first where no distances are compared."""
     if not pictures:
         return None
     return pictures[int(np.nanargmax(chi)) if np.isfinite(chi).any() else 0]

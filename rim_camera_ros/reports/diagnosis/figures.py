@@ -99,7 +99,7 @@ def ranking(
             style: dict[str, Any] = (
                 {"fontweight": "bold", "color": INK} if kind == "named" else {"color": GREY}
             )
-            # beyond a threshold that stands beside the end of the bar
+            # the label is beyond a threshold that is next to the end of the bar
             end = max(gain, 1.0)
             if own is not None and end < own < end * (top * 1.6) ** 0.12:
                 end = own
@@ -187,7 +187,7 @@ class Telling:
 
 
 def telling(items: Sequence[Telling]) -> bytes:
-    """Return residuals without and with an effect over what it depends on, and the effect itself."""
+    """Return residuals without and with an effect over its covariate, and the effect itself."""
     columns = min(len(items), 3)
     rows = -(-len(items) // columns)
     width = (6.4, 5.2, 3.5)[columns - 1]
@@ -222,7 +222,7 @@ def _draw_telling(axis: Any, experiment: Telling) -> None:
         axis.plot(*experiment.effect, color=INK, label="the effect as modelled", **dashes)
     for label, x, y in experiment.lines:
         axis.plot(x, y, color="#7a4f9a", lw=1.2, ls=(0, (5, 2)), label=label)
-    # what the effect adds is known: both means are as uncertain as the residual
+    # the contribution of the effect is known: both means are as uncertain as the residual
     bars = {"yerr": width, "fmt": "o", "ms": 3.6, "lw": 1.1, "capsize": 0}
     axis.errorbar(experiment.bins.x, without, color=BEFORE, label="recording - simulation without it", **bars)
     axis.errorbar(experiment.bins.x, after, color=AFTER, label="with it", **bars)
@@ -257,7 +257,7 @@ def poses(
     stretches: Sequence[tuple[float, float]],
     marked: Sequence[int] = (),
 ) -> bytes:
-    """Return chi-square per value of every pose over time [s], and the RMS [m] of what was found in each.
+    """Return chi-square per value of every pose over time [s], and the RMS [m] of the effects in each.
 
     ``stretches`` of time [s] are shaded; ``marked`` stations are ringed.
     """

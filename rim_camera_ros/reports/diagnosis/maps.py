@@ -24,7 +24,8 @@ def where(pixels: Array | None, before: Array | None, after: Array, *, title: st
     """Return maps side by side: the root of where.npy (H, W) in single-frame sigmas with its region outlined,
     and RMS residuals before and after in sigmas of a pose's mean (1: noise) on one scale.
     """
-    residuals = [(word, one) for word, one in (("before", before), ("after", after)) if one is not None]
+    named = (("before", before), ("after", after))
+    residuals = [(word, image) for word, image in named if image is not None]
     if len(residuals) == 1:
         residuals = [("recording - simulation", after)]
     top = max(1.5, _high(residuals[0][1], 0.96))
@@ -48,7 +49,7 @@ def where(pixels: Array | None, before: Array | None, after: Array, *, title: st
                 axis.contour(outline, levels=[0.5], colors="white", linewidths=1.3)
             axis.set_title(title)
             _bar(figure, picture, axis, "sigma of a frame", below=True)
-        # half below the noise: its texture stays dark, what exceeds it is bright
+        # the scale begins below the noise: its texture stays dark, larger residuals are bright
         low = 0.8 if top < 4 else 0.0
         for axis, (word, image) in zip(axes, residuals, strict=True):
             picture = axis.imshow(image, cmap="viridis", vmin=low, vmax=top, interpolation="nearest")
@@ -83,7 +84,7 @@ def simplified(inside: Array) -> Array:
 
 
 def pose_image(image: PoseImage) -> bytes:
-    """Return one pose: its amplitudes, its residuals without and with what was found, and what that adds."""
+    """Return one pose: amplitudes, residuals without and with the effects found, and their contribution."""
     import cv2
 
     def smooth(values: Array) -> Array:
@@ -121,8 +122,9 @@ def pose_image(image: PoseImage) -> bytes:
 
 
 def recorded_and_simulated(image: SetupImage) -> bytes:
-    """Return a pose's recorded amplitude beside that of its simulation, and the difference of distances."""
-    lit = np.concatenate([one[np.isfinite(one) & (one > 0)] for one in (image.recorded, image.simulated)])
+    """Return a pose's recorded and simulated amplitude side by side, and the difference of distances."""
+    both = (image.recorded, image.simulated)
+    lit = np.concatenate([amplitude[np.isfinite(amplitude) & (amplitude > 0)] for amplitude in both])
     low, high = np.quantile(lit, [0.01, 0.99]) if lit.size else (1.0, 10.0)
     limits = np.log10(max(low, 1.0)), np.log10(max(high, 2.0 * low, 2.0))
     difference = image.difference * 1e3

@@ -1,4 +1,4 @@
-"""The report of a diagnosis as one HTML page: what was left out, the proof, and the pictures."""
+"""The report of a diagnosis as one HTML page: the missing physics, the evidence, and the pictures."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ Array = NDArray[Any]
 
 
 _OF_INTERVALS = (
-    "These intervals are of each number by itself. What they have in common may be wide where offsets of the "
-    "pixels or other numbers can take it up: to what the distances of all of them are known stands above."
+    "These intervals are those of single numbers. They are wide where offsets of the pixels or other numbers "
+    "can absorb a change: the uncertainty of the distances by all of them together is stated above."
 )
 
 
@@ -98,8 +98,8 @@ def _cards(result: Diagnosis) -> list[Card]:
         before = f"chi-square per value {words.chi(fit.chi2_before)}"
         rms, label = f"{fit.rms_before * 1e3:.2f} mm", f"RMS difference of {whose}; {noise}"
     smooth = result.final.fit.forward.correlated_error > 0
-    beside = "beside what is smooth in each pose; " if smooth else ""
-    cards = [Card(rms, label), Card(left, f"unexplained at {whose} ({beside}{before})", mood)]
+    apart = "apart from smooth errors of each pose; " if smooth else ""
+    cards = [Card(rms, label), Card(left, f"unexplained at {whose} ({apart}{before})", mood)]
     sizes = [
         effect.magnitude
         for effect in result.missing
@@ -120,7 +120,7 @@ def _cards(result: Diagnosis) -> list[Card]:
 
 
 def _improved(result: Diagnosis) -> bool:
-    """Say whether distances are predicted otherwise than before; noise alone changes none."""
+    """Return whether distances are predicted differently than before; another noise changes none."""
     fit = result.accuracy
     changed = (fit.rms_before, fit.chi2_before) != (fit.rms_after, fit.chi2_after)
     return changed and result.verdict not in ("consistent", "inconsistent_setup")
@@ -132,7 +132,7 @@ def _shows_in(effect: str) -> str | None:
 
 
 def _evidence_words(effect: Missing, result: Diagnosis) -> str:
-    """Return how sure an effect is: the first by its probability, further ones by their gain beside it."""
+    """Return the evidence for an effect: the first by its probability, further ones by their added gain."""
     order = [found.effect for found in result.found]
     if _shows_in(effect.effect) in ("noise", "frames") and effect.effect not in order:
         return "This follows from repeated frames."
@@ -167,7 +167,7 @@ def _further(result: Diagnosis) -> list[Part]:
     parts: list[Part] = []
     for names in result.indistinguishable:
         listed = joined([words.label_of(name) for name in names])
-        parts.append(Text(f"Cannot be told apart by this recording: {listed}."))
+        parts.append(Text(f"Indistinguishable by this recording: {listed}."))
     if result.next_recording:
         parts += [Text("To decide, record next:"), Bullets(result.next_recording.split("; "))]
     if result.smooth_rest is not None and result.verdict == "missing_physics":
@@ -194,7 +194,7 @@ def _unknown(effect: Missing, result: Diagnosis) -> list[Part]:
         parts.append(
             Text(
                 f"Closed form that describes it best: {words.formula_words(effect.formula)}. Its constant "
-                "cannot be told from the fixed pattern."
+                "cannot be distinguished from the fixed pattern."
             )
         )
     known = effect_of(result.camera, CovariateTable)
@@ -246,7 +246,7 @@ def _proof(result: Diagnosis) -> list[Part]:
     alt = f"RMS difference before and after: {rms[0]} and {rms[1]} mm"
     headings = ["mean frames of each pose", "before", "after", "noise alone", "unit"]
     return [
-        Figure(picture, alt, f"{held} Dashed: what the noise of the camera alone makes."),
+        Figure(picture, alt, f"{held} Dashed: expected from the noise of the camera alone."),
         Table(headings, rows, numbers=(1, 2, 3)),
         *(Text(f"{note[:1].upper()}{note[1:]}.") for note in fit.notes()),
     ]

@@ -25,7 +25,7 @@ _AS_IF = (
 
 
 def curves(result: Diagnosis, found: Evidence) -> list[Part]:
-    """Return residuals without and with what was found, over what it depends on."""
+    """Return residuals without and with the effects found, over their covariates."""
     if found.chi_before is None:
         return []
     from rim_camera_ros.reports.diagnosis.curves import curves_of
@@ -45,11 +45,11 @@ def curves(result: Diagnosis, found: Evidence) -> list[Part]:
 
 
 def _left(result: Diagnosis) -> str:
-    """Return what is left with the effect, in words."""
+    """Return the remainder with the effect, in words."""
     after = result.accuracy.chi2_after
     if not after > LEFT:
         return "nothing is left but noise"
-    return f"is left what its form does not say (chi-square per value {after:.3g})"
+    return f"a remainder is left that its form does not explain (chi-square per value {after:.3g})"
 
 
 def where(result: Diagnosis, found: Evidence) -> list[Part]:
@@ -105,7 +105,7 @@ def _brightness(found: Evidence) -> list[Part]:
     if found.brightness_before is None or not np.isfinite(found.brightness_before).any():
         return []
     before, after = found.brightness_before * 100, found.brightness_after * 100
-    rms = [float(np.sqrt(np.nanmean(np.clip(one, -50, 50) ** 2))) for one in (before, after)]
+    rms = [float(np.sqrt(np.nanmean(np.clip(image, -50, 50) ** 2))) for image in (before, after)]
     if not rms[0] > max(0.5, 1.3 * rms[1]):
         return []
     top = float(np.nanquantile(np.abs(before), 0.98))
@@ -128,7 +128,7 @@ def poses(result: Diagnosis, found: Evidence) -> list[Part]:
         for size, name in [greatest.get(placed, (0.0, "-"))]
     }
     located = found.strength is not None and bool(result.missing)
-    # the light of a second camera moves a pose as a whole: that says nothing of its instrument
+    # the light of a second camera moves a pose as a whole: that is no error of its instrument
     second = result.variance.pixels_vary_together
     bad = [
         i
@@ -177,7 +177,7 @@ def poses(result: Diagnosis, found: Evidence) -> list[Part]:
     elif second:
         parts.append(Text("The light of a second camera hides whether the poses agree."))
     elif greatest and result.verdict != "inconsistent_setup":
-        pose, (size, name) = max(errors.items(), key=lambda one: one[1][0])
+        pose, (size, name) = max(errors.items(), key=lambda item: item[1][0])
         parts.append(
             Text(
                 f"All poses agree. The largest error found of a pose is {size:.1f} sigma of its instrument "
@@ -188,7 +188,7 @@ def poses(result: Diagnosis, found: Evidence) -> list[Part]:
 
 
 def variance(result: Diagnosis) -> list[Part]:
-    """Return what repeated frames say of the noise."""
+    """Return the evidence of repeated frames on the noise."""
     found = result.variance
     if not found.repeated:
         return [
@@ -199,7 +199,7 @@ def variance(result: Diagnosis) -> list[Part]:
         ]
     said = f"The variance of repeated frames is {found.ratio:.3f} ± {found.sigma:.3f} times the camera file's"
     if found.pixels_vary_together:
-        said += ": with the light of a second camera in it, that says nothing of its noise section."
+        said += ": as it contains light of a second camera, it is no evidence on the noise section."
     else:
         said += f": its noise section {'is contradicted' if found.noise_is_wrong else 'holds'}."
     if found.common is not None:
@@ -207,7 +207,7 @@ def variance(result: Diagnosis) -> list[Part]:
             f" All pixels together vary {found.common:.2f} ± {found.common_sigma:.2f} times as much as "
             "independent noise would"
         )
-        said += ": a second camera shines in." if found.pixels_vary_together else "."
+        said += ": there is light of a second camera." if found.pixels_vary_together else "."
     parts: list[Part] = [Text(said)]
     if len(found.bins) > 1:
         from rim_camera_ros.reports.diagnosis import figures

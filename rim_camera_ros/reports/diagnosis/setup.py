@@ -10,7 +10,7 @@ import numpy as np
 from rim_camera_ros.reports.diagnosis.evidence import Evidence
 from rim_camera_ros.reports.page import Figure, Mood, Part, Table
 
-#: What an imperfection may be of its stated size, and still no missing physics.
+#: Ratio of an imperfection to its stated size up to which it is ordinary.
 _ORDINARY = 3.0
 #: Set-ups as rows of the table.
 _HYPOTHESES = {
@@ -31,7 +31,7 @@ _HYPOTHESES = {
 
 
 def worst_pose(found: Evidence) -> list[Part]:
-    """Return what was recorded at the worst pose beside what is simulated, where the setup is in doubt."""
+    """Return recording and simulation of the worst pose side by side, where the set-up is in doubt."""
     worst = found.worst
     if worst is None:
         return []
@@ -49,16 +49,16 @@ def worst_pose(found: Evidence) -> list[Part]:
 
 
 def hypotheses(report: Mapping[str, Any]) -> list[Part]:
-    """Return what else the scene could be, by `setup` of report.json, in its order."""
-    # the files lead where they are trusted, whatever gained a little more
+    """Return the alternative set-ups, by `setup` of report.json, in its order."""
+    # where the files are trusted they come first, even if others gained a little more
     ranked = list(report.get("setup") or [])
     rows = [
         [
-            _words_of(one),
-            str(one.get("surface") or "-"),
-            f"{round(float(one['gain'] or 0.0)):,}",
+            _words_of(setup),
+            str(setup.get("surface") or "-"),
+            f"{round(float(setup['gain'] or 0.0)):,}",
         ]
-        for one in ranked
+        for setup in ranked
     ]
     if len(rows) < 2:
         return []
@@ -74,7 +74,7 @@ def _words_of(hypothesis: Mapping[str, Any]) -> str:
 
 
 def imperfections(report: Mapping[str, Any]) -> list[Part]:
-    """Return what was estimated of ordinary imperfections, by `nuisances` of report.json."""
+    """Return the estimated ordinary imperfections, by `nuisances` of report.json."""
     rows: list[list[str]] = []
     moods: dict[int, Mood] = {}
     for number, one in enumerate(report.get("nuisances") or []):

@@ -26,7 +26,8 @@ _TITLES = {
     UNKNOWN: "physics that no known effect describes",
     CovariateTable.name: "unknown physics, as a smooth function",
 }
-#: Probability of what is named, and chi-square per value that is left, from which on the verdict is unsure.
+#: Probability of named effects below which, and remaining chi-square per value above which, a verdict is
+#: unsure.
 _SURE, _LEFT = 0.95, 1.5
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 #: Name of a covariate -> label with unit, factor to that unit, drawn on a logarithmic axis.
@@ -52,7 +53,7 @@ _AXES = {
 
 
 def title_of(effect: str) -> str:
-    """Return what an effect is, in words."""
+    """Return the title of an effect, in words."""
     if effect in _TITLES:
         return _TITLES[effect]
     known = vocabulary().get(effect)
@@ -94,7 +95,7 @@ def verdict(result: Diagnosis) -> str:
             functions = [effect for effect in found if effect.formula or effect.modelled]
             names = joined([plain_name(c) for effect in functions for c in effect.covariates])
             if found and not functions and found[0].covariates:
-                # what is known of it is no function of these: its sentence says what it is
+                # it is not described by a function of these: its sentence describes it
                 said = found[0].sentence.removeprefix("unknown physics: ").split(": ")[0]
                 return f"{said[:1].upper()}{said[1:]}."
             if not names:
@@ -103,7 +104,7 @@ def verdict(result: Diagnosis) -> str:
     tied = {name for names in result.indistinguishable for name in names}
     sure = [label_of(effect.effect) for effect in result.missing if effect.effect not in tied]
     unsure = [
-        f"one of {joined([label_of(n) for n in names], 'or')} (this recording cannot tell which)"
+        f"one of {joined([label_of(n) for n in names], 'or')} (indistinguishable by this recording)"
         for names in result.indistinguishable
         if any(effect.effect in names for effect in result.missing)
     ]
@@ -121,18 +122,18 @@ def doubts(result: Diagnosis) -> list[str]:
             f"naming, {noise_words(fit.chi2_after)[0]}; noise alone: 1)"
         )
     if result.indistinguishable:
-        found.append("this recording cannot tell some effects apart")
+        found.append("this recording cannot distinguish some effects")
     elif result.missing and result.missing[0].probability < _SURE:
         found.append(f"the probability of what is named is {probability(result.missing[0].probability)}")
     if not fit.held_out:
         found.append("there are too few poses to check it on others")
     elif fit.got_worse:
-        found.append("poses that took no part in the fit speak against it")
+        found.append("poses that took no part in the fit are evidence against it")
     return found
 
 
 def first_line(result: Diagnosis) -> str:
-    """Return the verdict, led by what makes it unsure and followed by what to record next."""
+    """Return the verdict, with doubts before it and what to record next after it."""
     doubted = doubts(result)
     lead = f"Unsure, as {joined(doubted)}. " if doubted else ""
     return lead + verdict(result)
@@ -214,7 +215,7 @@ def described(camera: Camera, owner: str, path: str) -> tuple[str, str]:
             unit, meaning = metadata.get("unit", ""), metadata.get("doc", "")
             value = getattr(value, part, None)
         elif isinstance(value, tuple) and part.isdigit() and int(part) < len(value):
-            # "along row, along column" tells of each member of a pair
+            # "along row, along column" describes each member of a pair
             unit, meaning = (_member(text, int(part), len(value)) for text in (unit, meaning))
             value = value[int(part)]
         elif isinstance(value, Mapping):
@@ -281,7 +282,7 @@ def stretches(times: Iterable[tuple[float, float]]) -> str:
 
 
 def unseen_table(names: Sequence[str]) -> list[Part]:
-    """Return a table of effects that a recording cannot show, with what it would take."""
+    """Return a table of effects that a recording cannot show, with what it would have to contain."""
     known = vocabulary()
     rows = [[label_of(name), known[name].observable if name in known else "-"] for name in names]
     return [Table(["effect", "what a recording must contain to show it"], rows)] if rows else []
