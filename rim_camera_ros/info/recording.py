@@ -204,7 +204,7 @@ def recording_text(facts: dict[str, Any]) -> str:
     if facts["noise"] and facts["noise"]["classes"]:
         parts.append(_noise_text(facts["noise"]))
     notes = [*facts["assumptions"], *facts["notes"]]
-    notes += [f"left out: {n} {why}" for why, n in facts["skipped"].items() if n]
+    notes += [f"excluded: {n} {why}" for why, n in facts["skipped"].items() if n]
     if facts["damage"] and not facts["fault"]:  # a fault is the error that follows
         notes.append(f"damage: {facts['damage']}")
     if facts["frames"] and facts["distance_unit"] == "counts":

@@ -72,7 +72,7 @@ def usable_points(observations: Observations) -> tuple[list[ImagePoint], list[st
             unusable[station] = f"{len(positions)} targets, at least {LEAST_TARGETS} are needed"
         elif _on_a_line(np.array(positions)):
             unusable[station] = f"its {len(positions)} targets lie on one line"
-    notes = [f"station {station} left out: {reason}" for station, reason in unusable.items()]
+    notes = [f"station {station} excluded: {reason}" for station, reason in unusable.items()]
     stations = sorted(set(by_station) - set(unusable))
     if not stations:
         station = max(unusable, key=lambda one: len(by_station[one]))

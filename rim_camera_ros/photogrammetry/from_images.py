@@ -188,7 +188,7 @@ def poses_of_recording(
         raise error.located(path) from None
     notes = list(dict.fromkeys((*(() if report is None else report.notes), *poses.notes)))
     if stations.unseen:
-        notes.append(f"{path}: left out: {stations.unseen} frames in which the board was not found")
+        notes.append(f"{path}: excluded: {stations.unseen} frames in which the board was not found")
     if stations.ambiguous:
         notes.append(
             f"turned by half a turn the board '{surface.name}' looks alike: which end is which is taken from "

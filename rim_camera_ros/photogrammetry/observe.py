@@ -107,7 +107,7 @@ def observe(
         f"{count} targets in view {reason}" for reason, count in sorted(missed.items()) if count
     ]
     if without:
-        notes.append(f"{without} stations without the poses of all targets left out")
+        notes.append(f"{without} stations without the poses of all targets excluded")
     return Observations(field.field, tuple(points), poses, tuple(notes))
 
 

@@ -316,7 +316,7 @@ def test_one_station() -> None:
 def test_a_station_with_few_targets_is_left_out() -> None:
     kept = ("t11", "t12", "t21")
     _, _, report = estimate_optics(only(lambda one: one.station != 2 or one.target in kept), start=START)
-    assert "station 2 left out: 3 targets, at least 4 are needed" in report.notes
+    assert "station 2 excluded: 3 targets, at least 4 are needed" in report.notes
     assert set(report.station_rms) == {0, 1, 3, 4, 5}
 
 
@@ -384,7 +384,7 @@ def test_targets_on_a_line_are_no_station() -> None:
     with pytest.raises(InputError, match="which has most: its 5 targets lie on one line"):
         estimate_optics(only(lambda one: one.target in row), start=START)
     _, _, report = estimate_optics(only(lambda one: one.station != 4 or one.target in row), start=START)
-    assert "station 4 left out: its 5 targets lie on one line" in report.notes
+    assert "station 4 excluded: its 5 targets lie on one line" in report.notes
 
 
 def test_what_the_geometry_does_not_determine_is_named() -> None:

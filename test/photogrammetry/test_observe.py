@@ -126,7 +126,7 @@ def test_poses_come_from_the_recording_where_the_scene_says_truth() -> None:
     moving = replace(scene, surfaces=tuple(replace(one, pose="truth") for one in scene.surfaces))
     lost = replace(frames[0], truth={}, pose_stamps={})
     found = observe([lost, *frames], camera(), moving)
-    assert found.notes == ("1 stations without the poses of all targets left out",)
+    assert found.notes == ("1 stations without the poses of all targets excluded",)
     np.testing.assert_allclose(found.field.targets["t44"].position, [1.0, 0.88, 0.0], atol=1e-9)
     with pytest.raises(InputError, match="no frame has the poses of the scene's targets"):
         observe([lost], camera(), moving)

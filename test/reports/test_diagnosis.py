@@ -181,6 +181,17 @@ def test_page_of_an_inconsistent_setup_gives_the_reason(case: Case) -> None:
     assert "do not belong together" in content
 
 
+def test_set_ups_come_before_the_proof_where_one_is_to_blame(case: Case) -> None:
+    proof, setups = "The proof: poses that the model was not fitted to", "What else the scene could be"
+    for result, first in (
+        (case.missing, proof),
+        (replace(case.consistent, verdict="inconsistent_setup", reason="another board"), setups),
+    ):
+        shown = text_of(rendered(result))
+        assert shown.count(setups) == 1
+        assert proof not in shown or (shown.index(setups) < shown.index(proof)) == (first == setups)
+
+
 def test_page_tells_rivals_and_what_to_record(case: Case) -> None:
     result = replace(
         case.missing,

@@ -38,7 +38,7 @@ SPECS = (
     Spec(
         "effects",
         "",
-        "effects to fit, joined by ','; empty: the camera file's and those that the recordings ask for",
+        "effects to fit, joined by ','; empty: the camera file's and those that the recordings need",
     ),
     Spec("geometry", False, "fit camera constant, principal point and distortion, too"),
     Spec(
