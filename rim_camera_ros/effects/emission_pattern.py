@@ -19,7 +19,11 @@ from rim_camera_ros.parameters import quantity
 
 def squared_angle(camera: Camera) -> Image:
     """Return q (H, W): the square of the angle from the optical axis in rad; 0 for pixels without a ray."""
-    return np.square(np.arccos(np.clip(np.nan_to_num(camera.rays[..., 2], nan=1.0), -1.0, 1.0)))
+    return _squared_angle(camera.rays)
+
+
+def _squared_angle(rays: Image) -> Image:
+    return np.square(np.arccos(np.clip(np.nan_to_num(rays[..., 2], nan=1.0), -1.0, 1.0)))
 
 
 @dataclass(frozen=True)
@@ -63,13 +67,13 @@ class EmissionPattern(ComplexEffect):
         return 1 + q * (self.falloff[0] + q * self.falloff[1])
 
     def apply(self, phasor: Image, context: Context) -> Image:
-        return phasor * context.inside(self.power(context.camera))
+        return phasor * self._at(_squared_angle(context.rays))
 
     def invert(self, phasor: Image, context: Context) -> Image:
-        return phasor / context.inside(self.power(context.camera))
+        return phasor / self._at(_squared_angle(context.rays))
 
     def phasor_columns(self, phasor: Image, context: Context) -> dict[str, Image]:
-        q = context.inside(squared_angle(context.camera))
+        q = _squared_angle(context.rays)
         return {"falloff.0": phasor * q, "falloff.1": phasor * q * q}
 
     def sentence(self) -> str:

@@ -55,14 +55,15 @@ def correlated_columns(view: View, size: float, *, half_waves: int) -> list[Pose
 
 def correlated_error_of(prediction: Prediction, nuisances: Mapping[str, float]) -> Array:
     """Return a station's estimated correlated errors (H, W) [m], apart from offset and tilts of its pose."""
-    station = prediction.station
+    station, inner = prediction.station, prediction.inner
     total = np.zeros(prediction.distance.shape)
-    for column in prediction.pose_columns:
+    window: Any = ... if inner.context.window is None else inner.context.window
+    for column in inner.pose_columns:
         if not column.path.startswith(CORRELATED):
             continue
         if sum(int(word) for word in column.path.removeprefix(CORRELATED).split(".")) > 1:
             found = nuisances.get(f"{station.recording}.{station.placed}.{column.path}", 0.0)
-            total = total + found * column.distance
+            total[window] += found * column.distance
     return np.where(prediction.used, total, 0.0)
 
 

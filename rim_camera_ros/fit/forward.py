@@ -234,7 +234,7 @@ class Forward:
         )
         if window is None:
             return predicted
-        return on_whole_array(predicted, whole_station, whole_view, self._pose_columns(whole_view))
+        return on_whole_array(predicted, whole_station, whole_view)
 
     def _compare(
         self,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.effects.signal import Signal, Window
 from rim_camera_ros.fit.data import Station
 from rim_camera_ros.fit.prediction import Prediction
-from rim_camera_ros.fit.views import PoseColumn, View
+from rim_camera_ros.fit.views import View
 from rim_camera_ros.geometry import Geometry
 
 Array = NDArray[Any]
@@ -93,10 +93,12 @@ def station_within(station: Station, window: Window) -> Station:
     return replace(station, **{name: getattr(station, name)[window] for name in names})
 
 
-def on_whole_array(
-    inner: Prediction, station: Station, view: View, pose_columns: list[PoseColumn]
-) -> Prediction:
-    """Return the prediction of a window as one of all pixels, which keeps that of the window."""
+def on_whole_array(inner: Prediction, station: Station, view: View) -> Prediction:
+    """Return the prediction of a window as one of all pixels, which keeps that of the window.
+
+    Its columns of the pose are those of the view, without waves of correlated errors: `Prediction.inner` has
+    all of them.
+    """
     window = inner.context.window
     assert window is not None
     shape = view.geometry.distance.shape
@@ -129,7 +131,7 @@ def on_whole_array(
         context=context,
         before={name: light(signal) for name, signal in inner.before.items()},
         delivered=light(inner.delivered),
-        pose_columns=pose_columns,
+        pose_columns=view.pose_columns,
         of_window=inner,
         _images={},
         _changes={},
