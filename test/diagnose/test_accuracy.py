@@ -66,7 +66,9 @@ def test_a_table_of_a_drift_helps_the_poses_that_it_has_not_seen(tmp_path: Path)
 def test_a_table_of_too_many_values_is_of_all_poses_and_says_so(tmp_path: Path) -> None:
     found, _ = of_table(tmp_path, 0.01 * np.sin(np.arange(24) / 5.0), knots=160)
     assert found.table_of_all
-    assert any("is of all poses, also of those that it is compared with" in one for one in found.notes())
+    assert any(
+        "was fitted to all poses, also to those that it is compared with" in one for one in found.notes()
+    )
 
 
 def test_without_a_table_nothing_is_said_of_one() -> None:

@@ -308,7 +308,9 @@ def test_poses_of_a_surface_that_err_alike_are_a_fault(tmp_path: Path) -> None:
     assert "most of all those of box" in said
     assert "rim calibrate" not in said
     alone = str(common_pose_beyond(fitted(0.028, None), camera(tmp_path)))
-    assert alone.endswith("whose distances may have an offset or a scale that its file lacks (rim calibrate)")
+    assert alone.endswith(
+        "an offset or a scale of the camera's distances that its file lacks (rim calibrate)"
+    )
 
 
 def test_poses_that_stand_elsewhere_are_a_set_up() -> None:
