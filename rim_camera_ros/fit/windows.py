@@ -20,8 +20,8 @@ from rim_camera_ros.geometry import Geometry
 
 Array = NDArray[Any]
 
-#: Share of the array up to which a window is computed alone. To put its images back takes half as long as to
-#: predict 176 x 144 pixels without effects (1.1 of 2.3 ms); derivatives, which take longest, stay as they are.
+#: Share of the array up to which a window is computed alone. Putting its images back takes half as long as
+#: predicting 176 x 144 pixels without effects (1.1 of 2.3 ms); derivatives take longest and are not put back.
 _LARGEST = 0.5
 
 #: What images of a prediction are where nothing is seen; NaN those that are not named.
