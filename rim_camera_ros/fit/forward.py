@@ -201,8 +201,8 @@ class Forward:
 
         for name in self._of_geometry:
             memory.pop(name, None)
-            if name in view.memory:
-                memory[name] = view.memory[name]
+            if name in whole_view.memory:
+                memory[name] = whole_view.memory[name]
         context = Context(
             camera=camera,
             settings=settings,
@@ -210,7 +210,9 @@ class Forward:
             time=station.time,
             geometry=geometry,
             geometry_at=geometry_at,
-            footprint=lambda cells: self.views.footprint(view, cells, ambiguity=camera.sensor.ambiguity),
+            footprint=lambda cells: self.views.footprint(
+                whole_view, cells, ambiguity=camera.sensor.ambiguity
+            ),
             moving=motion.moves,
             incidence=geometry.incidence,
             window=window,
@@ -221,7 +223,7 @@ class Forward:
         )
         before: dict[str, Signal] = {}
         signal = deliver(self._chain.light, Signal(geometry.distance, ideal), context, before=before)
-        view.memory.update({name: memory[name] for name in self._of_geometry if name in memory})
+        whole_view.memory.update({name: memory[name] for name in self._of_geometry if name in memory})
         if nameless.any():
             # the reflectivity of these surfaces is not stated: their light is the measured one
             measured = self._noise_amplitude(station, signal.amplitude)

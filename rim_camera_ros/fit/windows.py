@@ -115,9 +115,15 @@ def on_whole_array(inner: Prediction, station: Station, view: View) -> Predictio
             put(signal.distance), put(signal.amplitude, 0.0), put(signal.offset), put(signal.published, 0.0)
         )
 
+    def geometry_at(seconds: float) -> tuple[Geometry, Array]:
+        # where there are windows nothing moves
+        assert inner.context.geometry_at is not None
+        return view.geometry, put(inner.context.geometry_at(seconds)[1], 0.0)
+
     context = replace(
         inner.context,
         geometry=view.geometry,
+        geometry_at=geometry_at,
         incidence=put(inner.context.incidence),
         saturated=station.saturated > 0,
         window=None,

@@ -26,6 +26,7 @@ from rim_camera_ros.fit.shifts import shifts_between
 from rim_camera_ros.fit.views import NEAR
 from rim_camera_ros.scene import Scene, load_scene
 from rim_camera_ros.select.candidates import candidates
+from rim_camera_ros.select.edge_pixels import edge_candidates
 
 from ..calibrate.helpers import SCENE, camera, record
 
@@ -101,7 +102,7 @@ def equations(forward: Forward) -> NormalEquations:
     told, board, data = forward.camera, forward.scene, forward.dataset
     facts = Facts.of(data, moves=False, surfaces=1, camera=told)
     blocks = [*present_blocks(told), *imperfection_blocks(told, board, pattern_field=True)]
-    blocks += [pose_block([])] + [one.block for one in candidates(told, facts)]
+    blocks += [pose_block([])] + [one.block for one in (*candidates(told, facts), *edge_candidates())]
     folds = {(one.recording, one.pose): one.pose % 3 for one in data.stations}
     return accumulate(forward, blocks, fold_of=folds, stray_light=2.0)
 
