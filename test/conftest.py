@@ -8,12 +8,16 @@ import pytest
 
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 
-#: Seconds that a long test may take, on a machine that has other work as well.
-LIMIT_OF_LONG = 900
+#: Seconds that tests of these markers may take, on a machine that has other work as well.
+LIMITS = {"slow": 2400, "long": 900}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give tests that take long more time than others, where they state none themselves."""
     for item in items:
-        if item.get_closest_marker("long") and not item.get_closest_marker("timeout"):
-            item.add_marker(pytest.mark.timeout(LIMIT_OF_LONG))
+        if item.get_closest_marker("timeout"):
+            continue
+        for marker, limit in LIMITS.items():
+            if item.get_closest_marker(marker):
+                item.add_marker(pytest.mark.timeout(limit))
+                break
