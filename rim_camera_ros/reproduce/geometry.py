@@ -44,8 +44,7 @@ def sensors(laboratory: Laboratory) -> Outcome:
     pitch = Printed.number(40.0, "39.2 x 54.8 / 40 / 100")
     how = (
         "frames give angles per pixel only: the pitch scales with the camera constant in mm, which nothing "
-        "in "
-        "the pictures tells; it is taken from the data sheet, as in the thesis, also below"
+        "in the pictures determines; it is taken from the data sheet, as in the thesis, also below"
     )
     rows.append(Row("pixel pitch SR-2 / SR-3000 / 3k-S", "tables 2.2, 2.3, app. C", pitch, None, "um", how))
     return Outcome(tuple(rows))
