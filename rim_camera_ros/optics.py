@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 #: Largest error of the undistortion in normalised image coordinates.
 UNDISTORTION_TOLERANCE = 1e-9
-#: Steps from the principal point to a point at which a fold of the lens model is searched.
+#: Steps from the principal point to a point at which a fold of the lens model is looked for.
 _STEPS = 16
 #: Number of squared radii at which it is checked whether there is any fold.
 _SAMPLES = 400

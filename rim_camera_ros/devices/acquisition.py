@@ -116,7 +116,7 @@ class Acquisition:
                 if not self._pending:
                     failed = True
                     if getattr(self._device, "reconnects", False) and isinstance(error, RimError):
-                        self._fault(error, 0.1)  # the device searches its camera itself, at growing intervals
+                        self._fault(error, 0.1)  # the device looks for its camera itself, ever less often
                         continue
                     self._fault(error, pause if self._retry else None)
                     self._device.close()

@@ -19,7 +19,7 @@ from rim_camera_ros.errors import DeviceError, InputError, RimError
 
 #: Environment variable that names the library's file.
 LIBRARY_VARIABLE = "RIM_LIBMESASR"
-#: Default names under which the library is searched; the second is that of the package.
+#: Default names under which the library is looked for; the second is that of the package.
 LIBRARY_NAMES = ("libmesasr.so", "libmesasr.so.1.0.14")
 
 #: Enumeration ModulationFrq in Hz, by the first three numbers of the library's version. Libraries of 2007 and

@@ -18,7 +18,7 @@ from rim_camera_ros.devices.usb import MODELS, Model, UsbCameras
 from rim_camera_ros.errors import DeviceError, InputError, RimError
 from rim_camera_ros.frame import NANOSECONDS, Intrinsics, RawFrame, Settings
 
-#: Seconds until a lost camera is searched again: after the first fault, and at most.
+#: Seconds until a lost camera is looked for again: after the first fault, and at most.
 _RETRY, _RETRY_AT_MOST = 0.1, 1.0
 #: A frame that has waited longer than this [ns] is skipped for a newer one.
 _STALE = NANOSECONDS // 2
@@ -49,7 +49,7 @@ class SwissRanger:
     size is not that of the camera.
 
     A lost camera (unplugged, library hung or crashed) is reported once, as `DeviceError` from ``next_frame``.
-    The next call searches it again, at growing intervals up to 1 s, and returns its next frame, or raises an
+    The next call looks for it again, at growing intervals up to 1 s, and returns its next frame, or raises an
     error if the reason has changed (``reconnects``). Settings are kept. ``watchdog``: seconds without a frame
     after which the library counts as hung; ``start_timeout``: seconds that it may take to open the camera.
     ``wait_for_camera``: `open` does not fail if only the camera is missing.
@@ -58,7 +58,7 @@ class SwissRanger:
     clock; ``acquisition_time`` [s] in ``settings.extra`` is the time between the two.
     """
 
-    #: After an error ``next_frame`` searches the camera itself.
+    #: After an error ``next_frame`` looks for the camera itself.
     reconnects = True
 
     def __init__(

@@ -24,10 +24,10 @@ Array = NDArray[np.float64]
 _REST = 0.12
 _WINDOW = 3
 #: ... and as long as the correlation of the images there is above this: where a board has left, no corners
-#: are found nearby, and the points stay where they were searched, as if at rest. Noise lowers the correlation
-#: of such contrasts little.
+#: are found nearby, and the points stay where they were looked for, as if at rest. Noise lowers the
+#: correlation of such contrasts little.
 _ALIKE = 0.8
-#: Most frames without the board in which boards of other descriptions are searched.
+#: Most frames without the board in which boards of other descriptions are looked for.
 _MOST_MISSED = 8
 
 
