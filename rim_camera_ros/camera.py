@@ -67,15 +67,15 @@ class Sensor:
 
     @property
     def wraps(self) -> bool:
-        """Whether counts wrap at the ambiguity range (else the camera has resolved it itself)."""
+        """Whether counts wrap at the ambiguity range (if not, the camera has resolved the wraps itself)."""
         return FULL_SCALE * self.lsb <= self.ambiguity * (1 + 1e-6)
 
     def remaining(self, background: float) -> float:
-        """Return the counts that unmodulated light of ``background`` counts fills a pixel with.
+        """Return the counts by which unmodulated light of ``background`` counts fills a pixel.
 
-        A pixel saturates where they and its amplitude reach `saturation`: level * 10^(-suppression / 20)
-        (Kahlmann 2007, sec. 2.3.2 and table 2.3, suppression of background illumination). The photons'
-        noise stays that of all the light (sec. 2.3.1).
+        They are background * 10^(-suppression / 20) (Kahlmann 2007, sec. 2.3.2 and table 2.3, suppression of
+        background illumination). A pixel saturates where their sum with its amplitude reaches `saturation`.
+        Photon noise remains that of all the light (sec. 2.3.1).
         """
         suppression = self.background_suppression
         return 0.0 if suppression is None else background * 10.0 ** (-suppression / 20.0)
@@ -102,7 +102,7 @@ class Radiometry:
 
 @dataclass(frozen=True)
 class Validity:
-    """Ranges within which the calibration holds; None: not stated."""
+    """Ranges within which the calibration is valid; None: not stated."""
 
     distance: tuple[float, float] | None = quantity("m", "least and greatest", default=None)
     amplitude: tuple[float, float] | None = quantity("counts", "least and greatest", default=None)
@@ -144,11 +144,11 @@ class Covariance:
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera file's content. ``effects`` maps names to parameter objects of `rim_camera_ros.effects`.
+    """The content of a camera file. ``effects``: parameter objects of `rim_camera_ros.effects` by name.
 
-    ``minimum_amplitude`` None means: where the noise that the amplitude term adds exceeds the range noise.
-    ``measurement``: None for one modulation frequency, else an object of `rim_camera_ros.measurement`;
-    ``channels``: of several frequencies the ordinary camera of each.
+    ``minimum_amplitude``: None is the amplitude at which the noise by the amplitude term exceeds the range
+    noise. ``measurement``: None for one modulation frequency, else an object of `rim_camera_ros.measurement`;
+    ``channels``: with several frequencies the ordinary camera of each.
     """
 
     sensor: Sensor
@@ -204,7 +204,7 @@ class Camera:
         return value
 
     def light_of(self, published: Any) -> Any:
-        """Return the amplitude before its compression, of which the noise model speaks, of published ones."""
+        """Return published amplitudes before their compression, as the noise model requires them."""
         for effect in self.effects.values():
             # that of the amplitude response, a `rim_camera_ros.effects.base.ResponseEffect`
             if hasattr(effect, "expanded"):
@@ -231,8 +231,8 @@ class Camera:
     ) -> NDArray[Any]:
         """Return the 1-sigma of one distance [m] at amplitudes [counts] before their compression.
 
-        At a ``distance`` [m] and ``settings`` where the way of measuring makes noise depend on them; without
-        both, that of the noise section.
+        For some ways of measuring the noise depends on ``distance`` [m] and ``settings``; without both it is
+        that of the noise section.
         """
         factors = None
         if distance is not None and settings is not None and self.measurement is not None:
@@ -247,5 +247,5 @@ class Camera:
 
     @property
     def background(self) -> float:
-        """Counts of unmodulated light that the effects state, which add noise only."""
+        """Counts of unmodulated light by the effects, which only add noise."""
         return float(sum(effect.unmodulated_light for effect in self.effects.values()))

@@ -1,4 +1,4 @@
-"""Camera files (``rim_camera/1``): read with every check, written whole."""
+"""Camera files (``rim_camera/1``): read with all checks, written completely or not at all."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class _File:
 def load_camera(path: str | os.PathLike[str]) -> Camera:
     """Read a camera file with the arrays that it names.
 
-    Raises `InputError` (file, place with line, problem, remedy) for whatever is wrong in it, among
-    them maps of the wrong shape or outside the file's folder and lens models that cannot be inverted.
+    Raises `InputError` (file, place with line, problem, remedy) for any error in it, such as maps of the
+    wrong shape or outside the file's folder, and lens models that cannot be inverted.
     """
     document = read_yaml(path)
     if not isinstance(document.data, dict):
@@ -188,7 +188,7 @@ def added(camera: Camera, effect: Effect) -> Camera:
 
 
 def lean_camera(camera: Camera) -> Camera:
-    """Return the camera without parts of its effects that do nothing, itself where it has none."""
+    """Return the camera without parts of its effects that do nothing; itself if there are none."""
     lean = {name: effect.lean() for name, effect in camera.effects.items()}
     same = all(lean[name] is effect for name, effect in camera.effects.items())
     return camera if same else with_effects(camera, lean)
@@ -243,9 +243,9 @@ def draw_parameters(camera: Camera, rng: np.random.Generator) -> Camera:
 
 
 def save_camera(camera: Camera, path: str | os.PathLike[str], *, comment: str = "") -> None:
-    """Write a camera file and the arrays that it names beside it; the YAML comes last and whole.
+    """Write a camera file, and its arrays in the same folder; the YAML file is written last, and atomically.
 
-    Raises `RimError` where it cannot be written; arrays that were not there before are removed then.
+    Raises `RimError` where it cannot be written; new arrays are removed then.
     """
     path = Path(path)
     arrays = list(arrays_of(camera.measurement))
@@ -268,21 +268,21 @@ def save_camera_apart(camera: Camera, path: str | os.PathLike[str], *, comment: 
     """Write a camera file whose arrays are its own: no other file in the folder names them.
 
     They are called ``STEM.PLACE.CHECKSUM.npy`` after the camera file, so that neither another camera file nor
-    the one that is replaced is harmed, whatever happens meanwhile. Arrays of that form that the replaced file
-    left behind and no YAML file in the folder names are removed. Returns the camera as written. Raises
-    `RimError` where it cannot be written.
+    the replaced one is damaged, even if writing is interrupted. Arrays of this form that remain from the
+    replaced file, and that no YAML file in the folder names, are removed. Returns the camera as written.
+    Raises `RimError` where it cannot be written.
     """
     path = Path(path)
     camera = _with_own_arrays(camera, path.stem)
     save_camera(camera, path, comment=comment)
     own = re.compile(re.escape(path.stem) + r"\.[a-z_]+\.[0-9a-f]{8}\.npy")
     stale = [one for one in path.parent.glob("*.npy") if own.fullmatch(one.name)]
-    # a copy of the replaced file may live on beside it
+    # a copy of the replaced file may be in the same folder
     for other in path.parent.glob("*.y*ml") if stale else ():
         try:
             text = other.read_bytes()
         except OSError:
-            # it may name any of them
+            # a file that cannot be read may name any of them
             return camera
         stale = [one for one in stale if one.name.encode() not in text]
     for one in stale:

@@ -1,7 +1,7 @@
-"""The one forward chain: light through the effects in their order, terms at what the optics deliver.
+"""The forward chain: light passes the effects in their order; terms are evaluated at the delivered light.
 
-The simulation of frames, the prediction of mean frames in a fit, and the tables of the correction all take
-the effects of a camera from here, so that they cannot disagree.
+The simulation of frames, the prediction of mean frames in a fit, and the tables of the correction all use
+this chain, so that they cannot disagree.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ class Terms:
 
 @dataclass(frozen=True)
 class Chain:
-    """The effects of a camera by where they act, each in the order along the light.
+    """The effects of a camera, grouped by where they act, each group in the order along the light.
 
-    ``light`` changes what the optics deliver, ``terms`` add up to the measured distance at that, and
-    ``response`` publishes the amplitude.
+    ``light`` changes the light that the optics deliver, ``terms`` are added to its distance, and ``response``
+    turns its amplitude into the published one.
     """
 
     light: tuple[Effect, ...]
@@ -47,7 +47,7 @@ class Chain:
 
     @classmethod
     def of(cls, effects: Iterable[Effect], *, of_means: bool = False) -> Chain:
-        """Sort ordered effects; ``of_means`` leaves out those without a mean that could be predicted."""
+        """Sort ordered effects; ``of_means`` excludes those without a predictable mean."""
         kept = [effect for effect in effects if effect.predictable or not of_means]
         responses = [
             response_effect for response_effect in kept if isinstance(response_effect, ResponseEffect)
@@ -77,7 +77,7 @@ class Chain:
         return Terms(total, by_distance, by_amplitude)
 
     def published(self, amplitude: Array) -> Array:
-        """Return the published amplitude in counts of delivered ones."""
+        """Return the published amplitudes in counts of delivered ones."""
         return amplitude if self.response is None else self.response.compressed(amplitude)
 
 
@@ -88,7 +88,7 @@ def deliver(
     *,
     before: MutableMapping[str, Signal] | None = None,
 ) -> Signal:
-    """Return the light after effects on it; ``before`` collects it before each of them by name."""
+    """Return the light after the effects; ``before`` collects the light before each effect by name."""
     phasor: Array | None = None
     for effect in effects:
         if phasor is not None and (before is not None or not isinstance(effect, ComplexEffect)):

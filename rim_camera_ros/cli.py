@@ -23,11 +23,11 @@ _EPILOG = """exit status: 0 done, 1 the work failed, 2 bad usage or bad input, 1
 Cameras and scenes are files or the names of shipped ones; rim COMMAND --help says more.
 RIM_TRACEBACK=1 in the environment shows where an error came from."""
 
-#: Signals that end the work; what is half written is removed.
+#: Signals that end the work; incomplete output is removed.
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-#: Seconds in which a second Ctrl-C does not disturb the clearing up after the first.
+#: Seconds after the first Ctrl-C during which a second one does not interrupt the clean-up.
 _PATIENCE = 3.0
-#: Seconds between two looks whether an import is over.
+#: Seconds between two checks whether an import is over.
 _AFTER_IMPORT = 0.05
 
 
@@ -36,7 +36,7 @@ COMMANDS = (
     "board", "poses", "optics", "simulate", "record", "import", "camera", "correct", "calibrate", "diagnose",
     "compare", "plan", "reproduce", "info",
 )  # fmt: skip
-#: Modules whose command cannot name them: ``import`` is a word of Python.
+#: Modules that are not named like their command, as ``import`` is a keyword of Python.
 _MODULES = {"import": "import_recording"}
 
 
@@ -73,7 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             signal.signal(number, signal.SIG_IGN)
         return _failed(": ".join(["interrupted", *map(str, end.args)]), 130)
     except BrokenPipeError:
-        _drop_output()  # whoever read it has gone
+        _drop_output()  # the reader of the output is gone
         return 0
     except OSError as error:
         _drop_output()
@@ -92,7 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(argv: list[str]) -> int:
-    """Read the command line, which imports the command and leaves nothing to clear up, and do the work."""
+    """Parse the command line, which imports the command, and do the work."""
     if completion.asked_for():
         named = completion.command_asked_for(COMMANDS)
         completion.complete(completion.parser_of_names(COMMANDS) if named is None else parser((named,)))
@@ -100,7 +100,7 @@ def _run(argv: list[str]) -> int:
     if command is not None and command not in COMMANDS:
         raise InputError(f"no command '{command}'", remedy=nearest_name(command, COMMANDS))
     try:
-        # others are not imported: they would take a second
+        # other commands are not imported, which would take a second
         given = parser(COMMANDS if command is None else (command,)).parse_args(argv)
     except SystemExit as end:  # --help and --version
         sys.stdout.flush()
@@ -116,13 +116,12 @@ def _run(argv: list[str]) -> int:
 
 @contextmanager
 def _signals() -> Iterator[None]:
-    """Make the first signal that ends the work a KeyboardInterrupt, and further ones for a while nothing.
+    """Turn the first signal that ends the work into a KeyboardInterrupt; ignore further ones for a while.
 
-    One that comes in the midst of an import, whose callbacks lose exceptions, or of code that is made from
-    text (dataclasses), after which the interpreter ends itself by the signal whoever caught it, is put off
-    until it is over.
-    Signals that are ignored (``nohup``, a script's background job) stay so. In other threads than the main
-    one nothing is done.
+    A signal is postponed during an import, as callbacks of imports lose exceptions, and during code made from
+    text (dataclasses), after which the interpreter would end itself by the signal even if it was caught.
+    Signals that are already ignored (``nohup``, a script's background job) stay ignored. Outside of the main
+    thread nothing is done.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -162,7 +161,7 @@ def _with_home(word: str) -> str:
 
 
 def _uninterruptible(frame: FrameType | None) -> bool:
-    """Whether a frame or one of its callers is of the import system, or of code ``exec`` made from text."""
+    """Whether a frame or one of its callers belongs to the import system, or to code that ``exec`` runs."""
     while frame is not None:
         if frame.f_code.co_filename.startswith(("<frozen importlib", "<string>")):
             return True
@@ -171,7 +170,7 @@ def _uninterruptible(frame: FrameType | None) -> bool:
 
 
 def _drop_output() -> None:
-    """Keep what is still buffered from being written at the interpreter's end."""
+    """Prevent buffered output from being written at the interpreter's end."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 

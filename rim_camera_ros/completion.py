@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 
 from rim_camera_ros.errors import RimError
 
-#: What argcomplete sets where the shell asks for completions.
+#: Variable that argcomplete sets where the shell requests completions.
 _ASKED = "_ARGCOMPLETE"
 Completer = Callable[..., Iterable[str]]
 
@@ -22,13 +22,13 @@ def asked_for() -> bool:
 
 
 def command_asked_for(known: Iterable[str]) -> str | None:
-    """Return the command on the line that is completed, None where there is none yet."""
+    """Return the command in the line that is completed, None where there is none yet."""
     words = os.environ.get("COMP_LINE", "").split(" ")
     return next((one for one in known if [one] == words[1:2] and len(words) > 2), None)
 
 
 def parser_of_names(known: Iterable[str]) -> argparse.ArgumentParser:
-    """Return a parser that knows the names of the commands alone: to import all of them takes seconds."""
+    """Return a parser with only the names of the commands, as importing all commands takes seconds."""
     result = argparse.ArgumentParser(prog="rim")
     result.add_argument("--version", action="store_true")
     commands = result.add_subparsers()
@@ -60,7 +60,7 @@ def _parsers(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
 
 
 def _completer(action: argparse.Action) -> Completer | None:
-    """Return what completes an option's or argument's value; None leaves it to argcomplete (files)."""
+    """Return the function that completes the value of an option; None: argcomplete completes files."""
     name = action.dest
     if name in ("camera", "scene"):
         return _names_and_files("calibration" if name == "camera" else "config")
@@ -81,7 +81,7 @@ def _names_and_files(*kinds: str, also: tuple[str, ...] = ()) -> Completer:
 
         try:
             names = [*also, *(name for kind in kinds for name in shipped(kind))]
-        except RimError:  # an installation without them
+        except RimError:  # an installation without the shipped files
             names = list(also)
         files = FilesCompleter() if "usb" in also else FilesCompleter(("yaml", "yml"))
         return [name for name in names if name.startswith(prefix)] + list(files(prefix))

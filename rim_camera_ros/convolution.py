@@ -2,14 +2,14 @@
 
 The operator is H = d I + sum_i w_i G_i + w_g T, on the sensor with zero outside. A Gaussian that is
 separable and truncated at the sensor's edge is a pair of symmetric Toeplitz matrices, S -> V S U.
-Wide ones have few eigenvalues that matter (about 5.3 n / (pi sigma) + 4 of n above 1e-6), so that they
-act within a small subspace: S is projected on it, the halo solved there, and expanded again. That
-undoes the truncated operator itself; division in the Fourier domain would treat the light that fell
-beside the sensor as measured zeros.
+Wide ones have few significant eigenvalues (about 5.3 n / (pi sigma) + 4 of n above 1e-6), so that they act
+within a small subspace. S is projected on it, the halo is solved there, and the result is expanded again.
+This inverts the truncated operator itself; division in the Fourier domain would treat light that fell beside
+the sensor as measured zeros.
 
-Regularisation: none is needed within the stated bounds, because G_i is positive semidefinite; noise is
-amplified by at most 1 / (d - w_g). Components of the halo below `subspace.KEEP` of its kernel's total are
-left alone.
+No regularisation is needed within the stated bounds, because G_i is positive semidefinite; noise is
+amplified by at most 1 / (d - w_g). Components of the halo below `subspace.KEEP` of the total of its kernel
+are not undone.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ __all__ = [
 
 Real = NDArray[Any]
 
-#: Share of the light by which a guess may be wrong, and what is small beside the direct light once it
-#: is spread over a halo (a phase of that many rad is 0.006 mm at 20 MHz).
+#: Share of the light by which a guess may be wrong, and share that is negligible relative to the direct light
+#: once it is spread over a halo (a phase of that many rad is 0.006 mm at 20 MHz).
 _GUESS = 0.01
 _LOCAL = 5e-6
 #: Kernels narrower than this many pixels are applied in space, wider ones in the subspace.
@@ -97,8 +97,8 @@ class Spreading:
     ``kernels``: (weight, sigma along the row [px], sigma along the column [px]); ``ghost``: (weight,
     shift in columns, shift in rows [px]) or None. The direct weight d is 1 minus all weights.
 
-    Raises ValueError where the weights leave less than 5 % of the light in its place, or a ghost as much
-    light as they leave there.
+    Raises ValueError where the weights leave less than 5 % of the light in its place, or the weight of a
+    ghost is as large as the remaining one.
     """
 
     def __init__(
@@ -134,15 +134,15 @@ class Spreading:
         return result.astype(self.dtype, copy=False)
 
     def solve(self, image: Real, *, guess: Real | None = None) -> Real:
-        """Return H^-1 image, sooner from a ``guess`` that is near it."""
+        """Return H^-1 image, faster from a ``guess`` near it."""
         if not self._narrow and self.ghost is None:
             return self._solve_wide(image)
         if not self._narrow and self.dtype == np.float32:
             return self._solve_ghost(image, guess)
         stop = CONVERGED[self.dtype] * (float(np.abs(image).max()) or 1.0) * 4
         solution = self._solve_wide(image) if guess is None else guess
-        # what the narrow kernels add to d is positive: half of it in the step, and the iteration converges
-        # however much they outweigh d
+        # narrow kernels add a positive part to d: with half of it in the step the iteration converges,
+        # however large it is relative to d
         narrow = sum(k[0] for k in self._narrow) / self.direct
         step = self.dtype.type(1.0 / (1.0 + narrow / 2))
         before = 0.0
@@ -150,8 +150,8 @@ class Spreading:
             change_by = step * (self._solve_wide(image - self._beside(solution)) - solution)
             change = float(np.abs(change_by).max())
             solution = solution + change_by
-            # the changes shrink by a constant factor, down to rounding: stop where all that follow together
-            # are below the bound
+            # changes shrink by a constant factor, down to rounding: stop where the sum of all further changes
+            # is below the bound
             rate = change / before if before else 0.5
             if not change * rate > stop * (1.0 - rate) or (change <= stop and rate > 0.97):
                 break
@@ -159,10 +159,10 @@ class Spreading:
         return solution
 
     def _solve_ghost(self, image: Real, guess: Real | None) -> Real:
-        """Wide kernels and a ghost of weight g: x = W^-1 (image - g T x), W the wide part with d.
+        """Solve for wide kernels and a ghost of weight g: x = W^-1 (image - g T x), W the wide part with d.
 
-        Each turn gains a factor g / d. Where what is left is small even beside its own halo, only its direct
-        light is followed.
+        Each iteration reduces the error by a factor g / d. Once the remainder is so small that its halo is
+        negligible, only its direct light is computed.
         """
         assert self.ghost is not None
         weight, columns, rows = self.ghost
@@ -181,7 +181,7 @@ class Spreading:
         return following
 
     def first_order(self, image: Real) -> Real:
-        """Return H^-1 image but for the narrow kernels and the ghost, whose light is only scaled."""
+        """Return H^-1 image without undoing narrow kernels and the ghost, whose light is only scaled."""
         return self._solve_wide(image)
 
     def _solve_wide(self, image: Real) -> Real:
@@ -191,7 +191,7 @@ class Spreading:
         return result.astype(self.dtype, copy=False)
 
     def _beside(self, image: Real) -> Real:
-        """Narrow kernels and ghost."""
+        """Return the light of narrow kernels and the ghost."""
         result = np.zeros_like(image)
         for weight, sigma_u, sigma_v in self._narrow:
             result += self.dtype.type(weight) * self._blur(image, sigma_u, sigma_v)

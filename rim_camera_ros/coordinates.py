@@ -1,8 +1,8 @@
 """Coordinates from one distance, with their precision: Kahlmann 2007, eqs. 2.14-2.19.
 
 These functions follow the thesis: the origin lies on the sensor and the distance counts from the pixel
-(eq. 2.17). Clouds of this package have their origin in the projection centre (see `cloud`); the two
-differ by up to the camera constant, which the fixed pattern absorbs.
+(eq. 2.17). Clouds of this package have their origin in the projection centre (see `cloud`). The two differ
+by up to the camera constant, a difference that the fixed pattern absorbs.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The package's errors: one line that names the file, the place in it and what to do."""
+"""Errors of the package: one line that states the file, the place in it and the remedy."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ class RimError(Exception):
         text = ": ".join(part for part in (self.file, self.place, self.problem) if part)
         if self.remedy:
             text += f" ({self.remedy})"
-        # what a file holds may move the cursor of a terminal
+        # text from files may contain control characters of a terminal
         return "".join(
             one if one.isprintable() else one.encode("unicode_escape").decode()
             for one in " ".join(text.split())
         )
 
     def located(self, file: str | PathLike[str]) -> RimError:
-        """Return the same error with its file named, where none was known before."""
+        """Return the same error with this file, unless it has one already."""
         if self.file is not None:
             return self
         return type(self)(self.problem, file=file, place=self.place, remedy=self.remedy)

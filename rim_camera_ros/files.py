@@ -1,4 +1,4 @@
-"""Files that ship with the package: camera files, scene files, experiments, found by name."""
+"""Files shipped with the package: camera files, scene files, experiments, found by name."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _EXPERIMENTS = "calibration/experiments"
 
 
 def expanded(text: str) -> str:
-    """Return a path, or several joined by ``:``, with ``~`` and ``~user`` as a shell has them.
+    """Return a path, or several joined by ``:``, with ``~`` and ``~user`` expanded as by a shell.
 
-    Shells leave ``--out=~/bag``, and values of parameters, as they are.
+    Shells do not expand them in ``--out=~/bag`` and in values of parameters.
     """
     return os.pathsep.join(os.path.expanduser(word) for word in text.split(os.pathsep))
 
 
 def share_folder() -> Path:
-    """Return the folder that holds ``calibration`` and ``config``: the source tree or share/."""
+    """Return the folder with ``calibration`` and ``config``: the source tree or share/."""
     source = Path(__file__).resolve().parents[1]
     if (source / "package.xml").is_file():
         return source

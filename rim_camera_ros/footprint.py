@@ -1,8 +1,8 @@
-"""The light that pixels gather over an area, sampled in the scene more finely than the pixels.
+"""The light that pixels collect over an area, sampled in the scene more finely than the pixels.
 
-Only pixels beside an edge of a surface or of its brightness are sampled: elsewhere the light at the centre
-stands for that of the area (what it misses is of the second order in the size of a pixel). Mixed pixels:
-Kahlmann 2007, sec. 3.3.10, fig. 3.58.
+Only pixels next to an edge of a surface or of its brightness are sampled. Elsewhere the light at the centre
+is used for the whole area, with an error of second order in the size of a pixel. Mixed pixels: Kahlmann 2007,
+sec. 3.3.10, fig. 3.58.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class Cells:
-    """Square cells that are sampled each at a place: side [px], and number along a side (odd)."""
+    """Square cells, each sampled at one place: side [px], and number along a side (odd)."""
 
     side: float
     number: int
 
     @property
     def places(self) -> tuple[Array, Array]:
-        """Where the cells are sampled, (K, K) px down and across from the middle of the pixel.
+        """Return the places of the samples, (K, K) px down and across from the middle of the pixel.
 
-        No two in the same row or column (multi-jittered: Chiu et al. 1994), so that an edge along the rows
-        meets as many places as the cells are, and not as many as their rows.
+        No two samples are in the same row or column (multi-jittered: Chiu et al. 1994), so that an edge along
+        the rows crosses samples at as many positions as there are cells, not as there are rows of cells.
         """
         cell = np.arange(self.number) - self.number // 2
-        # a step that meets all of an odd number, about as far as the golden section
+        # a step that reaches all of an odd number of cells, near the golden section
         step = next(k for k in range(round(0.382 * self.number), self.number) if np.gcd(k, self.number) == 1)
         half = self.number // 2
         within = ((step * cell + half) % self.number - half) / self.number
@@ -47,7 +47,7 @@ class Cells:
 
     @property
     def widest(self) -> float:
-        """The largest side of a footprint [px] that they cover."""
+        """The largest side of a footprint [px] that the cells cover."""
         return self.side * self.number
 
     def weights(self, side: float) -> tuple[Array, Array]:
@@ -62,7 +62,7 @@ class Cells:
         return inside / side, grows / side - inside / side**2
 
 
-#: What effects are computed with, and what is enough to see whether there is something.
+#: Cells for the computation of effects, and coarse ones that suffice to see whether there is any effect.
 FINE, COARSE = Cells(0.1, 13), Cells(0.15, 5)
 
 
@@ -85,7 +85,7 @@ class FootprintLight:
         found = self._last.get("ratio")
         if found is None or found[0] != side:
             weights, _ = self.cells.weights(side)
-            # a fit asks for the same again and again
+            # cached, as a fit requests the same again and again
             found = (side, self._laid_out((weights, weights), np.ones(self.shape, complex)))
             self._last["ratio"] = found
         return found[1]

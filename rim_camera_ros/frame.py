@@ -1,4 +1,4 @@
-"""Frames: what a camera delivers and what the correction makes of it."""
+"""Frames: raw ones as the camera delivers them, and corrected ones."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ class Pose:
 class Readings:
     """The readings of a sensor in order: ``stamps`` in nanoseconds, ``values`` in its unit.
 
-    They grow while a recording is read: what depends on the past takes those up to its own stamp.
+    They grow while a recording is read; users of past readings only take those up to their own stamp.
     """
 
     stamps: list[int] = field(default_factory=list)
     values: list[float] = field(default_factory=list)
 
     def add(self, stamp: int, value: float) -> None:
-        """Add a reading at its place; of two with one stamp the later one holds."""
+        """Add a reading in its place; of two with the same stamp the later one counts."""
         place = bisect_left(self.stamps, stamp)
         if place < len(self.stamps) and self.stamps[place] == stamp:
             self.values[place] = value
@@ -74,8 +74,8 @@ class Settings:
 
     ``integration_time`` in the device's own unit, ``modulation_frequency`` in Hz, ``uptime`` in s
     since power-on, temperatures in degC, ``reference_distance`` (internal reference path) in m.
-    ``ambient_readings`` are all of the recording's readings of the ambient temperature, where they are at
-    hand. ``extra`` holds the further key/value pairs of the frame_info message.
+    ``ambient_readings`` are all readings of the ambient temperature in the recording, where available.
+    ``extra`` contains the further key/value pairs of the frame_info message.
     """
 
     integration_time: float | None = None
@@ -90,7 +90,7 @@ class Settings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Intrinsics:
-    """What a camera_info message says: size in pixels, focal lengths, principal point, plumb_bob."""
+    """The geometry in a camera_info message: size in pixels, focal lengths, principal point, plumb_bob."""
 
     width: int
     height: int
@@ -107,9 +107,9 @@ class RawFrame:
 
     ``distance`` (H, W): uint16 counts (one count = ``distance_lsb``; 0 = no measurement) or float32
     metres (NaN or 0 = no measurement). ``amplitude`` (H, W): uint16 or float32 counts.
-    ``sigma`` (H, W): 1-sigma of the distance in metres where it is known of this very frame, else None.
-    ``images``: what the device measures beyond these, by role (see `rim_camera_ros.bags.topics`); where it
-    holds ``distance_1`` but no ``distance_0``, distance and amplitude are those of the first frequency.
+    ``sigma`` (H, W): 1-sigma of the distance in metres where it is known for this very frame, else None.
+    ``images``: further images of the device by role (see `rim_camera_ros.bags.topics`). If there is a
+    ``distance_1`` but no ``distance_0``, distance and amplitude are those of the first frequency.
     ``stamp`` in nanoseconds. ``truth`` holds the poses of scene surfaces that are valid for this
     frame (the last message of each surface at or before the stamp); ``pose_stamps`` their stamps.
     """
@@ -146,7 +146,7 @@ class RawFrame:
             )
 
     def with_truth_of(self, surfaces: Set[str]) -> RawFrame:
-        """Return the frame without the poses of other surfaces; itself where it has no others."""
+        """Return the frame without the poses of other surfaces; itself if there are no others."""
         if self.truth.keys() <= surfaces and self.pose_stamps.keys() <= surfaces:
             return self
         return replace(

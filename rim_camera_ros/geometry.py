@@ -21,8 +21,8 @@ class Geometry:
 
     ``distance`` [m] from the projection centre along the ray, ``points`` [m], ``normals`` (towards the
     camera), ``cos_incidence`` = |ray . normal|, ``reflectivity``, ``surface`` index; ``tile`` numbers the
-    tiles of all surfaces, those of the first surface first (-1: nothing). ``scene`` and ``poses`` are what
-    was looked at, None where that is not known.
+    tiles of all surfaces, those of the first surface first (-1: nothing). ``scene`` and ``poses``: those that
+    the rays meet; None where these are not known.
     """
 
     surface: NDArray[np.int16]
@@ -36,7 +36,7 @@ class Geometry:
     poses: Mapping[str, Pose] | None = None
 
     def along(self, rays: Array) -> Geometry | None:
-        """Return what other rays (H, W, 3) from the same place meet, None where the scene is not known."""
+        """Return the geometry for other rays (H, W, 3) from the same place; None if the scene is unknown."""
         if self.scene is None or self.poses is None:
             return None
         return see(self.scene, self.poses, rays)
@@ -53,9 +53,9 @@ class Geometry:
 
 
 def see(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> Geometry:
-    """Return what the rays (H, W, 3) from the origin meet: the nearest surface at positive length.
+    """Return the geometry that rays (H, W, 3) from the origin meet: the nearest surface at positive length.
 
-    Surfaces without a pose in ``poses`` are not there.
+    Surfaces without a pose in ``poses`` are ignored.
     """
     shape = rays.shape[:2]
     directions = rays.reshape(-1, 3)
@@ -101,7 +101,7 @@ def see(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> Geometry:
 
 def beside_edges(geometry: Geometry, margin: int) -> NDArray[np.bool_]:
     """Return the pixels (H, W) within ``margin`` [px] of another surface, another brightness, or nothing."""
-    from scipy.ndimage import maximum_filter, minimum_filter  # takes a good part of a node's start
+    from scipy.ndimage import maximum_filter, minimum_filter  # here, as it slows nodes' start
 
     size = 2 * margin + 1
     bright = np.where(geometry.hit, geometry.reflectivity, -1.0)
@@ -117,7 +117,7 @@ def surface_seen(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> NDArra
 
 
 def _first_met(scene: Scene, poses: Mapping[str, Pose], directions: Array) -> tuple[NDArray[np.int16], Array]:
-    """Return the index of the nearest surface along each ray (N, 3), -1 where there is none, and how far."""
+    """Return index and distance of the nearest surface along each ray (N, 3), -1 where there is none."""
     origin = np.zeros(3)
     nearest = np.full(len(directions), np.inf)
     index = np.full(len(directions), -1, np.int16)

@@ -1,7 +1,7 @@
-"""Ctrl-C while a program of this package still imports its libraries: an end without a traceback.
+"""Ctrl-C while a program of this package still imports its libraries: it ends without a traceback.
 
-The first thing of the package that runs in any program; it imports next to nothing. The programs set handlers
-of their own once they have something to clear up.
+This module runs first in every program of the package, and imports almost nothing. Programs set their own
+handlers once they have something to clean up.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import sys
 from collections.abc import Sequence
 from types import FrameType
 
-#: Programs, by the name of their executable or of their module, with their exit status when interrupted. A
-#: node that is asked to end has done what it should.
+#: Programs, by the name of their executable or of their module, with their exit status when interrupted. For
+#: nodes it is success, as they only end on request.
 PROGRAMS = {
     "rim": 130,
     "demo": 130,
@@ -26,7 +26,7 @@ PROGRAMS = {
 }
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PACKAGE = "rim_camera_ros"
-#: Modules that are named otherwise than their program.
+#: Modules that are not named like their program.
 _MODULES = {"cli": "rim"}
 
 
@@ -49,7 +49,7 @@ def program(command: Sequence[str], script: str) -> str | None:
 
 
 def end_quietly_while_importing() -> None:
-    """End this process at SIGINT, SIGTERM, SIGHUP where it is one of `PROGRAMS` and does not ignore them.
+    """End this process at SIGINT, SIGTERM, SIGHUP if it is one of `PROGRAMS` and does not ignore them.
 
     Once its work is done it ignores them, until the interpreter has ended.
     """
@@ -58,11 +58,11 @@ def end_quietly_while_importing() -> None:
         return
 
     def end(number: int, frame: FrameType | None) -> None:
-        ignore()  # a second one between the line and the end would write the line again
+        ignore()  # a second signal before the end would write the line again
         status = PROGRAMS[name]
         if status:
             os.write(2, f"{name}: interrupted\n".encode())
-        os._exit(status)  # nothing has begun; an exception could be lost in the midst of an import
+        os._exit(status)  # no work has begun; an exception could be lost during an import
 
     def ignore() -> None:
         for number in heard:
@@ -71,5 +71,5 @@ def end_quietly_while_importing() -> None:
     heard = [signals for signals in _ENDING if signal.getsignal(signals) != signal.SIG_IGN]
     for number in heard:
         signal.signal(number, end)
-    # the interpreter goes back to the system's handlers at its end, but leaves what is ignored
+    # at its end the interpreter restores the system's handlers, but ignored signals stay ignored
     atexit.register(ignore)

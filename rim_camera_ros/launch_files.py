@@ -1,4 +1,4 @@
-"""What the launch files share: arguments, and the processes that a camera is; no ROS in here."""
+"""Common parts of the launch files: arguments, and the processes of a camera; no ROS in here."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rim_camera_ros.files import share_folder
 from rim_camera_ros.launch_parameters import for_node, log_levels, preset_file
 
 _PACKAGE = "rim_camera_ros"
-#: Nodes that have a process of their own in any case.
+#: Nodes that always have their own process.
 _APART = ("calibration",)
 #: Seconds until a process that has ended is started again.
 _RESPAWN_DELAY = 2.0
@@ -22,7 +22,7 @@ _RESPAWN_DELAY = 2.0
 
 @dataclass(frozen=True)
 class Argument:
-    """An argument of a launch file; an empty one leaves the matter to parameter files and to the node."""
+    """An argument of a launch file; if it is empty, parameter files and the node decide."""
 
     name: str
     description: str
@@ -31,7 +31,7 @@ class Argument:
 
     @property
     def declared(self) -> dict[str, Any]:
-        """What ``DeclareLaunchArgument`` takes beside the name."""
+        """Return the arguments of ``DeclareLaunchArgument`` in addition to the name."""
         return {
             "default_value": self.default,
             "choices": None if self.choices is None else list(self.choices),
@@ -62,10 +62,10 @@ SHARED = (
 
 @contextmanager
 def said_plainly() -> Iterator[None]:
-    """Have launch say an `InputError` that is raised within as its sentence alone.
+    """Let launch report an `InputError` that is raised inside by its sentence alone.
 
     Launch puts "Caught exception in launch (see debug for traceback)" before errors of any type. The error
-    is raised as it is: launch ends what it has started, and its status is 1.
+    itself is not changed: launch ends the processes that it has started, and its status is 1.
     """
     try:
         yield
@@ -89,11 +89,11 @@ def processes(
     folder: str | Path,
     last: Sequence[str] = (),
 ) -> list[dict[str, Any]]:
-    """Return what launch_ros's ``Node`` takes, for each process of a camera.
+    """Return the arguments of ``Node`` of launch_ros, for each process of a camera.
 
-    ``values``: of the arguments `SHARED`, by name; ``files``: parameter files by node, which override the
-    preset; ``last``: parameter files of all nodes, which override those; ``folder``: where a further file is
-    written, see `for_node`. Raises `InputError` where a value is wrong.
+    ``values``: values of the arguments `SHARED` by name; ``files``: parameter files by node, which override
+    the preset; ``last``: parameter files for all nodes, which override ``files``; ``folder``: where a further
+    file is written, see `for_node`. Raises `InputError` where a value is wrong.
     """
     files = dict(files)
     if switched_on(values["people"]):
@@ -112,7 +112,7 @@ def processes(
     nodes_of = {"camera_node": together} if together else {}
     nodes_of |= {f"{node}_node": [node] for node in files if node not in together}
     if "people" in together:
-        # no dictionary: launch_ros would write it to a file in /tmp, and leave it there
+        # not as a dictionary, which launch_ros would write to a file in /tmp and leave there
         asked = for_node("correction", folder=folder, values={"people": True})
         files["people"] = [*files["people"], *asked]
     return [

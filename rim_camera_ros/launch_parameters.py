@@ -1,4 +1,4 @@
-"""Parameters of the launch files, as files that nodes of one process tell apart; no ROS in here."""
+"""Parameters of the launch files, as files that distinguish the nodes of one process; no ROS in here."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LEVELS = ("debug", "info", "warn", "error", "fatal")
 def preset_file(name: str, presets: Path) -> str:
     """Return the file of a preset in the folder ``presets``, or '' for no name.
 
-    Raises `InputError` that lists the presets there are.
+    Raises `InputError`, which lists the existing presets.
     """
     if not name:
         return ""
@@ -32,11 +32,11 @@ def preset_file(name: str, presets: Path) -> str:
 def for_node(
     node: str, *, folder: str | Path, file: str = "", values: Mapping[str, Any] | None = None
 ) -> list[str]:
-    """Return parameter files that one node of a process heeds, in the order in which they override.
+    """Return parameter files for one node of a process; later ones override earlier ones.
 
-    ``file``: a user's parameter file, in which ``/**`` shall mean this node; ``values`` override it. They
-    are written into ``folder`` and stay there, as a node that is started again reads them again: give the
-    log folder of the launch. Raises `InputError` where the file cannot be read or is no parameter file.
+    ``file``: a user's parameter file, in which ``/**`` means this node; ``values`` override it. They are
+    written to ``folder`` and stay there, as a node that is started again reads them again: use the log folder
+    of the launch. Raises `InputError` where the file cannot be read or is not a parameter file.
     """
     contents: list[dict[str, Any]] = []
     if file:
@@ -49,8 +49,8 @@ def for_node(
 def log_levels(text: str, *, namespace: str, nodes: tuple[str, ...]) -> list[str]:
     """Return the arguments of ``--ros-args`` that set log levels, none for ''.
 
-    ``text``: a level, for all ``nodes``, or levels by node, ``driver=debug,correction=warn``. Raises
-    `InputError` for what is no level or no node.
+    ``text``: a level for all ``nodes``, or levels by node, ``driver=debug,correction=warn``. Raises
+    `InputError` for an unknown level or node.
     """
     levels: dict[str, str] = {}
     for part in (word.strip() for word in text.split(",") if word.strip()):

@@ -1,4 +1,4 @@
-"""Bounds of the numbers in camera and scene files: those of a parameter, and those of good sense."""
+"""Bounds of the numbers in camera and scene files: those of each parameter, and general ones by unit."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-#: The largest size that makes sense of a number in a unit: beyond it sums of squares lose their meaning.
+#: Largest absolute value of a number by its unit: sums of squares of larger ones have no meaning.
 _LARGEST = {"m": 1e6, "px": 1e5, "s": 1e9, "counts": 1e9, "rad": 1e6, "degC": 1e4, "Hz": 1e12}
 _LARGEST_OF_OTHERS, _SMALLEST_POSITIVE = 1e12, 1e-9
 
 
 @dataclass(frozen=True)
 class Limits:
-    """The bounds of a number, and whether it may be at each of them."""
+    """The bounds of a number, and whether the number may equal each of them."""
 
     low: float
     high: float
@@ -34,7 +34,7 @@ def limits(metadata: Mapping[str, Any]) -> Limits:
 
 
 def fault_of(value: float, metadata: Mapping[str, Any]) -> str | None:
-    """Return which bound a number does not keep, in words with its unit; None where it keeps them."""
+    """Return in words which bound a number violates, with its unit; None if it is within the bounds."""
     bounds = limits(metadata)
     if metadata.get("above") == 0 and value <= 0:
         words, bound = "greater than", 0.0

@@ -1,7 +1,7 @@
-"""For programs that read the topics: what the messages hold, as numbers and names. Needs no ROS.
+"""For programs that read the topics: the contents of messages as numbers and names. Needs no ROS.
 
-The functions take messages of rclpy, or of rosbags for recordings. What is sent as text is documented key by
-key in docs/messages.md; a key that a message lacks is None here.
+The functions take messages of rclpy, or of rosbags for recordings. Contents that are sent as text are
+documented key by key in docs/messages.md; a key that a message lacks is None here.
 
     from rim_camera_ros import messages
     settings = messages.frame_info(message).settings
@@ -24,7 +24,7 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Flag, Settings
 
 _NOTHING: Mapping[str, str] = MappingProxyType({})
-#: Number of a PointField's type that is a uint8, and one that is a float32.
+#: Numbers of the types uint8 and float32 of a PointField.
 _UINT8, _FLOAT32 = 2, 7
 
 
@@ -39,7 +39,7 @@ class Status:
     hardware_id: str = ""
 
     def number(self, key: str) -> float | None:
-        """Return a value as a number, None where it is missing or no finite number ("unknown", say)."""
+        """Return a value as a number, None where it is missing or not a finite number (such as "unknown")."""
         try:
             value = float(self.values[key])
         except (KeyError, ValueError):
@@ -75,7 +75,7 @@ class DeviceInfo:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a calibration or recording is.
+    """Progress of a calibration or recording.
 
     ``fraction`` 0 to 1, None where the end is not known; ``seconds`` [s] since it began.
     """
@@ -104,7 +104,7 @@ class Result:
 
 
 def statuses(message: Any) -> dict[str, Status]:
-    """Return the statuses of a DiagnosticArray by name; of a key that is there twice the first counts."""
+    """Return the statuses of a DiagnosticArray by name; if a key occurs twice the first counts."""
     found: dict[str, Status] = {}
     for one in message.status:
         values: dict[str, str] = {}
@@ -117,13 +117,13 @@ def statuses(message: Any) -> dict[str, Status]:
 
 
 def frame_info(message: Any) -> FrameInfo:
-    """Return what a frame_info message says; `InputError` for a value that is no number or not possible."""
+    """Return the contents of a frame_info message; `InputError` for a value that is not a possible number."""
     settings, device = settings_from(message)
     return FrameInfo(stamp_of(message), device, settings)
 
 
 def device_info(message: Any) -> DeviceInfo:
-    """Return what a device_info message says; `InputError` where it has no status."""
+    """Return the contents of a device_info message; `InputError` where it has no status."""
     status = _only(message, "device_info")
     values = status.values
     return DeviceInfo(
@@ -139,7 +139,7 @@ def device_info(message: Any) -> DeviceInfo:
 
 
 def progress(message: Any) -> Progress:
-    """Return what a message of calibration/progress says; `InputError` where it has no status."""
+    """Return the contents of a message of calibration/progress; `InputError` where it has no status."""
     status = _only(message, "progress")
     done, total = status.number("done"), status.number("total")
     return Progress(
@@ -152,7 +152,7 @@ def progress(message: Any) -> Progress:
 
 
 def result(message: Any) -> Result:
-    """Return what a message of calibration/result says; `InputError` where it has no status."""
+    """Return the contents of a message of calibration/result; `InputError` where it has no status."""
     status = _only(message, "result")
     millimetres = status.number("systematic_mm")
     listed = (name.strip() for name in status.values.get("effects", "").split(","))
@@ -192,7 +192,7 @@ def cloud(message: Any) -> dict[str, NDArray[Any]]:
 
 
 def flag_names(value: int) -> list[str]:
-    """Return the names of the bits of a pixel's flags, ``['SATURATED', 'MIXED_PIXEL']`` of 6 say."""
+    """Return the names of the bits of a pixel's flags, for example ``['SATURATED', 'MIXED_PIXEL']`` of 6."""
     return [str(flag.name) for flag in Flag if value & flag.value]
 
 

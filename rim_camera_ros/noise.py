@@ -15,7 +15,8 @@ from rim_camera_ros.parameters import quantity
 class NoiseFactors(NamedTuple):
     """Factors [-] on the variances of `Noise` at distances and settings, of the pixels' shape or one for all.
 
-    On those of the signal's photons, of what does not depend on the light, and of unmodulated light.
+    There are factors for the variance by the signal's photons, that which does not depend on the light, and
+    that by unmodulated light.
     """
 
     photons: NDArray[Any] | float
@@ -48,7 +49,7 @@ class Noise:
         """Return the 1-sigma of one distance in metres for amplitudes in counts; inf where A <= 0.
 
         ``background`` (counts of unmodulated light) adds shot^2 * background / A^2 to the variance.
-        ``factors``: on the variances, where these depend on more than the light.
+        ``factors``: those on the variances, where these do not only depend on the light.
         """
         dtype = amplitude.dtype if amplitude.dtype.kind == "f" else np.dtype(float)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -65,7 +66,7 @@ def sigma_amplitude(
 ) -> NDArray[Any]:
     """Return the 1-sigma of the amplitude in counts: noise is circular in the complex plane.
 
-    NaN where there is no light: the noise of such a distance is infinite, that of the amplitude not known.
+    NaN where there is no light: the noise of the distance is infinite, that of the amplitude unknown.
     """
     with np.errstate(invalid="ignore"):
         result: NDArray[Any] = 2 * np.pi / ambiguity * amplitude * sigma_distance

@@ -1,4 +1,4 @@
-"""Arrays in ``.npy`` files of anybody's making: nothing is allocated that the file does not hold."""
+"""Arrays from untrusted ``.npy`` files: no more memory is allocated than the file has data."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LARGEST = 1 << 30
 def read_npy(path: Path) -> NDArray[Any]:
     """Return the array of real numbers that a file holds.
 
-    Raises ValueError that says what is wrong with the file, OSError where it cannot be read.
+    Raises ValueError, which says what is wrong with the file, or OSError where it cannot be read.
     """
     if not path.is_file():
         raise ValueError("is not a file") if path.exists() else FileNotFoundError(path)
@@ -28,7 +28,7 @@ def read_npy(path: Path) -> NDArray[Any]:
                 (2, 0): np.lib.format.read_array_header_2_0,
             }[version]
             shape, by_columns, dtype = read(stream)
-        except Exception as error:  # the header is a Python expression: whatever a hostile one provokes
+        except Exception as error:  # the header is a Python expression: a malicious one may raise anything
             raise ValueError("cannot be read as .npy: its header is damaged or of another kind") from error
         if dtype.kind not in "fiu":
             raise ValueError("holds no real numbers")

@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 
 #: Largest error of the undistortion in normalised image coordinates.
 UNDISTORTION_TOLERANCE = 1e-9
-#: Steps from the principal point to a point in which a fold of the lens model is looked for.
+#: Steps from the principal point to a point at which a fold of the lens model is looked for.
 _STEPS = 16
-#: Squared radii at which it is looked for whether there is a fold at all.
+#: Number of squared radii at which it is checked whether there is any fold.
 _SAMPLES = 400
 #: Iterations of Newton's method, which converges in five away from folds, and halvings of one of its steps.
 _ITERATIONS, _HALVINGS = 60, 12
@@ -88,12 +88,12 @@ def undistort(xy: Array, d: tuple[float, ...]) -> Array:
                 break
             step[crossing] /= 2
         solution[left] = here - step
-        # where no step, however short, stays before the fold there is no solution
+        # if even the shortest step crosses the fold there is no solution
         solution[left[crossing]] = np.nan
         left = np.delete(left, crossing)
     solution[left] = np.nan
     if not _has_no_fold(d, radius=float(np.sqrt(np.nanmax((solution**2).sum(axis=-1), initial=0.0)))):
-        # a solution behind a fold is none: the image must not turn back anywhere on the way from the centre
+        # a solution behind a fold is invalid: the image must not fold back on the way from the centre
         for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:]:
             a, _, c, determinant = _jacobian(share * solution, d)
             solution[~((determinant > 0) & (a + c > 0))] = np.nan
@@ -124,7 +124,7 @@ def _has_no_fold(d: tuple[float, ...], *, radius: float) -> bool:
     least = np.inf
     for f1, f2, f3 in ((k1, k2, k3), (3 * k1, 5 * k2, 7 * k3)):
         eigenvalue = 1 + squares * (f1 + squares * (f2 + squares * f3))
-        # between samples it lies below their values by no more than half a step times its steepest slope
+        # between samples the value is lower by at most half a step times the steepest slope
         slope = abs(f1) + squares[-1] * (2 * abs(f2) + 3 * squares[-1] * abs(f3))
         least = min(least, eigenvalue.min() - slope * squares[1] / 2)
     return bool(least > 6 * (abs(p1) + abs(p2)) * radius)
@@ -134,9 +134,9 @@ def _has_no_fold(d: tuple[float, ...], *, radius: float) -> bool:
 def pixel_rays(optics: Optics, *, width: int, height: int) -> Array:
     """Return the unit rays (height, width, 3) of all pixel centres in the optical frame, read-only.
 
-    They are kept, as fits ask for those of the same few optics again and again.
-    NaN where the distortion cannot be inverted; such pixels see nothing. Raises ValueError where that
-    is more than half of them.
+    They are cached, as fits request those of the same few optics again and again.
+    NaN where the distortion cannot be inverted; such pixels see nothing. Raises ValueError if these are more
+    than half of the pixels.
     """
     column, row = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
     rays = rays_through(optics, np.stack([column, row], axis=-1))
@@ -161,7 +161,7 @@ def rays_through(optics: Optics, pixels: Array) -> Array:
 def rays_beyond(
     optics: Optics, *, width: int, height: int, step: float, widest: float
 ) -> tuple[Array, Array]:
-    """Return unit rays (N, 3) that no pixel looks along, and their solid angles (N,) [sr], read-only.
+    """Return unit rays (N, 3) outside of all pixels, and their solid angles (N,) [sr], read-only.
 
     They are ``step`` [rad] apart, up to ``widest`` [rad] from the optical axis (azimuthal equidistant).
     """
@@ -172,7 +172,7 @@ def rays_beyond(
     rays = np.stack([across * sine, down * sine, np.cos(angle)], axis=-1)
     solid = step**2 * sine
     array = pixel_rays(optics, width=width, height=height)
-    # a lens model folds back beyond the array: where no pixel looks it is not asked
+    # outside the array a lens model may fold back: it is not used where no pixel looks
     farthest = np.arccos(np.clip(np.nanmin(array[..., 2]), -1.0, 1.0))
     pixels = project(optics, rays[angle <= farthest])
     low, high = -0.5, np.array([width, height]) - 0.5
@@ -187,8 +187,8 @@ def rays_beyond(
 def ray_derivatives(optics: Optics, rays: Array, paths: Sequence[str]) -> list[Array]:
     """Return the derivatives (..., 3) of unit rays (..., 3) of fixed pixels by numbers of the optics.
 
-    ``paths`` name them: ``fx``, ``fy``, ``cx``, ``cy`` (per px), ``d.0`` to ``d.4``. From the equation that a
-    ray solves, distort(x, y; d) = ((column - cx) / fx, (row - cy) / fy), differentiated implicitly.
+    ``paths`` name them: ``fx``, ``fy``, ``cx``, ``cy`` (per px), ``d.0`` to ``d.4``. The equation of a ray,
+    distort(x, y; d) = ((column - cx) / fx, (row - cy) / fy), is differentiated implicitly.
     """
     xy = rays[..., :2] / rays[..., 2:]
     x, y = xy[..., 0], xy[..., 1]

@@ -1,8 +1,8 @@
 """YAML files <-> frozen dataclasses: types, units, bounds, places of errors.
 
-Every parameter group of a camera or scene file is a frozen dataclass; `decode` builds it from what
-YAML holds, `encode` is its inverse, `flatten` and `with_values` reach its numbers by dotted path, the
-form in which a covariance or a diagnosis names them (``harmonics.0.amplitude``).
+Every parameter group of a camera or scene file is a frozen dataclass. `decode` builds it from YAML data,
+`encode` is the inverse. `flatten` and `with_values` access its numbers by dotted path, as a covariance or a
+diagnosis names them (``harmonics.0.amplitude``).
 """
 
 from __future__ import annotations
@@ -68,9 +68,9 @@ def quantity(
 ) -> Any:
     """Declare a dataclass field with its unit, a sentence on it, and the bounds of its numbers.
 
-    Files may hold numbers within `limits.limits` only, and lists and groups of ``most`` entries.
-    ``typical`` is the size that is common among such cameras: the 1-sigma of a weak prior around 0
-    (or around the default) where a fit needs one.
+    Files may only contain numbers within `limits.limits`, and lists and groups of at most ``most`` entries.
+    ``typical`` is the common size among such cameras: the 1-sigma of a weak prior around 0 (or around the
+    default) where a fit needs one.
     """
     metadata = {
         "unit": unit,
@@ -88,8 +88,8 @@ def quantity(
 def decode[T](cls: type[T], data: Any, document: Document, place: tuple[Any, ...] = ()) -> T:
     """Build the dataclass ``cls`` from plain YAML data.
 
-    Raises `InputError` for an unknown key (naming where it belongs, or the nearest known one), a missing
-    key, a wrong type, a number that is not finite or out of bounds, or whatever ``__post_init__`` refuses.
+    Raises `InputError` for an unknown key (stating where it belongs, or the nearest known one), a missing
+    key, a wrong type, a number that is not finite or out of bounds, or a value ``__post_init__`` refuses.
     """
     if data is None:
         data = {}
@@ -119,7 +119,7 @@ def decode[T](cls: type[T], data: Any, document: Document, place: tuple[Any, ...
 
 
 def _fields_with(key: object, hints: Mapping[str, Any]) -> list[str]:
-    """Return the fields whose own groups, or lists of groups, have a key of that name."""
+    """Return the fields whose groups, or lists of groups, have a key of this name."""
     found = []
     for name, hint in hints.items():
         groups = [one for one in (hint, *typing.get_args(hint)) if dataclasses.is_dataclass(one)]
@@ -232,7 +232,7 @@ def _check_count(data: Any, metadata: Mapping[str, Any], document: Document, pla
 
 
 def _as_number(key: Any) -> Any:
-    """Return the number that a text is: keys of JSON are texts."""
+    """Return a text as the number that it contains, as keys of JSON are texts."""
     try:
         return float(key) if isinstance(key, str) else key
     except ValueError:
@@ -311,7 +311,7 @@ def _nested_list(
 
 
 def encode(value: Any) -> Any:
-    """Return plain YAML data for a parameter dataclass, without what is absent; the inverse of `decode`."""
+    """Return plain YAML data for a parameter dataclass, without absent values; the inverse of `decode`."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type | ArrayFile | NestedList):
         given = {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
         absent = {field.name for field in dataclasses.fields(value) if field.default is None}
@@ -349,7 +349,7 @@ def arrays_of(value: Any) -> Iterator[ArrayFile]:
 
 
 def flatten(value: Any, prefix: str = "") -> dict[str, float]:
-    """Return every float of a parameter dataclass by dotted path; arrays and whole numbers are left out."""
+    """Return every float of a parameter dataclass by dotted path, without arrays and whole numbers."""
     result: dict[str, float] = {}
     for name, one in _children(value):
         path = f"{prefix}{name}"

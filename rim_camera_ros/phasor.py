@@ -25,10 +25,10 @@ def ambiguity_range(modulation_frequency: float) -> float:
 
 
 def cosine_and_sine(angle: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return cosine and sine of angles in rad, of their precision, within 2.3e-16 for float64.
+    """Return cosine and sine of angles in rad, in their precision, within 2.3e-16 for float64.
 
-    In float64 by the tangent of half the angle, which numpy evaluates in vector registers; its sine and
-    cosine of that precision take ten times as long.
+    In float64 they are computed from the tangent of half the angle, which numpy evaluates in vector
+    registers; numpy's sine and cosine in this precision take ten times as long.
     """
     if angle.dtype == np.float32:
         return np.cos(angle), np.sin(angle)
@@ -80,7 +80,7 @@ def wrap(distance: NDArray[Any], ambiguity: float) -> NDArray[Any]:
     wrapped = np.floor(distance / ambiguity)
     wrapped *= -ambiguity
     wrapped += distance
-    # rounding may leave the interval by a hair; NaN stays
+    # rounding may give values just outside of the interval; NaN stays
     beyond = (wrapped >= ambiguity) | (wrapped < 0)
     if beyond.any():
         wrapped[beyond] = 0
@@ -101,10 +101,9 @@ def demodulate(
     """Return phase [0, 2 pi), amplitude A and offset B from four samples (4, ...) (eqs. 2.5-2.7).
 
     ``integration_share`` is the integration interval over the modulation period, dt / T in [0, 1): the
-    amplitude is divided by the contrast sin(delta) / delta, delta = pi dt / T, that sampling over an
-    interval leaves. Follows the sign convention of eq. 2.5 throughout (eq. 2.6 prints c3 - c1), with
-    the four-quadrant arc tangent. Eq. 2.6 carries 1 / dt for samples that are integrals over dt;
-    here samples are means over dt.
+    amplitude is divided by the contrast sin(delta) / delta, delta = pi dt / T, of sampling over an interval.
+    The sign convention is that of eq. 2.5 (eq. 2.6 prints c3 - c1), with the four-quadrant arc tangent.
+    Eq. 2.6 contains 1 / dt for samples that are integrals over dt; here samples are means over dt.
 
     Raises ValueError unless the first axis has length 4 and the share lies in [0, 1).
     """
@@ -185,7 +184,7 @@ class Waveform:
 def parse_waveform(text: str) -> Waveform:
     """Return the waveform of ``sinusoid``, ``square``, ``square:DUTY`` or ``harmonics:3=0.1,5=-0.02``.
 
-    Raises ValueError with the form that is expected.
+    Raises ValueError, which states the expected form.
     """
     kind, _, rest = text.partition(":")
     try:

@@ -1,4 +1,4 @@
-"""Scenes: surfaces with poses and reflectivities, and the motion of the camera before them.
+"""Scenes: surfaces with poses and reflectivities, and the motion of the camera in front of them.
 
 A surface is the x-y plane of its frame (a sphere is centred on it); poses are in the camera optical
 frame (x right, y down, z forward). Lengths in metres.
@@ -27,9 +27,9 @@ Array = NDArray[np.float64]
 SCENE_FORMAT = "rim_scene/1"
 TRUTH = "truth"
 UNKNOWN = "unknown"
-#: Stands for a reflectivity that nobody stated.
+#: Assumed reflectivity where none is stated.
 _GREY = 0.5
-#: Least distance of a surface from the optical centre [m]: of a nearer one light has no size.
+#: Least distance of a surface from the optical centre [m]: the light of a nearer one would have no bound.
 LEAST_DISTANCE = 0.001
 
 _EMPTY: Mapping[str, Any] = MappingProxyType({})
@@ -142,7 +142,7 @@ class Surface:
 
     @property
     def nominal_reflectivity(self) -> float:
-        """The reflectivity without texture; a grey where it is unknown."""
+        """The reflectivity without texture; that of a grey where it is unknown."""
         return float(self.reflectivity) if self.is_described else _GREY
 
     @property
@@ -153,8 +153,8 @@ class Surface:
     def pose_covariance(self, pose: Pose) -> Array:
         """Return the covariance (3, 3) of the errors of a recorded pose.
 
-        Of the shift along the normal [m] and the turns about the surface's x and y axes [rad]: as the
-        recording states it with the pose, else by ``pose_sigma``.
+        The errors are the shift along the normal [m] and the rotations about the surface's x and y axes
+        [rad]. The covariance is that recorded with the pose, or else that by ``pose_sigma``.
         """
         if pose.covariance is None:
             offset, tilt = self.pose_sigma
@@ -167,7 +167,7 @@ class Surface:
         return result
 
     def distance(self, pose: Pose) -> float:
-        """Return the distance of its nearest point from the optical centre in metres."""
+        """Return the distance of the surface's nearest point from the optical centre in metres."""
         position = np.array(pose.position)
         if self.radius is not None and self.type == "sphere":
             return float(abs(np.linalg.norm(position) - self.radius))
@@ -222,7 +222,7 @@ class CameraMotion:
         return any(self.linear) or any(self.angular)
 
     def carry(self, pose: Pose, seconds: float) -> Pose:
-        """Return the pose of a resting surface as the moving camera sees it ``seconds`` later."""
+        """Return the pose of a surface at rest as the moving camera sees it ``seconds`` later."""
         if not self.moves or seconds == 0:
             return pose
         rotation, translation = screw(np.array(self.linear) * seconds, np.array(self.angular) * seconds)
@@ -233,7 +233,7 @@ class CameraMotion:
 
 @dataclass(frozen=True)
 class Station:
-    """A stretch of frames with fixed poses and settings; what is not given stays as it was."""
+    """A sequence of frames with fixed poses and settings; values that are not given stay as before."""
 
     frames: int = quantity("-", "number of frames", default=100, minimum=1, maximum=1e7)
     rate: float = quantity("Hz", "frames per second", default=25.0, minimum=1e-3, maximum=1e6)
@@ -288,7 +288,7 @@ class Scene:
     def poses_for(self, truth: Mapping[str, Pose]) -> dict[str, Pose]:
         """Return the pose of every surface, those with ``pose: truth`` taken from ``truth``.
 
-        Raises `InputError` naming a surface without a pose.
+        Raises `InputError`, which names the surface, if one has no pose.
         """
         poses = self.fixed_poses()
         for name in self.needs_truth:

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 Real = NDArray[Any]
 
-#: Eigenvalues of a Gaussian below this share of the greatest possible (1) are dropped, by precision. In
-#: float32 a tenth of the light, spread, then misses 1e-6 of it: 0.1 mm in a pixel a hundred times as dark.
+#: Eigenvalues of a Gaussian below this share of the greatest possible one (1) are dropped, by precision. If a
+#: tenth of the light is spread, float32 then misses 1e-6 of it: 0.1 mm in a pixel a hundred times as dark.
 KEEP = {np.dtype(np.float32): 1e-5, np.dtype(np.float64): 1e-12}
-#: Relative change at which an iterative solution is taken as found.
+#: Relative change below which an iterative solution has converged.
 CONVERGED = {np.dtype(np.float32): 2e-7, np.dtype(np.float64): 1e-13}
-#: Largest rank of all kernels but the narrowest up to which their part is solved by one matrix.
+#: Largest total rank of the kernels except the narrowest up to which their part is solved by one matrix.
 _DENSE = 1024
 #: Below this sigma a sampled Gaussian is one pixel, to the last digit.
 _POINT = 0.02
@@ -72,9 +72,9 @@ def _toeplitz(column: NDArray[np.float64]) -> NDArray[np.float64]:
 class Subspace:
     """Wide kernels within the span of their leading eigenvectors.
 
-    Within it the kernel of the most eigenvectors is diagonal, and so is A = d + that kernel. The others
-    reach few of its vectors, W: (A + W K W^T)^-1 = A^-1 - A^-1 W M W^T A^-1, M = K (1 + W^T A^-1 W K)^-1
-    (Woodbury), one small matrix. Where they reach too many, conjugate gradients do it.
+    Within it the kernel with the most eigenvectors is diagonal, and so is A = d + that kernel. The other
+    kernels only act on few of its vectors, W. Then (A + W K W^T)^-1 = A^-1 - A^-1 W M W^T A^-1 with one small
+    matrix M = K (1 + W^T A^-1 W K)^-1 (Woodbury). If they act on too many, conjugate gradients are used.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class Subspace:
     ) -> None:
         self.direct = direct
         self.dtype = dtype
-        # the smaller its sigmas, the more eigenvectors
+        # the smaller the sigmas of a kernel, the more eigenvectors it has
         kernels = sorted(kernels, key=lambda k: k[1] * k[2])
         basis_v = _joint_basis(shape[0], [k[2] for k in kernels], KEEP[dtype])
         basis_u = _joint_basis(shape[1], [k[1] for k in kernels], KEEP[dtype])
@@ -123,7 +123,7 @@ class Subspace:
         return result
 
     def _spread(self, inner: Real) -> Real:
-        """Sum of weighted kernels within the subspace."""
+        """Return the sum of the weighted kernels within the subspace."""
         rank_v, _, rank_u = inner.shape
         total = np.zeros_like(inner)
         for v, u in self._within:
@@ -144,7 +144,7 @@ class Subspace:
         return result
 
     def _solve_inner(self, y: Real) -> Real:
-        """(d + sum_i w_i C_vi . C_ui) x = y."""
+        """Solve (d + sum_i w_i C_vi . C_ui) x = y for x."""
         inverse = self._inverse_diagonal
         if self._rest is not None and not self._rest.dense:
             return self._by_conjugate_gradients(y)
@@ -176,7 +176,7 @@ class Subspace:
 
 
 class _Rest:
-    """W M W^T of all kernels but the first, given as (w, C_v, C_u); ``inverse`` is the diagonal A^-1."""
+    """W M W^T of all kernels except the first, given as (w, C_v, C_u); ``inverse``: the diagonal A^-1."""
 
     def __init__(
         self,
@@ -217,16 +217,16 @@ class _Rest:
 
 
 def _range(matrices: Sequence[NDArray[np.float64]], keep: float) -> NDArray[np.float64]:
-    """Return an orthonormal basis of what symmetric matrices reach together."""
+    """Return an orthonormal basis of the joint range of symmetric matrices."""
     u, s, _ = np.linalg.svd(np.concatenate(matrices, axis=1), full_matrices=False)
     return u[:, s > keep]
 
 
 def _joint_basis(size: int, sigmas: Sequence[float], keep: float) -> NDArray[np.float64]:
-    """Return an orthonormal basis (size, rank) of what the kernels reach, the first one's vectors first."""
+    """Return an orthonormal basis (size, rank) of the joint range of the kernels, the first one's first."""
     values, vectors = np.linalg.eigh(gaussian_matrix(size, sigmas[0]))
     reached = np.abs(values) > keep
-    reached[-1] = True  # the greatest, however little a kernel wider than the sensor leaves on it
+    reached[-1] = True  # always the greatest, however small it is for a kernel wider than the sensor
     basis = vectors[:, reached]
     for sigma in sigmas[1:]:
         values, vectors = np.linalg.eigh(gaussian_matrix(size, sigma))

@@ -1,8 +1,8 @@
-"""Hidden files and folders for unfinished work, which a killed run leaves behind and the next removes.
+"""Hidden files and folders for unfinished work; those of a killed run are removed by the next run.
 
-Each is locked (`flock`) while its process lives; the system takes the lock back when the process ends,
-however it ends. What can be locked belongs to nobody any more. Where a file system has no such locks,
-nothing is removed. Processes on other machines are seen as far as the file system shares locks.
+Each is locked (`flock`) while its process lives. The system releases the lock when the process ends, however
+it ends, so that a file that can be locked has no owner any more. On file systems without such locks nothing
+is removed. Processes on other machines are noticed as far as the file system shares locks.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _REPLACED = "replaced"
 
 @dataclass(frozen=True)
 class Temporary:
-    """A hidden file or folder that is ours as long as ``lock``, a file descriptor, is open."""
+    """A hidden file or folder that this process owns while ``lock``, a file descriptor, is open."""
 
     path: Path
     lock: int
 
     def close(self) -> None:
-        """Remove it, unless it was moved to its place, or holds what stood there and nothing stands there."""
+        """Remove it, unless it was moved to its place, or has the replaced output and its place is empty."""
         if not self.path.is_dir() or self.path.is_symlink():
             self.path.unlink(missing_ok=True)
         elif not (self.path / _REPLACED).exists() or _target(self.path).exists():
@@ -41,7 +41,7 @@ class Temporary:
         os.close(self.lock)
 
     def put_in_place(self, new: Path, target: Path) -> None:
-        """Move ``new``, which lies in this folder, to ``target``; what stands there goes only after that."""
+        """Move ``new`` from this folder to ``target``; an existing target is removed only after that."""
         old = self.path / _REPLACED
         replaced = target.exists()
         if replaced:
@@ -55,9 +55,9 @@ class Temporary:
 
 
 def temporary_file(folder: Path, name: str) -> Temporary:
-    """Return a new empty file, open for writing, for what is to be called ``name`` in the folder.
+    """Return a new empty file, open for writing, for an output ``name`` in the folder.
 
-    Removes what killed runs have left there. Raises OSError.
+    Removes the files of killed runs there. Raises OSError.
     """
     clear(folder)
 
@@ -69,7 +69,7 @@ def temporary_file(folder: Path, name: str) -> Temporary:
 
 
 def temporary_folder(folder: Path, name: str) -> Temporary:
-    """Return a new empty folder for what is to be called ``name``; otherwise as `temporary_file`."""
+    """Return a new empty folder for an output ``name``; otherwise as `temporary_file`."""
     clear(folder)
 
     def make() -> Temporary:
@@ -81,7 +81,7 @@ def temporary_folder(folder: Path, name: str) -> Temporary:
 
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
-    """Keep other runs from writing ``path`` until the context is left. Raises `InputError` where one does."""
+    """Keep other runs from writing ``path`` until the context is left; `InputError` if one writes it now."""
     folder = path.absolute().parent
     clear(folder)
     claim = folder / f"{_prefix(path.name)}{_CLAIM}"
@@ -95,7 +95,7 @@ def claimed(path: Path) -> Iterator[None]:
                 "another run is writing it", file=path, remedy="wait until it ends, or give another name"
             ) from None
         except OSError:
-            pass  # no locks here: as if alone
+            pass  # no locks on this file system: as if there were no other run
         if _is(claim, lock):
             break
         os.close(lock)  # its owner removed it meanwhile
@@ -105,7 +105,7 @@ def claimed(path: Path) -> Iterator[None]:
         Temporary(claim, lock).close()
 
 
-#: What this process has claimed for good.
+#: Outputs that this process has claimed until `release_claims`.
 _claims = ExitStack()
 
 
@@ -115,12 +115,12 @@ def claim(path: Path) -> None:
 
 
 def release_claims() -> None:
-    """Give back what `claim` claimed."""
+    """Release the claims made by `claim`."""
     _claims.close()
 
 
 def clear(folder: Path) -> None:
-    """Remove the hidden files and folders of killed runs; what cannot be removed stays."""
+    """Remove the hidden files and folders of killed runs, as far as possible."""
     try:
         with os.scandir(folder) as entries:
             found = [
@@ -151,17 +151,17 @@ def _clear(path: Path) -> None:
 
 
 def _prefix(name: str) -> str:
-    # names of files have 255 bytes, these longer ones too
+    # names of files have at most 255 bytes, including the additions here
     return f".{name.encode()[:200].decode(errors='ignore')}{_MARK}"
 
 
 def _target(path: Path) -> Path:
-    """Return what a hidden file or folder was made for."""
+    """Return the output for which a hidden file or folder was made."""
     return path.with_name(path.name[1:].rpartition(_MARK)[0])
 
 
 def _locked(make: Callable[[], Temporary]) -> Temporary:
-    """Return what was made, locked; made anew where `clear` of another process came between."""
+    """Return a made file or folder, locked; it is made anew if `clear` of another process removed it."""
     while True:
         made = make()
         with suppress(OSError):
@@ -172,7 +172,7 @@ def _locked(make: Callable[[], Temporary]) -> Temporary:
 
 
 def _is(path: Path, lock: int) -> bool:
-    """Whether an open descriptor is that of the path as it is now."""
+    """Whether an open descriptor still belongs to the file at the path."""
     try:
         return os.path.samestat(os.stat(path, follow_symlinks=False), os.fstat(lock))
     except OSError:

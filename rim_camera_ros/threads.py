@@ -1,4 +1,4 @@
-"""Independent pieces of work on several threads, their results in the order of the pieces."""
+"""Independent items of work on several threads, with results in the order of the items."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-#: More threads than this wait for the one that predicts.
+#: Most threads; more would only wait for the one that predicts.
 _MOST = 4
 
 
 def available() -> int:
-    """Return how many threads a work may take: the cores that this process may use, four at most."""
-    # not on every system
+    """Return the number of threads for a work: the cores that this process may use, four at most."""
+    # not available on every system
     affinity = getattr(os, "sched_getaffinity", None)
     cores = len(affinity(0)) if affinity is not None else os.cpu_count() or 1
     return min(cores, _MOST)
@@ -24,16 +24,16 @@ def available() -> int:
 def in_order[Item, Result](
     work: Callable[[Item], Result], items: Iterable[Item], *, threads: int = 1
 ) -> Iterator[Result]:
-    """Yield the results of the work for each item, in the order of the items whatever the threads do.
+    """Yield the results of the work for each item, always in the order of the items.
 
-    Items are taken in the calling thread, so many ahead of the results as there are threads: what is summed
-    over the results is the same to the last bit with any number of threads. With one thread the work is done
-    in the calling thread.
+    Items are taken in the calling thread, ahead of the results by the number of threads. Sums over results
+    are therefore identical to the last bit with any number of threads. With one thread the work is done in
+    the calling thread.
     """
     if threads < 2:
         yield from map(work, items)
         return
-    # how numpy warns belongs to the thread
+    # numpy's treatment of floating-point errors is set per thread
     warnings = np.geterr()
 
     def done(item: Item) -> Result:

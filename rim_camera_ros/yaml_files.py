@@ -1,4 +1,4 @@
-"""YAML files as users write them: read with the place of every value, written whole or not at all."""
+"""YAML files of users: read with the place of every value, written completely or not at all."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rim_camera_ros.errors import InputError, RimError
 from rim_camera_ros.temporary import temporary_file
 
 _MAXIMUM_FILE_SIZE = 64 * 2**20
-#: Values (keys not counted) that a file may hold, those behind aliases (*name) as often as they stand there.
+#: Most values (without keys) in a file; values behind aliases (*name) count each time they are used.
 _MOST_VALUES = 200_000
 _DEEPEST = 100
 
@@ -45,7 +45,7 @@ class Document:
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """Safe YAML in which 1e-3 is a number (as in YAML 1.2)."""
+    """Loads safe YAML in which 1e-3 is a number (as in YAML 1.2)."""
 
 
 _Loader.add_implicit_resolver(
@@ -58,8 +58,8 @@ _Loader.add_implicit_resolver(
 def read_yaml(path: str | os.PathLike[str]) -> Document:
     """Read a YAML file safely, with the line of every value.
 
-    Raises `InputError` where the file is absent, unreadable, not YAML, holds a key twice, more than 200,000
-    values, or groups within groups a hundred times.
+    Raises `InputError` where the file is absent, unreadable or not YAML, has a key twice, more than 200,000
+    values, or groups nested a hundred times.
     """
     path = Path(path)
     try:
@@ -94,7 +94,7 @@ def read_yaml(path: str | os.PathLike[str]) -> Document:
 
 
 def _check_size(text: str, path: Path) -> None:
-    """Raise `InputError` for what would take minutes, or too deep a stack, to build."""
+    """Raise `InputError` for a file that would take minutes, or too deep a stack, to load."""
     values = depth = 0
     for event in yaml.parse(text, Loader=_Loader):
         if isinstance(event, yaml.CollectionStartEvent):
@@ -136,7 +136,7 @@ def _construct(
 ) -> Any:
     if len(lines) >= _MOST_VALUES:
         raise _too_many(path)
-    if len(place) > _DEEPEST:  # an alias of what it stands in
+    if len(place) > _DEEPEST:  # an alias of a group that contains it
         raise _too_deep(path)
     lines[place] = node.start_mark.line + 1
     plain = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
@@ -178,13 +178,13 @@ def os_reason(error: OSError) -> str:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Leaf lists and groups on one line."""
+    """Writes leaf lists and groups on one line."""
 
     ignore_aliases: ClassVar[Any] = lambda self, data: True
 
 
 def write_yaml(path: str | os.PathLike[str], data: Any, *, comment: str = "") -> None:
-    """Write plain data as YAML, whole or not at all, below a comment in plain words."""
+    """Write plain data as YAML, completely or not at all, below a comment."""
     text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=110)
     above = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
     write_whole(path, lambda stream: stream.write((above + text).encode()))
@@ -193,7 +193,7 @@ def write_yaml(path: str | os.PathLike[str], data: Any, *, comment: str = "") ->
 def write_whole(path: str | os.PathLike[str], write: Callable[[Any], Any]) -> None:
     """Call ``write`` with a binary stream whose content replaces ``path`` once it is complete.
 
-    Raises `RimError` where the file cannot be written; nothing is left behind then.
+    Raises `RimError` where the file cannot be written; no files remain then.
     """
     path = Path(path)
     try:

@@ -1,6 +1,6 @@
 """Recordings: rosbag2 and ROS 1 bags in, rosbag2 out. Needs rosbags and numpy, no ROS installation.
 
-Readers and writers are imported when they are asked for: a node that only names topics starts sooner.
+Readers and writers are imported on first use, so that a node that only names topics starts faster.
 """
 
 from __future__ import annotations

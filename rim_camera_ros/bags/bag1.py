@@ -17,7 +17,7 @@ from rim_camera_ros.errors import InputError
 
 BAG1_MAGIC = b"#ROSBAG V"
 
-#: What unpacks the chunks of a ROS 1 bag, by its name here.
+#: Functions that decompress the chunks of a ROS 1 bag, with the names of their formats in this package.
 _COMPRESSIONS: dict[object, str] = {bz2.decompress: "bz2", lz4.frame.decompress: "lz4"}
 
 
@@ -47,7 +47,7 @@ class Bag1File:
         return guarded(self._read(topics), self._error)
 
     def close(self) -> None:
-        """Nothing is held between calls."""
+        """Do nothing: no file stays open between calls."""
 
     def _open(self) -> Bag1Reader:
         reader = Bag1Reader(self.path)
@@ -57,7 +57,7 @@ class Bag1File:
             with suppress(Exception):
                 reader.close()
             raise self._error(error) from error
-        # its own would unpack 700 bytes of bz2 to a gigabyte
+        # the reader's own functions would unpack 700 bytes of bz2 to a gigabyte
         for position, chunk in reader.chunks.items():
             kind = _COMPRESSIONS.get(chunk.decompressor)
             if kind is not None:

@@ -1,4 +1,4 @@
-"""Bounded decompression: damaged lengths in a recording must not cost gigabytes."""
+"""Decompression with bounds: damaged lengths in a recording must not take gigabytes of memory."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ import lz4.frame  # type: ignore[import-untyped]
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
-#: Largest block (chunk, message) that is believed, in bytes.
+#: Largest block (chunk, message) that is accepted, in bytes.
 LARGEST_BLOCK = 1 << 30
 
 
-#: Up to this size data may be as compressible as they like; beyond it not a thousand to one.
+#: Up to this size data may have any compression ratio; larger data may not have a thousand to one.
 _ANY_RATIO = 64 << 20
 _LARGEST_RATIO = 1000
-#: Largest file that may be unpacked at any ratio, and bytes to be left free where files are unpacked.
+#: Largest file that may be unpacked at any ratio, and bytes that must stay free on the disk.
 _ANY_RATIO_OF_FILES = 1 << 30
 _LEFT_FREE = 256 << 20
 _STEP = 1 << 20
@@ -34,7 +34,7 @@ class CompressionError(ValueError):
 
 @cache
 def _zstd() -> tuple[Any, bool]:
-    """Return the zstd module that rosbags brings and whether it is the one of the standard library."""
+    """Return the zstd module that rosbags uses, and whether it is that of the standard library."""
     for name in ("compression.zstd", "backports.zstd"):
         try:
             return importlib.import_module(name), True
@@ -70,10 +70,10 @@ def _unbz2(data: bytes | memoryview, limit: int) -> bytes:
 
 
 def decompress(data: bytes | memoryview, compression: str, limit: int = LARGEST_BLOCK) -> bytes | memoryview:
-    """Return at most ``limit`` bytes of decompressed data; of cut data what there is.
+    """Return at most ``limit`` bytes of decompressed data; of truncated data as much as there is.
 
-    ``compression`` is 'zstd', 'lz4', 'bz2' or '' (none: a view, not a copy). Raises CompressionError,
-    also for data that are larger than 64 MiB and a thousand times what they were.
+    ``compression`` is 'zstd', 'lz4', 'bz2' or '' (none: a view, not a copy). Raises CompressionError, also
+    for data larger than 64 MiB that unpack to more than a thousand times their size.
     """
     if limit > LARGEST_BLOCK:
         raise CompressionError(f"a block of {limit} bytes is implausible")
@@ -90,7 +90,7 @@ def decompress(data: bytes | memoryview, compression: str, limit: int = LARGEST_
 
 
 def decompress_file(source: Path, target: Path) -> None:
-    """Decompress a zstd file; what was there before a fault is kept in ``target``.
+    """Decompress a zstd file; data before a fault are kept in ``target``.
 
     Raises CompressionError for damaged data and for a file that unpacks to more than a thousand times its
     size, OSError for files, among them ENOSPC before the disk is full.

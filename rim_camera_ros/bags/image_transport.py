@@ -1,7 +1,7 @@
-"""Images as image_transport's plug-ins ``compressed`` and ``compressedDepth`` send them; no ROS in here.
+"""Images in the formats of image_transport's plug-ins ``compressed`` and ``compressedDepth``; no ROS in here.
 
-Python nodes cannot load those plug-ins; these are their formats, by OpenCV's codecs. A subscriber that uses
-image_transport, or RViz, rqt and Foxglove, cannot tell the difference.
+Python nodes cannot load those plug-ins. Here their formats are written with OpenCV's codecs. Subscribers that
+use image_transport, and RViz, rqt and Foxglove, receive them like those of the plug-ins.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PNG, JPEG = "png", "jpeg"
 QUANTIZATION, GREATEST_DEPTH = 100.0, 10.0
 #: First field of the header of a compressed depth: inverse depth.
 _INVERSE_DEPTH = 0
-#: Level of PNG's compression: higher ones save few bytes and take the processor's time.
+#: Level of PNG's compression: higher ones save few bytes and take much longer.
 _LEVEL = 1
 #: Counts of a step of 8 bits in JPEG, and its quality: image_transport's own.
 _JPEG_STEP, _QUALITY = 256, 95
@@ -37,7 +37,7 @@ def compressed(pixels: NDArray[Any]) -> tuple[str, bytes]:
 def compressed_for_looking(pixels: NDArray[np.uint16]) -> tuple[str, bytes]:
     """Return format and data of a CompressedImage that holds uint16 pixels (H, W) as JPEG of 8 bits.
 
-    One step is 256 counts, rounded, as image_transport has it, whose subscribers multiply by 256 again.
+    One step is 256 counts, rounded, as in image_transport, whose subscribers multiply by 256 again.
     """
     steps = np.minimum((pixels.astype(np.uint32) + _JPEG_STEP // 2) // _JPEG_STEP, 255).astype(np.uint8)
     encoding = encode_image(pixels).encoding
@@ -47,9 +47,9 @@ def compressed_for_looking(pixels: NDArray[np.uint16]) -> tuple[str, bytes]:
 def compressed_depth(depth: NDArray[np.float32]) -> tuple[str, bytes]:
     """Return format and data of a CompressedImage that holds a depth (H, W) [m] as quantised inverse depth.
 
-    12 bytes precede the PNG: int32 0 (inverse depth), float32 A, float32 B, little-endian; a pixel n is
-    the depth A / (n - B), 0 is none. The step is depth^2 / A: 0.9 mm at 3 m. Depths that 16 bits cannot hold,
-    from 10 m on and below 0.152 m, are none.
+    12 bytes precede the PNG: int32 0 (inverse depth), float32 A, float32 B, little-endian. A pixel n has the
+    depth A / (n - B); 0 means no depth. The step is depth^2 / A: 0.9 mm at 3 m. Depths that do not fit in 16
+    bits, from 10 m on and below 0.152 m, become 0.
     """
     a = QUANTIZATION * (QUANTIZATION + 1.0)
     b = 1.0 - a / GREATEST_DEPTH

@@ -38,7 +38,7 @@ MONO8_COUNTS = 256
 
 
 class ImageData(NamedTuple):
-    """The fields of an image message beside its header; ``data`` is flat uint8."""
+    """The fields of an image message except its header; ``data`` is flat uint8."""
 
     encoding: str
     height: int
@@ -65,8 +65,8 @@ def decode_image(
     ``data`` is anything with the buffer protocol. The array is a view of it (padding between the
     rows included, so it need not be contiguous) unless the byte order is foreign or a sample is
     not aligned; a view of immutable data is read-only. ``role`` limits the encodings to those of
-    `ENCODINGS`; those of `SAMPLES` are returned as (height, width, n). ``mono8_amplitude`` allows a mono8
-    amplitude as well, returned as uint16 counts (256 each). ``place`` is put into the error.
+    `ENCODINGS`; images of the roles `SAMPLES` are returned as (height, width, n). ``mono8_amplitude`` also
+    allows a mono8 amplitude, which is returned as uint16 counts (256 each). ``place`` is stated in errors.
 
     Raises InputError for an encoding that is unknown or not the role's, a size of 0, a step shorter
     than a row and data whose length is not height x step.

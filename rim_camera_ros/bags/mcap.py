@@ -1,12 +1,11 @@
 """Reading of mcap files, whole or cut off.
 
 The reader of rosbags needs the index at the end of a file, and its version 0.10 a metadata.yaml beside
-it. Recordings that were interrupted have neither: here such a file is read from its beginning to the cut.
+it. Interrupted recordings have neither: this reader reads such a file from its beginning to the cut.
 
-The streaming reader of the library `mcap` (1.6) does less: of a chunk that is cut off it delivers no message
-(of 400 messages in a chunk cut at 60 % none, here 236), of the place where a file ends it says nothing
-(``EndOfFile`` without an offset), and it unpacks lz4 to whatever size it has. It is no faster (6 MB in 12 ms,
-here 3 ms; with zstd 27 and 24 ms).
+The streaming reader of the library `mcap` (1.6) does less. It delivers no message of a chunk that is cut off
+(of 400 messages in a chunk cut at 60 % none, here 236), does not say where a file ends (``EndOfFile`` without
+an offset), and unpacks lz4 to any size. It is not faster (6 MB in 12 ms, here 3 ms; with zstd 27 and 24 ms).
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ class Message(NamedTuple):
 
 
 def guarded(iterator: Iterator[Message], to_error: Callable[[Exception], RimError]) -> Generator[Message]:
-    """Iterate, with every exception of the iterator itself turned into an error of this package."""
+    """Iterate; exceptions of the iterator itself become errors of this package."""
     while True:
         try:
             item = next(iterator)
@@ -84,7 +83,7 @@ class _Channel:
 
 
 class _Fields:
-    """A record's content, field by field; struct.error or ValueError where it is too short."""
+    """The content of a record, field by field; raises struct.error or ValueError where it is too short."""
 
     def __init__(self, content: bytes | memoryview) -> None:
         self.content = memoryview(content)
@@ -108,10 +107,10 @@ class _Fields:
 
 
 class McapFile:
-    """An mcap file: its topics and times at once, its messages as a stream.
+    """An mcap file: topics and times are read at once, messages as a stream.
 
-    ``start`` and ``end`` are times of recording in ns, None without messages. ``damage`` says what is
-    wrong with a file that can be read in part. Raises InputError for a file that is not mcap.
+    ``start`` and ``end`` are times of recording in ns, None without messages. ``damage`` says what is wrong
+    with a file that is only readable in part. Raises InputError for a file that is not mcap.
     """
 
     kind = "mcap"
@@ -147,9 +146,9 @@ class McapFile:
         return found
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Iterate over the messages of some topics: by time if the file has an index, else as written.
+        """Iterate over the messages of some topics, by time if the file has an index, else as written.
 
-        Raises InputError where the file is damaged, after the messages before that.
+        Raises InputError for a damaged file, after the messages before the damage.
         """
         wanted = frozenset(topics)
         try:
@@ -159,7 +158,7 @@ class McapFile:
             raise self._error(damage) from None
 
     def close(self) -> None:
-        """Nothing is held between calls."""
+        """Do nothing: the file does not stay open between calls."""
 
     def _error(self, damage: _DamageError) -> InputError:
         return InputError(damage.problem, file=self.path, place=f"byte {damage.offset}", remedy=REMEDY)
@@ -265,7 +264,7 @@ class McapFile:
             yield Message(self._channels[key].topic, time, data)
 
     def _scan(self, file: BinaryIO, wanted: frozenset[str] | None) -> Iterator[tuple[int, int, bytes]]:
-        """Iterate over the data section record by record; without ``wanted`` the data are left empty."""
+        """Iterate over the records of the data section; without ``wanted`` messages have no data."""
         file.seek(self._data_start)
         while True:
             offset = file.tell()
@@ -290,7 +289,7 @@ class McapFile:
         keys = frozenset(key for key, channel in self._channels.items() if channel.topic in wanted)
 
         def chunk(info: _ChunkInfo) -> Iterator[tuple[int, Message | None]]:
-            yield info.start, None  # the chunk is read only once the merge has come to its time
+            yield info.start, None  # the chunk is only read when the merge reaches its time
             file.seek(info.offset)
             op, length = self._record_head(file)
             content = file.read(info.length - _RECORD.size)
@@ -307,7 +306,7 @@ class McapFile:
     def _chunk(
         self, content: bytes, offset: int, wanted: frozenset[str] | None, *, cut: bool
     ) -> list[tuple[int, int, bytes]]:
-        """Return the messages of a chunk by time; of a cut chunk those that are whole."""
+        """Return the messages of a chunk by time; of a truncated chunk those that are complete."""
         try:
             fields = _Fields(content)
             _, _, size, checksum = _CHUNK_HEAD.unpack(fields.block(_CHUNK_HEAD.size))

@@ -1,8 +1,8 @@
 """Conversions between frame data and ROS messages.
 
-The ``*_message`` functions make message objects of the rosbags library. The others read any object with
-the fields of the message, so messages of rclpy and of ROS 1 bags do as well; their ``place`` names the
-topic and the stamp in errors.
+The ``*_message`` functions make message objects of the rosbags library. The others read any object with the
+fields of the message, also messages of rclpy and of ROS 1 bags; their ``place`` names topic and stamp in
+errors.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def _make(msgtype: str, **fields: Any) -> Any:
 
 
 def split_stamp(stamp: int) -> tuple[int, int]:
-    """Return (s, ns) of a stamp in ns; InputError outside what a ROS stamp can hold."""
+    """Return (s, ns) of a stamp in ns; InputError outside the range of ROS stamps."""
     seconds, nanoseconds = divmod(int(stamp), NANOSECONDS)
     if not 0 <= seconds < 2**31:
         raise InputError(f"the stamp {stamp} ns is outside what a ROS message holds")
@@ -181,8 +181,8 @@ def frame_info_message(settings: Settings, stamp: int, device: str = "", frame_i
 def settings_from(message: Any, place: str | None = None) -> tuple[Settings, str]:
     """Return settings and device name of a frame_info message.
 
-    Of a key that is there twice the first counts. Raises InputError for a value that is not a finite
-    number, an integration time or modulation frequency that is not positive, a negative uptime.
+    If a key occurs twice the first counts. Raises InputError for a value that is not a finite number, an
+    integration time or modulation frequency that is not positive, and a negative uptime.
     """
     pairs: dict[str, str] = {}
     device = ""
@@ -233,7 +233,7 @@ def temperature_from(message: Any) -> float | None:
 def range_message(value: float | None, stamp: int, frame_id: str = FRAME_ID) -> Any:
     """Return a sensor_msgs/Range of the reference path; ``value`` in m, None becomes NaN; ``stamp`` in ns.
 
-    The message holds float32: the value is rounded to it.
+    The message has float32, to which the value is rounded.
     """
     return _make(
         RANGE,
@@ -280,7 +280,7 @@ def _pose_fields(pose: Pose) -> Any:
 def pose_with_covariance_from(message: Any, place: str | None = None) -> Pose:
     """Return a geometry_msgs/PoseWithCovarianceStamped.
 
-    Raises InputError as `pose_from` does, and for a covariance that is none.
+    Raises InputError as `pose_from` does, and for an invalid covariance.
     """
     pose = pose_from(message.pose, place)
     matrix = np.array(message.pose.covariance, np.float64).reshape(6, 6)
@@ -344,8 +344,8 @@ def points_message(points: NDArray[np.float32], stamp: int, frame_id: str = FRAM
 def points_array(message: Any, place: str | None = None) -> NDArray[np.float32]:
     """Return x y z intensity of a cloud as made by `points_message` as (H, W, 4) float32.
 
-    Further fields after these are not read. Raises InputError for a cloud that has other fields first, or
-    another layout.
+    Further fields are not read. Raises InputError for a cloud that begins with other fields, or has another
+    layout.
     """
     fields = [(str(f.name), int(f.offset), int(f.datatype)) for f in message.fields]
     expected = [(name, 4 * i, _FLOAT32) for i, name in enumerate(_POINT_FIELDS)]
@@ -370,7 +370,7 @@ def _names(fields: Iterable[tuple[str, int, int]]) -> str:
 def decode(raw: bytes, msgtype: str, *, ros1: bool = False, place: str | None = None) -> Any:
     """Return the message object of serialised bytes (CDR, or ROS 1's).
 
-    A sensor_msgs/Range of ROS 2 before Iron has a field less and is read as well.
+    A sensor_msgs/Range of ROS 2 before Iron, which has one field less, is read, too.
     Raises InputError for bytes that are not such a message.
     """
     stores = (
@@ -381,7 +381,7 @@ def decode(raw: bytes, msgtype: str, *, ros1: bool = False, place: str | None = 
         store = typestore(name)
         try:
             return store.deserialize_ros1(raw, msgtype) if ros1 else store.deserialize_cdr(raw, msgtype)
-        except Exception as error:  # the generated decoders raise whatever damaged bytes provoke
+        except Exception as error:  # the generated decoders may raise anything for damaged bytes
             problem = problem or f"{type(error).__name__} {error}"
     raise InputError(
         f"a message of type {msgtype} cannot be decoded: {problem}",

@@ -1,4 +1,4 @@
-"""Frames out of messages: images and settings of one exposure by stamp, poses and temperatures by time."""
+"""Frames from messages: images and settings of one exposure by stamp, poses and temperatures by time."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from rim_camera_ros.bags.topics import POSE_ROLES, SAMPLES, is_swissranger_inten
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import Intrinsics, Pose, RawFrame, Readings, Settings
 
-#: What a stamp that is not after the one before means: bad input, or one more to count.
+#: Treatment of a stamp that is not after the one before: an error, or counted.
 Backwards = Literal["error", "count"]
 
-#: Stamps that may wait for the rest of their messages, and bytes of image data they may hold.
+#: Most stamps that may wait for the rest of their messages, and most bytes of their image data.
 PENDING_STAMPS = 64
 PENDING_BYTES = 128 << 20
 
@@ -27,14 +27,14 @@ _LONGEST_HISTORY = 20_000
 
 
 class History:
-    """Values by stamp, of which those that can still be asked for are kept."""
+    """Values by stamp; those that can no longer be requested are removed."""
 
     def __init__(self) -> None:
         self._stamps: list[int] = []
         self._values: list[Any] = []
 
     def add(self, stamp: int, value: Any) -> None:
-        """Add a value; of two with one stamp the later one holds."""
+        """Add a value; of two with the same stamp the later one counts."""
         place = bisect.bisect_right(self._stamps, stamp)
         self._stamps.insert(place, stamp)
         self._values.insert(place, value)
@@ -42,12 +42,12 @@ class History:
             del self._stamps[0], self._values[0]
 
     def latest(self, stamp: int) -> tuple[int, Any] | None:
-        """Return stamp and value of the last one at or before ``stamp``."""
+        """Return stamp and value of the last one at or before ``stamp``, None without one."""
         place = bisect.bisect_right(self._stamps, stamp) - 1
         return (self._stamps[place], self._values[place]) if place >= 0 else None
 
     def forget(self, stamp: int) -> None:
-        """Forget the values that no stamp from this one on can ask for."""
+        """Remove the values that are not needed for this stamp or later ones."""
         place = bisect.bisect_right(self._stamps, stamp) - 1
         if place > 0:
             del self._stamps[:place], self._values[:place]
@@ -67,10 +67,10 @@ class _Exposure:
 class Pairing:
     """Makes frames of decoded messages, in the order of the distance images.
 
-    ``routes``: topic to (role, surface). ``say`` takes sentences on what is assumed. ``skipped`` counts
-    what did not become a frame, by reason. At most `PENDING_STAMPS` stamps and `PENDING_BYTES` bytes
-    wait. With poses or temperatures in the recording a frame waits that long for those that were
-    recorded after its images, so their order in the recording does not matter within it.
+    ``routes``: topic to (role, surface). ``say`` receives sentences on assumptions. ``skipped`` counts
+    messages that did not become frames, by reason. At most `PENDING_STAMPS` stamps and `PENDING_BYTES` bytes
+    wait. If the recording has poses or temperatures, a frame waits within these limits for those recorded
+    after its images, so that the order in the recording does not matter.
     """
 
     def __init__(
@@ -101,8 +101,8 @@ class Pairing:
     def add(self, topic: str, message: Any) -> list[RawFrame]:
         """Take a message and return the frames that are ready.
 
-        Raises InputError for a message that is wrong, a size that changes and, if so chosen, a stamp
-        that does not advance.
+        Raises InputError for a wrong message, a change of the image size and, if chosen so, a stamp that does
+        not advance.
         """
         role, surface = self._routes[topic]
         stamp = messages.stamp_of(message)
@@ -186,17 +186,17 @@ class Pairing:
         return image
 
     def _abandon(self, stamp: int) -> None:
-        """Take back an exposure of which one message is wrong: it must not become half a frame."""
+        """Remove an exposure of which one message is wrong, so that it does not become half a frame."""
         exposure = self._pending.pop(stamp, None)
         if exposure is not None and exposure in self._order:
             self._order.remove(exposure)
 
     def _exposure(self, role: str, stamp: int, place: str, frames: list[RawFrame]) -> _Exposure | None:
-        """Return what is being collected for a stamp, None for a message that is not needed."""
+        """Return the incomplete exposure of a stamp, None for a message that is not needed."""
         exposure = self._pending.get(stamp)
         if exposure is not None and exposure.has(role):
             if self._backwards == "count" and len(exposure.images) == len(self._images):
-                frames += self.flush()  # a short loop: its next round has come
+                frames += self.flush()  # the next round of a short loop has begun
                 exposure = None
             elif role != self._lead or self._backwards == "count":
                 self.skipped[f"{role} twice with one stamp"] += 1
@@ -241,7 +241,7 @@ class Pairing:
         self.skipped[f"{what} without {self._lead}"] += 1
 
     def _emit(self, frames: list[RawFrame]) -> _Exposure:
-        """Take the first exposure that waits and make a frame of it if it has all images."""
+        """Remove the first waiting exposure, and make a frame of it if it has all images."""
         exposure = self._order.popleft()
         del self._pending[exposure.stamp]
         self._bytes -= exposure.size
@@ -287,7 +287,7 @@ class Pairing:
         )
 
     def _pose_of(self, surface: str, stamp: int) -> tuple[int, Pose] | None:
-        """Return stamp and value of the latest pose, with its covariance where one has the same stamp."""
+        """Return stamp and value of the latest pose, with the covariance if one has the same stamp."""
         pose, certain = (
             histories[surface].latest(stamp) if surface in histories else None
             for histories in (self._poses, self._covariances)

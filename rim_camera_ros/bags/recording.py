@@ -29,7 +29,7 @@ from rim_camera_ros.frame import NANOSECONDS, CorrectedFrame, RawFrame
 if TYPE_CHECKING:
     from typing import Self
 
-#: Roles of which a corrected frame consists, and how many stamps wait for the rest of them.
+#: Roles of the parts of a corrected frame, and the most stamps that wait for further parts.
 CORRECTED_PARTS = ("corrected_distance", "sigma", "flags", "points")
 _WAITING = 64
 
@@ -52,12 +52,12 @@ class TopicSummary:
 
 @dataclass(frozen=True, slots=True)
 class RecordingSummary:
-    """What a recording holds, without looking into its images.
+    """The contents of a recording, without decoding its images.
 
-    ``storage`` names the format, ``start`` is the time of recording of the first message in ns (None
-    without messages), ``duration`` in s, ``frame_count`` the number of distance images. ``roles`` maps
-    the roles that are there to their topics (`truth` to the pattern). ``damage`` says what is wrong with
-    a recording that can be read in part.
+    ``storage`` names the format, ``start`` is the time of recording of the first message in ns (None without
+    messages), ``duration`` in s, ``frame_count`` the number of distance images. ``roles`` maps the roles that
+    exist to their topics (`truth` to the pattern). ``damage`` says what is wrong with a recording that is
+    only readable in part.
     """
 
     path: Path
@@ -76,11 +76,11 @@ class RecordingSummary:
 class Recording:
     """A recording to read: a rosbag2 folder, an .mcap, a .db3 (zstd or not) or a ROS 1 .bag.
 
-    A context manager. If the topics of the default namespace are absent and exactly one namespace holds
-    distance images, that one is taken. ``assumptions`` says so, and what else is assumed; reading the
-    frames may add to it. ``skipped`` counts what did not become a frame in the last pass, by reason.
+    A context manager. If the topics of the default namespace are absent and exactly one namespace has
+    distance images, that one is used. ``assumptions`` states this and other assumptions; reading frames may
+    add to it. ``skipped`` counts messages that did not become frames in the last pass, by reason.
 
-    Entering raises InputError for a path that is no recording or one that cannot be opened.
+    Entering raises InputError for a path that is not a recording or cannot be opened.
     """
 
     def __init__(self, path: str | PathLike[str], *, topics: Topics | None = None) -> None:
@@ -117,7 +117,7 @@ class Recording:
 
     @property
     def topics(self) -> Topics:
-        """The topics as found in the recording."""
+        """The topics, as found in the recording."""
         self._opened()
         return self._topics
 
@@ -134,7 +134,7 @@ class Recording:
         return info.count if info else 0
 
     def summary(self) -> RecordingSummary:
-        """Return what the recording holds; no image is decoded, and no topic needs to be there."""
+        """Return the contents of the recording; no image is decoded, and no topic is required."""
         storage = self._opened()
         by_name = {self._topics[role]: role for role in self._topics.roles}
         topics = tuple(
@@ -161,14 +161,14 @@ class Recording:
     def frames(self, on_backwards: Backwards = "error") -> Iterator[RawFrame]:
         """Iterate over the frames as recorded, in bounded memory; each call begins anew.
 
-        Distance, amplitude, camera_info and frame_info are paired by their stamps; poses, temperatures
-        and the reference are the last ones at or before the frame's stamp. Arrays are read-only views
-        of the recorded bytes where their layout allows it. With ``on_backwards='count'`` stamps that do
-        not advance (a recording of a loop) are counted in ``skipped``, not an error.
+        Distance, amplitude, camera_info and frame_info are paired by their stamps; poses, temperatures and
+        the reference are the last ones at or before the frame's stamp. Arrays are read-only views of the
+        recorded bytes where their layout allows it. With ``on_backwards='count'`` stamps that do not advance
+        (a recording of a loop) are counted in ``skipped`` instead of raising an error.
 
-        Raises InputError at once if a topic is missing, and, after the frames before it, for damage in
-        the recording, a message that is wrong, an image size that changes, a stamp that does not
-        advance; at the end if there was no frame.
+        Raises InputError at once if a topic is missing. For damage in the recording, a wrong message, a
+        change of the image size or a stamp that does not advance it is raised after the frames before it,
+        and at the end if there was no frame.
         """
         storage = self._opened()
         try:
@@ -180,9 +180,9 @@ class Recording:
         return self._frames(storage, on_backwards)
 
     def corrected_frames(self) -> Iterator[CorrectedFrame]:
-        """Iterate over corrected frames: those whose distance, sigma, flags and points are there.
+        """Iterate over corrected frames that have distance, sigma, flags and points.
 
-        Raises InputError naming the topic that is missing, or for a message that is wrong.
+        Raises InputError, which names the topic, for a missing topic, and for a wrong message.
         """
         storage = self._opened()
         missing = [self._topics[role] for role in CORRECTED_PARTS if self._topics[role] not in self._types]
@@ -265,7 +265,7 @@ class Recording:
     def _pose_topics(self) -> dict[str, tuple[str, str]]:
         """Return surface and role of the topics with poses, by their names.
 
-        Where a surface has poses below the namespace of the camera and without it, the former count.
+        Where a surface has poses both below the namespace of the camera and without it, the former are used.
         """
         found: dict[tuple[str, str], str] = {}
         for name, kind in self._types.items():

@@ -1,4 +1,4 @@
-"""Messages of one exposure by their exact stamp, as they come; no ROS in here."""
+"""Pairs the messages of one exposure by their exact stamp, as they come; no ROS in here."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ IMAGES = ("distance", "amplitude")
 READINGS = ("temperature", "ambient", "reference")
 _SIDES = ("frame_info", *READINGS)
 
-#: Exposures that may wait for the rest of their messages, and where they wait for seconds: at up to 100 Hz.
+#: Most exposures that may wait for further messages; the second number where they wait for seconds, at up to
+#: 100 Hz.
 CAPACITY = 32
 RELIABLE_CAPACITY = 500
-#: Stamps of refused messages that are remembered, so that their partners are dropped too.
+#: Number of stamps of refused messages that are kept, so that their partners are dropped, too.
 _REFUSED = 256
-#: A reading so far [ns] ahead of the last frame is not kept: a flood of them would push the true ones out.
+#: A reading this far [ns] ahead of the last frame is not kept: many of them would displace the true ones.
 _AHEAD = 60 * NANOSECONDS
-#: Seconds that a pair of images waits for what came with the frames before it.
+#: Seconds that a pair of images waits for messages of the kinds that came with the frames before it.
 PATIENCE = 0.1
-#: Seconds that a pair waits for its frame_info where nothing is lost: each topic comes in its order, but one
-#: may lag behind the others while its two ends are being matched or a lost packet is sent again.
+#: Seconds that a pair waits for its frame_info with reliable delivery. Each topic comes in order, but one may
+#: lag behind others while publisher and subscriber are matched or a lost packet is sent again.
 RELIABLE_PATIENCE = 5.0
 _NO_INFO = "a pair without frame_info"
 
@@ -37,16 +38,17 @@ class _Exposure:
 
 
 class StampPairing:
-    """Pairs the distance and amplitude of one stamp, with what else carries it.
+    """Pairs the distance and amplitude of one stamp, with further messages of that stamp.
 
-    ``images``: the roles of all images of an exposure, distance and amplitude first. ``samples``: those of
+    ``images``: the roles of all images of an exposure, distance and amplitude first. ``samples``: roles of
     images that may come with it, as frame_info may.
 
-    ``publishes(role)`` tells whether anybody publishes frame_info or a reading. A pair waits, shortly, for
-    those that do and that came with the frame before; of the readings the last ones before the frame
-    will do. A pair without its frame_info, though somebody publishes it, is dropped: its
-    integration time is not known. It waits for it ``patience`` seconds, or until that of a later frame has
-    come, with ``capacity`` others at most. ``dropped`` counts, by reason, what did not become a frame.
+    ``publishes(role)`` returns whether there is a publisher of frame_info or of a reading. A pair waits
+    shortly for such messages if they came with the frame before; for readings the last ones before the frame
+    are used otherwise. A pair without its frame_info is dropped if there is a publisher, as its integration
+    time is unknown. It waits for frame_info for ``patience`` seconds, or until that of a later frame has
+    come, with at most ``capacity`` others. ``dropped`` counts, by reason, messages that did not become
+    frames.
     """
 
     def __init__(
@@ -98,9 +100,9 @@ class StampPairing:
         return self._ready(now)
 
     def refuse(self, stamp: int, reason: str) -> None:
-        """Leave out the exposure of a stamp of which one message was refused."""
+        """Drop the exposure of a stamp of which one message was refused."""
         if stamp not in self._refused:
-            # apart from what waits: a flood of them must not push good frames out
+            # kept apart from waiting exposures, so that many of them do not displace good frames
             self._refused[stamp] = None
             self._waiting.pop(stamp, None)
             self.dropped[reason] += 1
@@ -135,7 +137,7 @@ class StampPairing:
         return frames
 
     def _awaited(self, stamp: int) -> bool:
-        """Whether something is published that came with the last frame and has not come with this one."""
+        """Whether a published message that came with the last frame has not come with this one."""
         missing = [role for role in self._sides if not self._came(role, stamp)]
         expected = self._sides if self._expected is None else self._expected
         return any(role in expected and self._publishes(role) for role in missing)
@@ -198,7 +200,7 @@ class StampPairing:
         there = [role for role in self._images if role in exposure.parts]
         if len(there) == len(self._images):
             self.dropped[_NO_INFO] += 1
-        # a node that joins finds one half of the first exposure: nothing is wrong with that
+        # a node that starts late receives only one half of the first exposure, which is no fault
         if 0 < len(there) < len(self._images) and self._expected is not None:
             other = next(role for role in self._images if role not in there)
             self.dropped[f"{there[0]} without {other}"] += 1

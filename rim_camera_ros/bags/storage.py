@@ -31,7 +31,7 @@ _LARGEST_METADATA = 1 << 24
 class Storage(Protocol):
     """Topics, times (ns; None without messages) and messages of a recording.
 
-    ``damage`` says what is wrong with a recording that can be read in part.
+    ``damage`` says what is wrong with a recording that is only readable in part.
     """
 
     kind: str
@@ -124,7 +124,7 @@ class SqliteFile:
 
 
 class Unpacked:
-    """A recording file under file compression, unpacked into a temporary folder until closed."""
+    """A compressed recording file, unpacked into a temporary folder until it is closed."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -220,7 +220,7 @@ class Folder:
             mode = str(information.get("compression_mode") or "").lower()
         except OSError as error:
             raise _unreadable(path, error) from error
-        except Exception as error:  # whatever a foreign or damaged document provokes in parser and look-ups
+        except Exception as error:  # parser and look-ups may raise anything for a foreign or damaged document
             reason = " ".join(str(error).split())[:200]
             problem = f"is not the metadata of a recording: {type(error).__name__} {reason}"
             raise InputError(problem, file=path, remedy=_REINDEX) from error

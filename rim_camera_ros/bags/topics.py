@@ -24,8 +24,8 @@ POSE = "geometry_msgs/msg/PoseStamped"
 POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 
-#: Role: (name below the namespace, or an absolute one; message type). Drivers publish true poses below their
-#: namespace, so that those of two cameras stay apart; a recording is of one camera.
+#: Role: (name below the namespace, or an absolute name; message type). Drivers publish true poses below their
+#: namespace, as those of two cameras differ; a recording is of one camera.
 ROLES: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
         "distance": ("distance/image_raw", IMAGE),
@@ -48,7 +48,8 @@ ROLES: Mapping[str, tuple[str, str]] = MappingProxyType(
 #: Most modulation frequencies of a camera.
 FREQUENCIES = 4
 
-#: Images that only some devices measure, as `ROLES`: of each of several modulation frequencies.
+#: Images that only some devices measure, in the form of `ROLES`: those of each of several modulation
+#: frequencies.
 FURTHER_IMAGES: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
         f"{kind}_{i}": (f"{kind}_{i}/image_raw", IMAGE)
@@ -57,8 +58,8 @@ FURTHER_IMAGES: Mapping[str, tuple[str, str]] = MappingProxyType(
     }
 )
 
-#: Images of several values a pixel, as `ROLES`: what distance and amplitude were evaluated from. A frame may
-#: come without them.
+#: Images of several values a pixel, in the form of `ROLES`: the data from which distance and amplitude were
+#: evaluated. A frame may come without them.
 SAMPLES: Mapping[str, tuple[str, str]] = MappingProxyType(
     {"histogram": ("histogram/image_raw", IMAGE), "gates": ("gates/image_raw", IMAGE)}
 )
@@ -66,7 +67,7 @@ SAMPLES: Mapping[str, tuple[str, str]] = MappingProxyType(
 #: All roles.
 KNOWN_ROLES: Mapping[str, tuple[str, str]] = MappingProxyType({**ROLES, **FURTHER_IMAGES, **SAMPLES})
 
-#: Roles of poses, whose topics hold the placeholder of the surface's name.
+#: Roles of poses, whose topics contain the placeholder of the surface's name.
 POSE_ROLES = ("truth", "truth_with_covariance")
 
 #: Roles that make up or accompany a raw frame, other than poses.
@@ -84,7 +85,7 @@ RAW_ROLES = (
 SWISSRANGER_DISTANCE = "distance/image_raw16"
 SWISSRANGER_AMPLITUDE = ("intensity/image_raw16", "intensity/image_raw")
 
-#: End of a topic's name that brings a pose with its covariance.
+#: Ending of the names of topics with poses and their covariance.
 _COVARIANCE = "/pose_with_covariance"
 _NAME = re.compile(r"/[A-Za-z0-9_~{}]+(/[A-Za-z0-9_~{}]+)*")
 _LISTED = 12
@@ -112,11 +113,11 @@ def _clean_role(role: str, place: str) -> str:
 
 @dataclass(frozen=True)
 class Topics:
-    """Topic names by role: a namespace and what deviates from its default names.
+    """Topic names by role: a namespace, and names that differ from the default.
 
-    ``overrides`` maps roles (see `ROLES`) to topic names; the name for ``truth`` holds the
-    placeholder ``<surface>``. With a ``frequency`` distance and amplitude are the images of that one of
-    several modulation frequencies (counted from 0), and the others are passed over.
+    ``overrides`` maps roles (see `ROLES`) to topic names; the name for ``truth`` contains the placeholder
+    ``<surface>``. With a ``frequency``, distance and amplitude are the images of that one of several
+    modulation frequencies (counted from 0), and the others are ignored.
 
     Raises InputError for an unknown role, a malformed name or one topic in two roles.
     """
@@ -187,7 +188,7 @@ class Topics:
 
     @property
     def automatic(self) -> bool:
-        """Whether the namespace may be detected: nothing says where the distance is."""
+        """Whether the namespace may be detected, as no option states the topic of the distance."""
         return self.namespace == DEFAULT_NAMESPACE and "distance" not in self.overrides
 
     def truth(self, surface: str, *, role: str = "truth") -> str:
@@ -195,7 +196,7 @@ class Topics:
         return self[role].replace(SURFACE, surface)
 
     def surface_of(self, topic: str, *, role: str = "truth") -> str | None:
-        """Return the surface whose pose the topic of a role carries, None for another topic.
+        """Return the surface whose pose is published on a topic, None for topics of other roles.
 
         Without an override the topic may be below the namespace, as a driver publishes it, or not.
         """
@@ -225,7 +226,7 @@ class Topics:
 
 
 def listed(names: Collection[str]) -> str:
-    """Return topic names as a sentence lists them, a dozen at most."""
+    """Return topic names as a list for a sentence, a dozen at most."""
     names = sorted(names)
     if not names:
         return "none"
@@ -234,10 +235,10 @@ def listed(names: Collection[str]) -> str:
 
 
 def resolve(topics: Topics, types: Mapping[str, str]) -> tuple[Topics, list[str]]:
-    """Fit topics to what a recording holds (topic: message type).
+    """Fit topics to the contents of a recording (topic: message type).
 
-    Returns the topics and sentences that say what was assumed. When nothing fits, the topics come
-    back as they are; `require_images` then says what is missing.
+    Returns the topics, and sentences that state assumptions. When nothing fits, the topics are returned
+    unchanged; `require_images` then says what is missing.
     Raises InputError when more than one namespace holds distance images.
     """
     assumptions: list[str] = []
@@ -256,9 +257,9 @@ def resolve(topics: Topics, types: Mapping[str, str]) -> tuple[Topics, list[str]
             assumptions.append(f"{found[0]} is the amplitude{eight}, as a ROS 1 SwissRanger driver names it")
     topics = replace(topics, overrides=overrides)
     if "camera_info" not in overrides and topics["camera_info"] not in types:
-        beside = topics.info_beside("distance")
-        if beside in types and beside not in overrides.values():
-            topics = replace(topics, overrides={**overrides, "camera_info": beside})
+        paired = topics.info_beside("distance")
+        if paired in types and paired not in overrides.values():
+            topics = replace(topics, overrides={**overrides, "camera_info": paired})
     return topics, assumptions
 
 
@@ -289,10 +290,10 @@ def _with_namespace(topics: Topics, types: Mapping[str, str], assumptions: list[
 
 
 def require_images(topics: Topics, types: Mapping[str, str]) -> None:
-    """Check that a recording (topic: message type) holds what a raw frame needs.
+    """Check that a recording (topic: message type) has the topics that a raw frame needs.
 
-    Raises InputError that names the missing topic, the topics there are and the remedy, or a topic
-    whose message type is not that of its role.
+    Raises InputError, which names the missing topic, the existing topics and the remedy, or a topic whose
+    message type is not that of its role.
     """
     needed = image_roles(topics, types)
     for role in topics.raw_roles:
@@ -311,7 +312,7 @@ def require_images(topics: Topics, types: Mapping[str, str]) -> None:
 def image_roles(topics: Topics, types: Mapping[str, str]) -> tuple[str, ...]:
     """Return the roles of the images that a raw frame of a recording (topic: message type) needs.
 
-    Those of every frequency up to the last of which there is an image, where there are any of frequencies.
+    With images of several frequencies these are the images of all frequencies up to the last that has one.
     """
     if topics.frequency is not None:
         return ("distance", "amplitude")

@@ -1,4 +1,4 @@
-"""Writing of recordings: rosbag2 folders with mcap, whole or not at all."""
+"""Writing of recordings: rosbag2 folders with mcap, completely or not at all."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _FOREVER = QosTime(9223372036, 854775807)
 
 
 def _qos(topic_role: str | None) -> list[Qos]:
-    """Return what playback shall offer: reliable suits every subscriber, poses also the late ones."""
+    """Return the QoS for playback: reliable, for every subscriber; poses also for late subscribers."""
     latched = topic_role in POSE_ROLES
     return [
         Qos(
@@ -64,14 +64,13 @@ def _qos(topic_role: str | None) -> list[Qos]:
 class RecordingWriter:
     """Writes a recording (rosbag2, mcap) that appears at ``path`` only once it is complete.
 
-    A context manager. Until it is left without an exception everything is in a hidden folder beside
-    ``path``, which is removed otherwise. An existing output is an error unless ``force``; then it is
-    replaced at the end, provided it is a recording and nothing else. Times of recording are the stamps
-    of the frames.
+    A context manager. Files are first written to a hidden folder in the same folder as ``path``, which is
+    removed if there is an exception. An existing output is an error unless ``force``; then it is replaced at
+    the end, provided it is a recording and nothing else. Times of recording are the stamps of the frames.
 
-    Entering raises InputError for a path that exists or cannot be written. Writing and leaving raise
-    RimError when the disk is full or fails, InputError for frames that do not fit a message, and
-    leaving RimError when nothing was written; in all these cases nothing is left behind.
+    Entering raises InputError for a path that exists or cannot be written. Writing and leaving raise RimError
+    when the disk is full or fails, and InputError for frames that do not fit a message. Leaving raises
+    RimError when nothing was written. In all these cases no files remain.
     """
 
     def __init__(
@@ -125,10 +124,10 @@ class RecordingWriter:
             self._put_in_place()
 
     def write_raw(self, frame: RawFrame) -> None:
-        """Write a frame as the camera delivers it, with all that is known beside it.
+        """Write a frame as the camera delivers it, with its settings, geometry, readings and poses.
 
-        Temperatures, reference and poses are written when they have changed; poses with their own
-        stamps. The reference is rounded to float32, all else is kept exactly.
+        Temperatures, reference and poses are written when they have changed; poses with their own stamps. The
+        reference is rounded to float32, all else is kept exactly.
         """
         self._begin(frame.stamp)
         self._write_truth(frame)
@@ -150,16 +149,16 @@ class RecordingWriter:
 
         ``points`` (H, W, 4): x y z in metres and intensity in counts; ``depth`` (H, W): metres along z;
         ``raw``: the frame that was corrected, whose true poses and device name are written as well.
-        What `write_raw` has written for the same stamp (settings, temperatures, camera_info) is not
-        repeated: of both, write the raw frame first.
+        Settings, temperatures and camera_info that `write_raw` has written for the same stamp are not
+        repeated: write the raw frame first.
         """
         self._begin(frame.stamp)
         if raw is not None:
             self._write_truth(raw)
         self._write_settings(frame.settings, frame.stamp, "" if raw is None else raw.device)
         if intrinsics is not None:
-            beside = ("distance",) if depth is None else ("distance", "depth")
-            self._write_intrinsics(intrinsics, frame.stamp, beside)
+            roles = ("distance",) if depth is None else ("distance", "depth")
+            self._write_intrinsics(intrinsics, frame.stamp, roles)
         self._write_image("corrected_distance", frame.distance, frame.stamp)
         self._write_image("sigma", frame.sigma, frame.stamp)
         self._write_image("flags", frame.flags, frame.stamp)
@@ -177,7 +176,7 @@ class RecordingWriter:
         self._write(topic, msgtype, stamp, message, None)
 
     def write_serialised(self, role: str, topic: str, msgtype: str, stamp: int, data: bytes) -> None:
-        """Write a message as it came from the middleware (CDR); ``stamp`` is its time of recording in ns."""
+        """Write a message as it came from the middleware (CDR); ``stamp``: its time of recording in ns."""
         self._write_bytes(topic, msgtype, stamp, data, role)
 
     @property
@@ -222,8 +221,8 @@ class RecordingWriter:
                 self._last_values[role] = value
                 self._write_role(role, stamp, make(value, stamp, self.frame_id))
 
-    def _write_intrinsics(self, intrinsics: Intrinsics, stamp: int, beside: tuple[str, ...]) -> None:
-        topics = (self.topics["camera_info"], *(self.topics.info_beside(role) for role in beside))
+    def _write_intrinsics(self, intrinsics: Intrinsics, stamp: int, roles: tuple[str, ...]) -> None:
+        topics = (self.topics["camera_info"], *(self.topics.info_beside(role) for role in roles))
         for topic in dict.fromkeys(topics):
             if self._once(topic):
                 message = messages.camera_info_message(intrinsics, stamp, self.frame_id)
@@ -281,7 +280,7 @@ class RecordingWriter:
                 )
 
     def _put_in_place(self) -> None:
-        """Move the finished folder to its place; what was there before goes only after that."""
+        """Move the finished folder to its place; an existing output is removed only after that."""
         assert self._work is not None
         self._check_target()
         self._work.put_in_place(self._work.path / self.path.name, self.path)
@@ -290,7 +289,7 @@ class RecordingWriter:
 
     @contextlib.contextmanager
     def _faults(self) -> Iterator[None]:
-        """Discard the output on any exception; those of the disk become errors of the package."""
+        """Discard the output on any exception; errors of the disk become errors of the package."""
         try:
             yield
         except OSError as error:
@@ -320,7 +319,7 @@ class RecordingWriter:
 
 
 def _foreign(path: Path) -> str:
-    """Return why a path is not to be replaced, '' if it is a recording and nothing else."""
+    """Return why a path must not be replaced, '' if it is a recording and nothing else."""
     if path.is_symlink():
         return "it is a link"
     try:

@@ -1,1 +1,1 @@
-"""What recorded stations determine so far, and which station would add the most."""
+"""Coverage of a recording: parameters that its stations determine so far, and the station that adds most."""

@@ -1,4 +1,4 @@
-"""What stations determine so far, by the equations of a plan, and which would add the most."""
+"""The parameters that stations determine, by the equations of a plan, and the station that would add most."""
 
 from __future__ import annotations
 
@@ -32,15 +32,16 @@ from rim_camera_ros.scene import Scene
 
 Array = NDArray[Any]
 
-#: Recording that proposed stations are of: the next after the one that is being made.
+#: Number of the recording of proposed stations: the next after the one that is being made.
 _PROPOSED = 1
-#: Classes of distance (to the ambiguity range) and of amplitude (powers of two counts) of the picture.
+#: Number of classes in the picture, of distance (up to the ambiguity range) and amplitude (powers of two
+#: counts).
 DISTANCE_CLASSES, AMPLITUDE_CLASSES = 24, 16
 
 
 @dataclass(frozen=True)
 class Next:
-    """The station that would add the most: in words, and the factors of the effects that it would raise."""
+    """The station that would add the most, in words, and the factors of effects before and after it."""
 
     words: str
     raised: Mapping[str, tuple[float, float]]
@@ -48,13 +49,13 @@ class Next:
 
 @dataclass(frozen=True)
 class Coverage:
-    """What the stations determine.
+    """The parameters that the stations determine.
 
-    ``factors`` by effect: by how much the data narrow its parameters; determined from `NARROWED` on.
-    ``seen`` (H, W): stations in which each pixel of the coarse grid was used; ``readings``
-    (`DISTANCE_CLASSES`, `AMPLITUDE_CLASSES`): pixels by distance and amplitude. ``next`` is None where
-    no station of this scene would determine more. ``moved`` [m]: how far distances of the last station
-    tilted at the rim of the array from frame to frame where it was not at rest, None: it rested.
+    ``factors`` by effect: by how much the data narrow its parameters; from `NARROWED` on it counts as
+    determined. ``seen`` (H, W): number of stations in which each pixel of the coarse grid was used;
+    ``readings`` (`DISTANCE_CLASSES`, `AMPLITUDE_CLASSES`): number of pixels by distance and amplitude.
+    ``next``: None where no station of this scene would determine more. ``moved`` [m]: change of the last
+    station's distances from frame to frame, by a tilt, at the rim of the array; None if it was at rest.
     """
 
     stations: int
@@ -73,7 +74,7 @@ class Coverage:
 
     @property
     def open(self) -> dict[str, float]:
-        """The others."""
+        """The effects that are not determined, with their factors."""
         return {name: factor for name, factor in self.factors.items() if factor < NARROWED}
 
     def lines(self) -> list[str]:
@@ -116,7 +117,7 @@ class Evaluator:
         self._offered: dict[str, Fold] = {}
 
     def add(self, station: Station) -> bool:
-        """Take a station, on all pixels; False where it lacks the pose of a surface."""
+        """Add a station, given on all pixels; False if it lacks the pose of a surface."""
         if any(name not in station.truth for name in self.scene.needs_truth):
             return False
         small = decimated_dataset(Dataset([station]), self.step).stations[0] if self.step > 1 else station
@@ -124,9 +125,9 @@ class Evaluator:
         return True
 
     def evaluate(self, *, moved: float | None = None) -> Coverage:
-        """Return what the stations so far determine; one at least.
+        """Return the coverage by the stations so far; there must be at least one.
 
-        ``moved`` [m] is what is said of the last station's rest.
+        ``moved`` [m]: as in `Coverage`.
         """
         stations = list(self._stations)
         last = stations[-1]
@@ -164,7 +165,7 @@ class Evaluator:
             return
         last = stations[-1]
         planned = [
-            # settings alone: how bright it is, the recorded stations say
+            # only for their settings: brightness is that of the recorded stations
             replace(self._planned(proposal, last, number), count=np.zeros_like(last.count))
             for number, proposal in enumerate(offered)
         ]
@@ -172,12 +173,12 @@ class Evaluator:
         self._kinds, self._offered = kinds, {}
 
     def _fold(self, proposal: Proposal, last: Station) -> Fold:
-        """Return the sums of a proposed station; those of other poses stay the same while one records."""
+        """Return the sums of a proposed station; for other poses they do not change during a recording."""
         if proposal.lasting and proposal.words in self._offered:
             return self._offered[proposal.words]
         planned = Dataset([self._planned(proposal, last, 0)], decimation=self.step)
         scene = proposal.scene or self.scene
-        # an error of the target's reflectivity is one of its light, as the emitter's power at a pose is
+        # an error of the target's reflectivity acts on its light like the emitter's power at a pose
         varies = math.hypot(self.camera.radiometry.gain_sigma, proposal.light_sigma)
         camera = replace(self.camera, radiometry=replace(self.camera.radiometry, gain_sigma=varies))
         expected = with_expected_light(planned, scene, camera)
@@ -186,7 +187,7 @@ class Evaluator:
         return fold
 
     def _accumulated(self, dataset: Dataset, scene: Scene, camera: Camera) -> NormalEquations:
-        """Return sums of stations, of all pixels: proposed ones see others than those that they join."""
+        """Return sums of stations over all pixels, as proposed stations use other pixels than others."""
         every = np.ones(camera.shape, bool).ravel()
         return accumulate(Forward(dataset, scene, camera), self._blocks, seen=every)
 
@@ -203,7 +204,7 @@ class Evaluator:
         )
 
     def _draw(self, stations: Sequence[Station]) -> None:
-        """Count which pixels the new stations used, and how many of them had which distance and amplitude."""
+        """Count the pixels that new stations used, by place and by distance and amplitude."""
         new = Dataset(list(stations[self._drawn :]), decimation=self.step)
         self._drawn = len(stations)
         for prediction in Forward(new, self.scene, self.camera).predictions(slopes=False):
@@ -234,7 +235,7 @@ class Evaluator:
 def _best(
     now: Mapping[str, float], offered: Sequence[Proposal], after: Sequence[dict[str, float]]
 ) -> Next | None:
-    """Return the proposal after which the most is determined: logarithms of factors up to `NARROWED`."""
+    """Return the proposal with the largest sum of logarithms of factors, each counted up to `NARROWED`."""
 
     def worth(factors: Mapping[str, float]) -> float:
         return sum(float(np.log(min(factor, NARROWED))) for factor in factors.values())
@@ -250,5 +251,5 @@ def _best(
     return Next(offered[best].words, raised) if raised else None
 
 
-#: Factor by which a station must narrow an effect's parameters to be worth its while.
+#: Least factor by which a station must narrow an effect's parameters to be proposed.
 _WORTH_WHILE = 1.1

@@ -1,4 +1,4 @@
-"""Frames with poses out of messages as they come, serialised; no ROS in here."""
+"""Frames with poses from serialised messages, as they come; no ROS in here."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rim_camera_ros.scene import Scene
 
 
 class Message(NamedTuple):
-    """A message of a role (see `rim_camera_ros.bags.ROLES`), of poses with the surface's name, in CDR."""
+    """A message (CDR) of a role (see `rim_camera_ros.bags.ROLES`), with the surface's name for a pose."""
 
     role: str
     surface: str
@@ -29,7 +29,7 @@ class Message(NamedTuple):
 
 
 def live_frames(incoming: Iterable[Message]) -> Iterator[RawFrame]:
-    """Yield the frames of messages, in their order; what cannot be read is passed over."""
+    """Yield the frames of messages, in their order; unreadable ones are skipped."""
     seen: set[str] = set()
     pairing = StampPairing(lambda role: role in seen)
     poses: dict[str, History] = {}
@@ -46,7 +46,7 @@ def live_frames(incoming: Iterable[Message]) -> Iterator[RawFrame]:
                 continue
             value = _value(one.role, message)
         except InputError:
-            continue  # the recording keeps it, and its reader says what is wrong
+            continue  # it stays in the recording, whose reader reports the error
         for frame in pairing.add(one.role, stamp, value, time.monotonic()):
             yield _placed(frame, poses)
 
@@ -73,8 +73,8 @@ def _placed(frame: RawFrame, poses: dict[str, History]) -> RawFrame:
 def posed_frames(frames: Iterator[RawFrame], scene: Scene, camera: Camera) -> Iterator[RawFrame]:
     """Yield frames with the poses that the scene takes from a recording.
 
-    As they are published; where none is with the first frame, those of the scene's board in the images.
-    Frames that do not show the board, or come before the first pose, are passed over.
+    These are the published poses, or if there is none at the first frame, those of the scene's board as found
+    in the images. Frames that do not show the board, or come before the first pose, are skipped.
     """
     first = next(frames, None)
     if first is None:

@@ -1,4 +1,4 @@
-"""The coverage of a recording that is being made, evaluated in a process of its own."""
+"""The coverage of a recording that is being made, evaluated in a separate process."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from rim_camera_ros.coverage.picture import Report
 from rim_camera_ros.devices.supervision import child_environment, how_it_ended
 from rim_camera_ros.errors import RimError
 
-#: Messages that wait to be evaluated; beyond them images are passed over here, not in the recording.
+#: Most messages that wait for evaluation; further images are skipped here, but not in the recording.
 _WAITING = 128
 #: Seconds that the last report may take at the end of a recording.
 LAST_WORDS = 4.0
 
 
 class LiveCoverage:
-    """Takes the messages of a recording and calls ``report`` with what they cover so far.
+    """Takes the messages of a recording and calls ``report`` with the coverage so far.
 
-    ``scene`` and ``camera`` are their files. ``report`` is called in a thread of its own; nothing here waits
-    for the evaluation but `close`. Where the evaluation ends by itself, a report says so, the last one.
+    ``scene`` and ``camera``: their files. ``report`` is called in a separate thread; only `close` waits for
+    the evaluation. If the evaluation ends by itself, the last report says so.
     """
 
     def __init__(self, scene: Path, camera: Path, report: Callable[[Report], None]) -> None:
@@ -51,13 +51,13 @@ class LiveCoverage:
             thread.start()
 
     def take(self, message: Message) -> None:
-        """Take a message; images are passed over where the evaluation is behind."""
+        """Take a message; images are skipped while the evaluation is behind."""
         behind = message.role in IMAGES and self._queue.qsize() >= _WAITING
         if not behind and not self._gone:
             self._queue.put(message)
 
     def close(self, *, patience: float = LAST_WORDS) -> None:
-        """Wait for the last report for so many seconds, and end the process."""
+        """Wait for the last report, at most ``patience`` seconds, and end the process."""
         self._closing = True
         self._queue.put(None)
         try:

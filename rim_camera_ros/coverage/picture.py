@@ -18,12 +18,12 @@ Image = NDArray[np.uint8]
 WIDTH, HEIGHT = 760, 600
 _PANEL, _TOP, _MARGIN, _LINE = 340, 40, 20, 20
 _PAPER, _INK, _GREY = (255, 255, 255), (30, 30, 30), (215, 215, 215)
-_GOOD, _POOR, _BAD = (0, 114, 178), (230, 159, 0), (213, 94, 0)  # Okabe and Ito: told apart by everybody
+_GOOD, _POOR, _BAD = (0, 114, 178), (230, 159, 0), (213, 94, 0)  # Okabe and Ito: distinguishable for all
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 class Report(NamedTuple):
-    """What is covered, with its picture; ``problem``: why nothing can be said; ``ended``: nor will be."""
+    """The coverage and its picture; ``problem``: why there is none; ``ended``: no reports follow."""
 
     coverage: Coverage | None
     picture: Image | None = None
@@ -32,20 +32,20 @@ class Report(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The problem, and whether anything may follow."""
+        """The problem, and whether further reports may follow."""
         end = "; no more is said of the coverage, and the recording is not affected"
         return self.problem + (end if self.ended else "")
 
 
 def print_report(report: Report) -> None:
-    """Print what is covered to standard error."""
+    """Print the coverage to standard error."""
     lines = [f"coverage: {report.words}"] if report.coverage is None else report.coverage.lines()
     start = "\r\033[K" if sys.stderr.isatty() else ""
     print(start + "\n".join(lines), file=sys.stderr, flush=True)
 
 
 def coverage_picture(coverage: Coverage, *, ambiguity: float) -> Image:
-    """Return the picture, rgb8 (H, W, 3); ``ambiguity`` [m] is the end of the axis of distances."""
+    """Return the picture, rgb8 (H, W, 3); ``ambiguity`` [m]: the end of the axis of distances."""
     picture: Image = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
     head = f"{coverage.stations} stations, {coverage.frames} frames; last: {coverage.last}"
     _text(picture, head, (_MARGIN, 24), most=WIDTH - 2 * _MARGIN)
@@ -83,7 +83,7 @@ def _panel(picture: Image, values: NDArray[Any], at: tuple[int, int], words: str
 
 
 def _bars(picture: Image, coverage: Coverage, top: int) -> None:
-    """Draw for each effect how far it is determined: full at the factor from which it is."""
+    """Draw a bar of each effect's factor, full from the factor at which it is determined."""
     rows = max(1, (HEIGHT - 60 - top) // _LINE)
     ordered = sorted(coverage.factors.items(), key=lambda one: one[1])
     for number, (name, factor) in enumerate(ordered[: 2 * rows]):

@@ -1,4 +1,4 @@
-"""Stations that could be recorded next, in words: poses, distances, grey levels, integration times, waits."""
+"""Proposals for the next station, in words: poses, distances, grey levels, integration times, waiting."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rim_camera_ros.scene import Scene, Surface
 _DISTANCES = (1.0, 1.6, 2.6, 4.2)
 #: Least distance [m], and the largest as a share of the ambiguity range.
 _NEAREST, _FARTHEST = 0.3, 0.9
-#: Tilt [rad], and how far off the middle of the image as a share of half its width and height.
+#: Tilt [rad], and offset from the middle of the image as a share of half its width and height.
 _TILT, _ASIDE = math.radians(40.0), 0.6
 #: Reflectivities of grey targets.
 _GREYS = (0.2, 0.5, 0.8)
@@ -38,8 +38,8 @@ _PLACES = {
 class Proposal:
     """A station that could be recorded, in words; ``wait`` [s] passes before it.
 
-    ``lasting``: it does not depend on the station before it. ``scene`` is that of another target (None: the
-    recording's), whose light differs from what is expected of it by ``light_sigma`` (relative, 1-sigma).
+    ``lasting``: it does not depend on the station before it. ``scene``: that of another target (None: that of
+    the recording), with ``light_sigma``, the relative 1-sigma of the difference from its expected light.
     """
 
     words: str
@@ -52,7 +52,7 @@ class Proposal:
 
 
 def proposals(scene: Scene, camera: Camera, last: Station) -> list[Proposal]:
-    """Return what could be recorded after the station ``last``: other poses, targets, settings, and later."""
+    """Return proposals after the station ``last``: other poses, targets and settings, and waiting."""
     found = [*_poses(scene, camera, last), *_greys(scene, camera, last)]
     current = camera.integration_time(last.settings)
     for setting in sorted(_settings(camera) - {current}):
@@ -94,7 +94,7 @@ def _poses(scene: Scene, camera: Camera, last: Station) -> Iterator[Proposal]:
 
 
 def _greys(scene: Scene, camera: Camera, last: Station) -> Iterator[Proposal]:
-    """Yield targets of a grey level that a surface lacks: in its place, and where it may be put elsewhere."""
+    """Yield targets of grey levels that a surface lacks, in its place and where it may be moved to."""
     surface = _posed(scene) or _seen_most(scene, camera, last)
     if surface is None:
         return
@@ -134,7 +134,7 @@ def _seen_most(scene: Scene, camera: Camera, last: Station) -> Surface | None:
 
 
 def _has_level(surface: Surface, level: float) -> bool:
-    """Return whether a surface has a grey level already, within what is known of both."""
+    """Return whether a surface already has a grey level, within the uncertainty of both."""
     if surface.texture is not None:
         own = surface.texture.values.values
     else:
@@ -143,7 +143,7 @@ def _has_level(surface: Surface, level: float) -> bool:
 
 
 def _half_field(camera: Camera) -> tuple[float, float]:
-    """Return the tangents of half the angles of view, the smaller side of each."""
+    """Return the tangents of half the angles of view across and down, on the smaller side of each."""
     height, width = camera.shape
     optics = camera.optics
     across = min(optics.cx + 0.5, width - 0.5 - optics.cx) / optics.fx

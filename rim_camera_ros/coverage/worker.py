@@ -1,8 +1,8 @@
-"""The process that evaluates the coverage while another records, which must not lose a message.
+"""The process that evaluates the coverage, so that the recording process does not lose messages.
 
 Started by `rim_camera_ros.coverage.live` as ``python -m``; not meant to be run by hand. Both sides send
-pickles: to this process the files of scene and camera, then `Message`; from it `Report`. The end of the input
-ends it, after a last report; so does an error, which the last report states.
+pickles: this process receives the files of scene and camera, then each `Message`, and sends `Report`. It ends
+at the end of its input, after a last report, and at an error, which the last report states.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from rim_camera_ros.fit.reduction import of_known_exposure, reduce_frames
 from rim_camera_ros.frame import RawFrame
 from rim_camera_ros.scene import Scene, load_scene
 
-#: Seconds after which frames of one pose are evaluated though it goes on.
+#: Seconds after which frames of one pose are evaluated even if the pose continues.
 _BLOCK_SECONDS = 3.0
-#: Seconds without any station after which it is said why.
+#: Seconds without any station after which the reason is reported.
 _PATIENCE = 8.0
 _NICENESS = 5
 
 
 class _Stations:
-    """Reduces frames to stations in a thread of its own, while the main one evaluates."""
+    """Reduces frames to stations in a separate thread, while the main thread evaluates."""
 
     def __init__(self, source: IO[bytes], scene: Scene, camera: Camera) -> None:
         self.evaluator = Evaluator(scene, camera)
@@ -78,7 +78,7 @@ class _Stations:
 
 
 def serve(source: IO[bytes], sink: IO[bytes]) -> None:
-    """Evaluate the messages of ``source`` until it ends, and report to ``sink``; what ends it, too."""
+    """Evaluate the messages of ``source`` until it ends, and report to ``sink``, also errors."""
 
     def send(report: Report) -> None:
         pickle.dump(report, sink)
@@ -87,7 +87,7 @@ def serve(source: IO[bytes], sink: IO[bytes]) -> None:
     try:
         _evaluate(source, send)
     except BrokenPipeError:
-        raise  # nobody listens any more
+        raise  # the recording process is gone
     except RimError as error:
         send(Report(None, problem=str(error), ended=True))
     except Exception as error:
@@ -129,7 +129,7 @@ def _without_poses(scene: Scene) -> str:
 
 
 def main() -> int:
-    """Evaluate what comes on standard input; what libraries print goes to standard error."""
+    """Evaluate the messages on standard input; output of libraries goes to standard error."""
     os.nice(_NICENESS)
     source, sink = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

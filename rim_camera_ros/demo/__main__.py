@@ -89,7 +89,7 @@ def _fresh_folder(out: Path) -> None:
 
 
 def _record(out: Path, camera: Path, *, frames: int, seed: int) -> tuple[Path, dict[str, Any]]:
-    """Run the processes; return the recording and what the listener saw."""
+    """Run the processes; return the recording and the summary of the listener."""
     environment = dict(os.environ, ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
     environment["ROS_DOMAIN_ID"] = str(1 + secrets.randbelow(100))
     recording, summary = out / "recording", out / "live.json"
@@ -143,7 +143,7 @@ def _record(out: Path, camera: Path, *, frames: int, seed: int) -> tuple[Path, d
 
 
 def _wait(processes: dict[str, subprocess.Popen[bytes]], name: str, out: Path, *, deadline: float) -> None:
-    """Wait for one process to end well while the others live; `RimError` names the log otherwise."""
+    """Wait until one process ends with success while the others run; otherwise `RimError` names the log."""
     while (status := processes[name].poll()) is None:
         for other, process in processes.items():
             if other.endswith("_node") and process.poll() is not None:
@@ -156,7 +156,7 @@ def _wait(processes: dict[str, subprocess.Popen[bytes]], name: str, out: Path, *
 
 
 def _pairs(recording: Path) -> Iterator[tuple[RawFrame, CorrectedFrame]]:
-    """Yield the recorded raw frames with what the correction node published for them."""
+    """Yield the recorded raw frames with the corrected frames that the correction node published."""
     with Recording(recording) as raw_bag, Recording(recording) as corrected_bag:
         corrected = {frame.stamp: frame for frame in corrected_bag.corrected_frames()}
         for raw in raw_bag.frames():

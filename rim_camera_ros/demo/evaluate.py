@@ -1,4 +1,4 @@
-"""What the demonstration's recording says about the correction, against the known scene."""
+"""Evaluation of the demonstration's recording: the correction compared with the known scene."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Image = NDArray[Any]
 
 @dataclass(frozen=True)
 class Error:
-    """Bias, RMS and median of the absolute error in metres, and how many values they rest on."""
+    """Bias, RMS and median of the absolute error in metres, and the number of values."""
 
     bias: float
     rms: float
@@ -136,9 +136,9 @@ def usable_pixels(frame: CorrectedFrame) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Share:
-    """What one effect does to the distances in metres, which 68 % of the pixels stay below.
+    """Influence of one effect on distances, in metres: 68 % of the pixels have a smaller one.
 
-    ``before``: to the raw ones; ``after``: to the corrected ones.
+    ``before``: on raw distances; ``after``: on corrected distances.
     """
 
     before: float
@@ -150,10 +150,9 @@ def effect_shares(
 ) -> Mapping[str, Share]:
     """Return each effect's share of the error of one frame without noise.
 
-    Before: the difference that leaving the effect out of the simulated camera makes to the raw
-    distance. After: the same for the corrected distance, the effect being left out of both cameras.
-    Each is over the pixels that the correction of the full frame gives a distance; the shares do not add
-    up, for the effects act on each other.
+    Before: the change of the raw distance if the simulated camera does not have the effect. After: the change
+    of the corrected distance if neither camera has the effect. Both are over the pixels with a distance in
+    the correction of the full frame. The shares do not add up, as effects act on each other.
     """
 
     def measure(camera: Camera, corrector: Camera) -> tuple[Image, CorrectedFrame]:
@@ -176,7 +175,7 @@ def effect_shares(
 
 
 def _spread(values: Image) -> float:
-    """68.3rd percentile of the magnitude: the RMS of a normal distribution, without its outliers."""
+    """Return the 68.3rd percentile of the magnitude, the RMS of a normal distribution without outliers."""
     values = np.abs(values[np.isfinite(values)])
     return float(np.percentile(values, 68.3)) if values.size else float("nan")
 

@@ -1,4 +1,4 @@
-"""Takes frames from a device in a thread of its own, exchanges devices between frames, and tries again."""
+"""Takes frames from a device in its own thread, exchanges devices between frames, retries after faults."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from rim_camera_ros.devices.base import Device
 from rim_camera_ros.errors import DeviceError, RimError
 from rim_camera_ros.frame import RawFrame
 
-#: Seconds until a device that failed is opened again: at first, and at most.
+#: Seconds until a device that failed is opened again: after the first fault, and at most.
 _RETRY, _RETRY_AT_MOST = 1.0, 10.0
 
 
 class Listener(Protocol):
-    """What an acquisition tells; all of it is called in its thread."""
+    """Receives frames and events of an acquisition; its methods are called in the acquisition's thread."""
 
     def on_frame(self, frame: RawFrame) -> bool:
         """Take a frame; False ends the acquisition."""
 
     def on_end(self) -> None:
-        """The device has no more frames; another one may follow."""
+        """Take note that the device has no more frames; another device may follow."""
 
     def on_fault(self, error: RimError, retry_in: float | None) -> None:
-        """The device failed; it is opened again in so many seconds, or never."""
+        """Take note of a fault; the device is opened again in ``retry_in`` seconds, or never (None)."""
 
     def on_recovery(self) -> None:
-        """A device that had failed delivers again."""
+        """Take note that a device that had failed delivers again."""
 
 
 class Acquisition:
     """A thread that takes frames from an open device.
 
-    ``retry``: a device that fails is closed and opened again, else it is at its end. ``exchange`` puts
-    another open device in its place between two frames. ``paused``: none is asked for.
+    ``retry``: a device that fails is closed and opened again; otherwise it counts as at its end. ``exchange``
+    replaces it by another open device between two frames. ``paused``: no frames are requested.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Acquisition:
         self._thread.start()
 
     def exchange(self, device: Device, *, retry: bool = True) -> None:
-        """Take frames from another device, which is open, from the next frame on."""
+        """Take frames from another, open device from the next frame on."""
         with self._lock:
             replaced, self._next = self._next, (device, retry)
             current = self._device
@@ -73,18 +73,18 @@ class Acquisition:
             return self._next[0] if self._next is not None else self._device
 
     def pause(self, paused: bool) -> None:
-        """Ask for no more frames after the one that is waited for, or again."""
+        """Request no more frames after the pending one, or request frames again."""
         with self._lock:
             self._paused = paused
         self._wake.set()
 
     def waits(self) -> float:
-        """Return for how many seconds the device has been asked for the next frame, 0 where it is not."""
+        """Return for how many seconds the request of a frame has been pending, 0 where there is none."""
         asked = self._asked
         return 0.0 if asked is None else time.monotonic() - asked
 
     def give_up(self, error: RimError) -> None:
-        """Treat the frame that is waited for as a fault of the device: it is closed and opened again."""
+        """Treat the pending request as a fault of the device, which is closed and opened again."""
         with self._lock:
             self._stalled = error
             current = self._device
@@ -116,7 +116,7 @@ class Acquisition:
                 if not self._pending:
                     failed = True
                     if getattr(self._device, "reconnects", False) and isinstance(error, RimError):
-                        self._fault(error, 0.1)  # it looks for its camera by itself, at growing intervals
+                        self._fault(error, 0.1)  # the device looks for its camera itself, ever less often
                         continue
                     self._fault(error, pause if self._retry else None)
                     self._device.close()
@@ -135,7 +135,7 @@ class Acquisition:
                 return
 
     def _next_frame(self, *, watched: bool) -> RawFrame | None:
-        """Return the device's next frame; raise what `give_up` was given where that ended the wait."""
+        """Return the device's next frame; raise the error of `give_up` if that ended the wait."""
         self._asked = time.monotonic() if watched else None
         try:
             frame = self._device.next_frame()
@@ -169,7 +169,7 @@ class Acquisition:
             return True
 
     def _rest(self, seconds: float | None) -> None:
-        """Wait for that long (None: for ever), for another device or for the end."""
+        """Wait for so many seconds (None: forever), or until there is another device or the end."""
         end = None if seconds is None else time.monotonic() + seconds
         while not self._pending:
             left = None if end is None else end - time.monotonic()

@@ -1,11 +1,11 @@
-"""The process that runs the vendor's library: a hang or a crash of it takes nothing else with it.
+"""The process that runs the vendor's library, so that a hang or a crash of it affects nothing else.
 
 Started by `rim_camera_ros.devices.supervision` as ``python -m``; not meant to be run by hand. Messages are
-JSON, one to a datagram of a SOCK_SEQPACKET pair; images go through shared memory, a slot for each of a few
-frames.
+JSON, one per datagram of a SOCK_SEQPACKET pair. Images go through shared memory, which has a slot for each of
+a few frames.
 To this process: ``{"settings": ...}``, ``{"release": slot}``; the end of the connection ends the process.
-From it: ``ready`` once, then ``frame`` and ``refused``, and ``fault`` last. Imports no numpy: it starts in
-a tenth of a second.
+From it: ``ready`` once, then ``frame`` and ``refused``, and ``fault`` last. It does not import numpy, so that
+it starts in a tenth of a second.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from rim_camera_ros.errors import DeviceError, InputError, RimError
 MESSAGE_SIZE = 1 << 16
 #: Frames that fit in the shared memory.
 SLOTS = 4
-#: Largest number of pixels of a side that is believed.
+#: Largest number of pixels of a side that is accepted.
 _LARGEST = 4096
-#: Short frames after each other with which a camera counts as failed.
+#: Number of consecutive short frames after which a camera counts as failed.
 _SHORT_FRAMES = 5
-#: Seconds that the library has to come to an end once nobody listens.
+#: Seconds within which the library must end once the supervisor is gone.
 _PATIENCE = 1.0
 _NANOSECONDS = 1_000_000_000
 
@@ -47,18 +47,18 @@ class Link:
         self._lock = threading.Lock()
         self._settings: CameraSettings | None = settings
         self._free = deque(range(SLOTS))
-        #: Set when there are new settings or nobody listens any more.
+        #: Set when there are new settings or the supervisor is gone.
         self.news = threading.Event()
         self.ended = False
         threading.Thread(target=self._listen, name="link", daemon=True).start()
 
     def send(self, **message: Any) -> None:
-        """Send a message; nothing where nobody listens any more."""
+        """Send a message; do nothing if the supervisor is gone."""
         with contextlib.suppress(OSError):
             self._connection.send(json.dumps(message).encode())
 
     def take_settings(self) -> CameraSettings | None:
-        """Return the newest settings that were not taken yet."""
+        """Return the newest settings that were not taken yet, None without any."""
         with self._lock:
             self.news.clear()
             taken, self._settings = self._settings, None
@@ -67,7 +67,7 @@ class Link:
             return taken
 
     def take_slot(self) -> int | None:
-        """Return a slot that nobody reads, None where all are full."""
+        """Return a free slot, None where all are in use."""
         with self._lock:
             return self._free.popleft() if self._free else None
 
@@ -116,7 +116,7 @@ class Acquisition:
         self._apply(settings)
 
     def run(self) -> None:
-        """Deliver frames until nobody listens. Raises `DeviceError` where the camera failed."""
+        """Deliver frames until the supervisor is gone. Raises `DeviceError` where the camera failed."""
         while not self._link.ended:
             settings = self._link.take_settings()
             if settings is not None:
@@ -125,7 +125,7 @@ class Acquisition:
                 self._frame()
 
     def _apply(self, settings: CameraSettings) -> None:
-        """Apply all settings or none."""
+        """Apply all settings, or none if one is refused."""
         before = self._applied
         try:
             self._camera.apply(settings)
@@ -138,7 +138,7 @@ class Acquisition:
         self._state = self._camera.state()
 
     def _wait_until_due(self) -> bool:
-        """Wait for the next frame by the frame rate; False where something else comes before."""
+        """Wait until the next frame is due by the frame rate; False where something else comes first."""
         assert self._applied is not None
         now, rate = time.monotonic_ns(), self._applied.frame_rate
         if rate is None:
@@ -156,7 +156,7 @@ class Acquisition:
         camera = self._camera
         assert self._applied is not None
         if self._applied.auto_exposure is not None:
-            self._state = camera.state()  # the time of the coming exposure, not the one adapted to it
+            self._state = camera.state()  # with the integration time of the coming exposure, before it adapts
         begun = time.monotonic_ns()
         try:
             camera.acquire()
@@ -196,7 +196,7 @@ def probe(path: str | None) -> dict[str, Any]:
 
 
 def serve(connection: socket.socket, memory: int, given: dict[str, Any]) -> None:
-    """Open the camera and deliver frames; what fails is told as ``fault``."""
+    """Open the camera and deliver frames; errors are sent as ``fault``."""
     link = Link(connection, CameraSettings.from_plain(given["settings"]))
     camera: MesaCamera | None = None
     try:
@@ -235,12 +235,12 @@ def _plain(error: RimError) -> dict[str, Any]:
 
 
 def main(arguments: list[str]) -> None:
-    """``--probe [LIBRARY]``, or the file descriptors of connection and memory and what is given as JSON."""
+    """Run with ``--probe [LIBRARY]``, or with the file descriptors of connection and memory, and JSON."""
     if arguments[0] == "--probe":
         os.write(1, json.dumps(probe(arguments[1] if arguments[1:] else None)).encode())
     else:
         serve(socket.socket(fileno=int(arguments[0])), int(arguments[1]), json.loads(arguments[2]))
-    os._exit(0)  # whatever the library does at the end of a process cannot keep this one
+    os._exit(0)  # so that nothing in the library can delay the end of the process
 
 
 if __name__ == "__main__":

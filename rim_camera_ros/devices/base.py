@@ -8,10 +8,10 @@ from rim_camera_ros.frame import RawFrame
 
 
 class Device(Protocol):
-    """Whatever delivers raw frames: open, change settings, next frame, close.
+    """A source of raw frames: open, change settings, next frame, close.
 
-    ``next_frame`` blocks until the next frame is due (for a device in real time), and returns None
-    at the end of what there is and once closed. All methods raise `RimError` in one line; a device that
+    ``next_frame`` blocks until the next frame is due (for a device in real time). It returns None when there
+    are no more frames, and once the device is closed. All methods raise `RimError` in one line. A device that
     failed can be closed and opened again.
     """
 
@@ -39,4 +39,4 @@ class Device(Protocol):
         """Change the frame rate in Hz from the next frame on; None: the device's default."""
 
     def close(self) -> None:
-        """Release the device, from any thread; a frame that is waited for then is None. No-op when closed."""
+        """Release the device, from any thread; a pending `next_frame` returns None. No-op when closed."""

@@ -1,9 +1,9 @@
 """The vendor's library libmesasr, by ctypes: the few functions that a SwissRanger needs.
 
 The library is proprietary and not part of this package; the user installs it. Signatures are those of its
-public header libMesaSR.h: the camera is a pointer to an opaque object, `SR_GetImage` returns a pointer (an
-int would truncate both), and the packed structure ImgEntry is avoided. Only versions whose enumerations are
-known are used. Nothing here imports numpy: the acquisition process starts with it.
+public header libMesaSR.h: the camera is a pointer to an opaque object, and `SR_GetImage` returns a pointer
+(an int would truncate both). The packed structure ImgEntry is avoided. Only versions with known enumerations
+are used. Nothing here imports numpy, so that the acquisition process starts fast.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from rim_camera_ros.errors import DeviceError, InputError, RimError
 
 #: Environment variable that names the library's file.
 LIBRARY_VARIABLE = "RIM_LIBMESASR"
-#: Names under which the library is looked for where nothing else is said; the second is the packaged one.
+#: Default names under which the library is looked for; the second is that of the package.
 LIBRARY_NAMES = ("libmesasr.so", "libmesasr.so.1.0.14")
 
-#: Enumeration ModulationFrq in Hz by the version of the library, first three numbers. Libraries of 2007 and
-#: before number it differently (0 is 30 MHz), so that a guess would measure with a wrong range.
+#: Enumeration ModulationFrq in Hz, by the first three numbers of the library's version. Libraries of 2007 and
+#: earlier number it differently (0 is 30 MHz): a wrong guess would give a wrong ambiguity range.
 _FREQUENCIES: Mapping[tuple[int, int, int], tuple[float, ...]] = {
     (1, 0, 14): (40e6, 30e6, 21e6, 20e6, 19e6, 60e6, 15e6, 10e6, 29e6, 31e6, 14.5e6, 15.5e6),
 }
@@ -60,11 +60,11 @@ _SIGNATURES: Mapping[str, tuple[Any, tuple[Any, ...]]] = {
 
 
 class ShortFrame(DeviceError):
-    """The library transferred less than two images."""
+    """The library transferred fewer bytes than two images."""
 
 
 class MesaLibrary:
-    """The loaded library. ``path``: its file; None: as `LIBRARY_VARIABLE` says, or the system's.
+    """The loaded library. ``path``: its file; None: that of `LIBRARY_VARIABLE`, or the system's.
 
     Raises `InputError` where it cannot be loaded, lacks a function or is of an unknown version. ``version``
     is its version, for example ``1.0.14.747``.
@@ -109,14 +109,14 @@ class MesaLibrary:
             which = f"the camera with serial number 0x{serial:08x}" if serial else "a camera"
             raise DeviceError(
                 f"libmesasr cannot open {which} (SR_OpenUSB returned {opened})",
-                remedy="rim info usb tells what is connected and what is missing",
+                remedy="rim info usb shows what is connected and what is missing",
             )
         self.call("SR_SetTimeout", handle, round(timeout * 1000))
         return MesaCamera(self, handle)
 
 
 class MesaCamera:
-    """An open camera. Functions that fail raise `DeviceError` with the name and the result."""
+    """An open camera. Where a function of the library fails, `DeviceError` states its name and result."""
 
     def __init__(self, library: MesaLibrary, handle: ctypes.c_void_p) -> None:
         self._library = library
@@ -130,7 +130,7 @@ class MesaCamera:
 
     @property
     def usb_ids(self) -> tuple[int, int] | None:
-        """Vendor and product id as the device string says, None where it does not."""
+        """Vendor and product id by the device string, None where it does not contain them."""
         found = re.search(r"VendorID:0x([0-9a-fA-F]{4}).*ProductID:0x([0-9a-fA-F]{4})", self.device_string)
         return None if found is None else (int(found[1], 16), int(found[2], 16))
 
@@ -140,9 +140,9 @@ class MesaCamera:
         return self.rows * self.columns * _BYTES_PER_VALUE
 
     def apply(self, settings: CameraSettings) -> None:
-        """Set everything; what is None gets the value found when the camera was opened.
+        """Set all settings; those that are None get the value found when the camera was opened.
 
-        Raises `DeviceError` for the first thing that the camera refuses; what came before it is set.
+        Raises `DeviceError` for the first setting that the camera refuses; those before it remain set.
         """
         defaults, library = self.defaults, self._library
         self._set("SR_SetMode", mode_bits(settings.mode))
@@ -160,7 +160,7 @@ class MesaCamera:
         self._set("SR_SetAmplitudeThreshold", int(settings.amplitude_threshold))
 
     def state(self) -> dict[str, Any]:
-        """Return what the library says is set.
+        """Return the settings that are in force, by the library.
 
         ``integration_time`` (register), ``modulation_frequency`` [Hz, None where its number is unknown],
         ``amplitude_threshold`` [counts], ``mode`` (bits).
@@ -216,7 +216,7 @@ def _loaded(names: Iterable[str], *, given: bool) -> tuple[str, ctypes.CDLL]:
         try:
             return name, ctypes.CDLL(name)
         except OSError as error:
-            # of several names the one that was found and failed otherwise says more than those not found
+            # of several names, the error of one that was found is more useful than that of one not found
             absent = str(error).startswith(f"{name}: cannot open")
             reason = reason if absent and reason else str(error)
     raise _unloadable(next(iter(names)), reason, given=given)

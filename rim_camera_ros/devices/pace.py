@@ -1,4 +1,4 @@
-"""Pacing on a clock that never jumps, and the wall-clock time of what is due."""
+"""Pacing of frames on a clock that never jumps, and their times on the wall clock."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import time
 
 from rim_camera_ros.frame import NANOSECONDS
 
-#: The wall clock was set, not merely read late, where it is off by more than this [ns].
+#: If the wall clock differs by more than this [ns] it was set, and not merely read late.
 _CLOCK_WAS_SET = NANOSECONDS // 20
 
 
 class Pace:
-    """When frames are due, in ns of the monotonic clock: a period after each other, without drift.
+    """Times at which frames are due, in ns of the monotonic clock: one period apart, without drift.
 
-    ``interrupt`` may be called from another thread; it ends the wait that is under way and all later
-    ones. ``skipped`` counts the due times that had passed before anybody waited for them.
+    ``interrupt`` may be called from another thread; it ends the present wait and all later ones. ``skipped``
+    counts the due times that had already passed when they were requested.
     """
 
     def __init__(self) -> None:
@@ -31,7 +31,7 @@ class Pace:
     def next(self, period: int, *, skip: bool = True) -> int:
         """Return the next due time [ns], ``period`` [ns] after the last one.
 
-        Where that has passed already: the next of the same raster with ``skip``, else at once.
+        If that has already passed: with ``skip`` the next time on the same grid, else the present time.
         """
         now = time.monotonic_ns()
         if self._due is None:
@@ -62,7 +62,7 @@ class Pace:
     def wall(self, due: int) -> int:
         """Return the wall-clock time [ns since 1970] of a due time.
 
-        Both clocks run alike, so their difference is kept until the wall clock is set.
+        Both clocks run at the same rate, so their difference is kept until the wall clock is set.
         """
         offset = time.time_ns() - time.monotonic_ns()
         if self._offset is None or abs(offset - self._offset) > _CLOCK_WAS_SET:

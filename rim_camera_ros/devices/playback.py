@@ -1,4 +1,4 @@
-"""A recording, played back as if the camera delivered it."""
+"""A recording that is played back as if the camera delivered it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DEFAULT_RATE = 25.0
 
 @dataclass(frozen=True, slots=True)
 class _Recorded:
-    """A frame as recorded: ``interval`` [ns] since the last one, ``carried``: stamp [ns] over all rounds."""
+    """A recorded frame: ``interval`` [ns] since the last; ``carried``: stamp [ns] that grows over rounds."""
 
     frame: RawFrame
     interval: int
@@ -32,13 +32,13 @@ class _Recorded:
 class Playback:
     """Plays a recording back as a `rim_camera_ros.devices.base.Device`.
 
-    ``real_time``: frames come at the intervals of their stamps divided by ``rate``, or with ``frame_rate``
-    [Hz] at a constant one; none is left out, playback that is late goes on later. Otherwise they come as
-    fast as they can be read. ``loop``: at its end the recording begins anew.
+    ``real_time``: frames come at the intervals of their stamps divided by ``rate``, or at the constant rate
+    ``frame_rate`` [Hz]. None is dropped: if playback is late, all further frames come later. Without
+    ``real_time`` frames come as fast as they can be read. ``loop``: at its end the recording begins anew.
 
-    ``stamps``: ``now``, when a frame is due (default in real time), or ``recorded``; stamps of later rounds
-    of a loop go on increasing, by the recording's duration and one period each. Settings, temperatures and
-    poses are the recorded ones; pose stamps move with the first frame that carries the pose.
+    ``stamps``: ``now``, the time at which a frame is due (default in real time), or ``recorded``. In a loop
+    stamps keep increasing, in each round by the recording's duration and one period. Settings, temperatures
+    and poses are the recorded ones; pose stamps are shifted like that of the first frame with the pose.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Playback:
 
     @property
     def image_roles(self) -> tuple[str, ...]:
-        """Roles of the images of its frames, as its first frame has them."""
+        """Roles of the images of its frames, by the first frame."""
         return self._roles
 
     def open(self) -> None:
@@ -93,7 +93,7 @@ class Playback:
     def next_frame(self) -> RawFrame | None:
         """Return the next frame when it is due; None at the end, or once closed.
 
-        Raises `DeviceError` where the recording cannot be read on; what was readable has come before.
+        Raises `DeviceError` where the recording cannot be read further, after all readable frames have come.
         """
         stream = self._stream
         if stream is None:
@@ -106,7 +106,7 @@ class Playback:
         except RimError as error:
             file = error.file or self.path
             raise DeviceError(error.problem, file=file, place=error.place, remedy=error.remedy) from error
-        except Exception as error:  # whatever a file that changes under its reader provokes
+        except Exception as error:  # whatever happens if the file changes while it is read
             problem = f"cannot be read on: {type(error).__name__} {error}"
             raise DeviceError(problem, file=self.path, remedy="check the file") from error
         if recorded is None:
@@ -122,7 +122,7 @@ class Playback:
         return self._restamped(recorded.frame, recorded.carried if self.stamps == "recorded" else now)
 
     def set_integration_time(self, value: float | None) -> None:
-        """Raise `InputError`: what is recorded cannot be changed (None is accepted)."""
+        """Raise `InputError`, as a recorded integration time cannot be changed (None is accepted)."""
         if value is not None:
             raise InputError(
                 "the integration time of a recording cannot be changed",
@@ -138,13 +138,13 @@ class Playback:
         self._given_rate = None if value is None else checked_rate(value)
 
     def close(self) -> None:
-        """Let go of the recording, from any thread; a frame that is waited for does not come."""
+        """Close the recording, from any thread; a pending frame does not come."""
         self._pace.interrupt()
         self._stream = None
         self._first = None
 
     def _rounds(self) -> Iterator[_Recorded]:
-        """Read the recording once, or again and again."""
+        """Read the recording once, or repeatedly in a loop."""
         offset = 0
         last: int | None = None
         with Recording(self.path, topics=self.topics) as recording:

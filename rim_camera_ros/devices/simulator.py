@@ -16,24 +16,24 @@ from rim_camera_ros.measurement import measurement_of
 from rim_camera_ros.phasor import Waveform
 from rim_camera_ros.scene import Scene
 
-#: Share by which the time that a frame took is exceeded when the next one is begun.
+#: A frame is begun before it is due by this factor times the time that frames take.
 _LEAD = 1.2
-#: How fast a frame that took long is forgotten.
+#: Factor per frame by which a long computing time is forgotten.
 _FORGET = 0.9
 
 
 class Simulator:
     """Simulates a scene as a `rim_camera_ros.devices.base.Device`.
 
-    ``real_time``: a frame is delivered when it is due by ``frame_rate`` (Hz; None: as the schedule says)
-    and stamped with that time; where simulating takes longer than a period, frames are skipped, not
-    queued; stations follow each other at once, and the uptime runs with the clock from that of the first one.
-    Otherwise frames come as fast as they can be made and stamps advance by the rate from ``start``
-    [ns since 1970; None: now]. ``integration_time`` (device's own unit; None: as the schedule says)
-    holds for all stations. ``repeat``: the schedule starts anew at its end, and unless in ``real_time`` the
-    camera with it.
+    ``real_time``: a frame is delivered when it is due by ``frame_rate`` (Hz; None: as the schedule says) and
+    stamped with that time. If simulating takes longer than a period, frames are skipped, not queued. Stations
+    follow each other at once, and the uptime starts at that of the first station and runs with the clock.
+    Without ``real_time`` frames come as fast as they can be made, and stamps advance by the rate from
+    ``start`` [ns since 1970; None: now]. ``integration_time`` (device's own unit; None: as the schedule
+    says) applies to all stations. ``repeat``: the schedule starts anew at its end, and unless in
+    ``real_time`` the camera does, too.
 
-    The first frame is made by ``open``, so that a scene that cannot be simulated is told there.
+    The first frame is made by ``open``, which therefore raises the error if a scene cannot be simulated.
     """
 
     def __init__(
@@ -79,12 +79,12 @@ class Simulator:
 
     @property
     def skipped(self) -> int:
-        """Number of frames that were left out because they came too late."""
+        """Number of frames that were skipped because they would have come too late."""
         return self._pace.skipped
 
     @property
     def notes(self) -> set[str]:
-        """What the user should be told (a term that is off for lack of data)."""
+        """Messages for the user (a term that is off for lack of data)."""
         return self._simulation.notes if self._timeline is not None else set()
 
     def open(self) -> None:
@@ -117,7 +117,7 @@ class Simulator:
     def next_frame(self) -> RawFrame | None:
         """Return the next frame when it is due; None at the end of the schedule, or once closed.
 
-        Raises `DeviceError` where the device was not opened, `InputError` where nothing is seen any more.
+        Raises `DeviceError` if the device is not open, `InputError` if no surface is in view any more.
         """
         timeline = self._timeline
         if timeline is None:
@@ -144,7 +144,7 @@ class Simulator:
             self._lead = max(time.monotonic() - begun, self._lead * _FORGET)
         if not self._pace.wait(due):
             return None
-        # the timeline runs on a clock that is never set; only what leaves the device is on the wall clock
+        # the timeline runs on a clock that is never set; only delivered frames are on the wall clock
         shift = self._pace.wall(due) - (self._begin + due - self._origin)
         return replace(frame, stamp=frame.stamp + shift, pose_stamps=shifted(frame.pose_stamps, shift))
 
@@ -167,7 +167,7 @@ class Simulator:
             self._timeline.set_rate(self._given_rate)
 
     def close(self) -> None:
-        """End the simulation, from any thread; a frame that is waited for does not come."""
+        """End the simulation, from any thread; a pending frame does not come."""
         self._timeline = None
         self._first = None
         self._pace.interrupt()

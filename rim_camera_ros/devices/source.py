@@ -1,4 +1,4 @@
-"""Which device, with which settings: what the driver's parameters say, as one object."""
+"""Device and settings by the driver's parameters, as one object."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ STAMPS = ("auto", "now", "recorded")
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """What to take frames from. ``camera`` and ``scene`` are files or names of shipped ones.
+    """The source of frames. ``camera`` and ``scene`` are files or names of shipped ones.
 
-    ``frame_rate`` [Hz] and ``integration_time`` (device's own unit): 0 as the scene or recording says.
+    ``frame_rate`` [Hz] and ``integration_time`` (device's own unit); 0: as the scene or recording says.
     """
 
     source: str = "simulator"
@@ -47,7 +47,7 @@ class Source:
     pause: bool = False
 
     def open(self) -> Simulator | Playback | SwissRanger:
-        """Return the open device. Raises `InputError` for whatever is wrong with it."""
+        """Return the open device. Raises `InputError` where parameters or files are wrong."""
         self.check_settings()
         device: Simulator | Playback | SwissRanger
         if self.source == "playback":
@@ -84,7 +84,7 @@ class Source:
             self._camera_settings()
 
     def set_settings(self, device: Device) -> None:
-        """Change the settings of a device that runs."""
+        """Change the settings of a running device."""
         if isinstance(device, SwissRanger):
             device.apply(self._camera_settings())
             return

@@ -1,7 +1,7 @@
 """The SwissRangers SR-3000 and SR-2 as a device.
 
-Frames come through the vendor's library in a process of its own, which is started anew when it hangs,
-crashes or loses the camera.
+Frames come through the vendor's library in a separate process, which is started anew when it hangs, crashes
+or loses the camera.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from rim_camera_ros.devices.usb import MODELS, Model, UsbCameras
 from rim_camera_ros.errors import DeviceError, InputError, RimError
 from rim_camera_ros.frame import NANOSECONDS, Intrinsics, RawFrame, Settings
 
-#: Seconds until a camera that was lost is looked for again: at first, and at most.
+#: Seconds until a lost camera is looked for again: after the first fault, and at most.
 _RETRY, _RETRY_AT_MOST = 0.1, 1.0
-#: A frame that waited longer than this [ns] gives way to a newer one.
+#: A frame that has waited longer than this [ns] is skipped for a newer one.
 _STALE = NANOSECONDS // 2
-#: Seconds that the acquisition process has to close the camera: at the end, and after a fault.
+#: Seconds within which the acquisition process must close the camera: at the end, and after a fault.
 _GRACE, _GRACE_AFTER_FAULT = 1.0, 0.3
-#: Hangs without a frame between them after which the camera is reset.
+#: Number of hangs without a frame in between after which the camera is reset.
 _HANGS_BEFORE_RESET = 2
 #: Weight of the newest interval in the measured frame rate.
 _NEWEST = 0.1
@@ -32,7 +32,7 @@ _NEWEST = 0.1
 
 @dataclass(frozen=True, slots=True)
 class _Stream:
-    """An acquisition process that delivers, and what it said of its camera."""
+    """An acquisition process that delivers frames, and the properties of its camera."""
 
     process: AcquisitionProcess
     model: Model
@@ -45,21 +45,20 @@ class SwissRanger:
     """An SR-3000 or SR-2 on USB as a `rim_camera_ros.devices.base.Device`.
 
     ``library``: file of libmesasr; None: the variable RIM_LIBMESASR, or the system's. ``serial``: the
-    camera's serial number, 0: the first. ``intrinsics``: what frames say of the geometry; `InputError` where
-    its size is not that of the camera.
+    camera's serial number, 0: the first. ``intrinsics``: the geometry that frames state; `InputError` if its
+    size is not that of the camera.
 
-    A camera that is lost (unplugged, library hung or crashed) is told once, as `DeviceError` from
-    ``next_frame``; the next call looks for it again, at growing intervals up to 1 s, and returns its next
-    frame, or raises where the reason has become another one (``reconnects``). Settings outlive that.
-    ``watchdog``: seconds without a frame after which the library counts as hung; ``start_timeout``: seconds
-    that it may take to open the camera. ``wait_for_camera``: `open` does not fail
-    where only the camera is missing.
+    A lost camera (unplugged, library hung or crashed) is reported once, as `DeviceError` from ``next_frame``.
+    The next call looks for it again, at growing intervals up to 1 s, and returns its next frame, or raises an
+    error if the reason has changed (``reconnects``). Settings are kept. ``watchdog``: seconds without a frame
+    after which the library counts as hung; ``start_timeout``: seconds that it may take to open the camera.
+    ``wait_for_camera``: `open` does not fail if only the camera is missing.
 
     The stamp of a frame is the middle between call and return of the library's acquisition, on the wall
-    clock; ``acquisition_time`` [s] in ``settings.extra`` is the time between them.
+    clock; ``acquisition_time`` [s] in ``settings.extra`` is the time between the two.
     """
 
-    #: ``next_frame`` after an error looks for the camera by itself.
+    #: After an error ``next_frame`` looks for the camera itself.
     reconnects = True
 
     def __init__(
@@ -87,14 +86,14 @@ class SwissRanger:
         self.start_timeout = start_timeout
         self.transfer_timeout = transfer_timeout
         self.wait_for_camera = wait_for_camera
-        #: Frames that were left out because they were taken too late, short frames, and processes started.
+        #: Frames that were skipped because they were taken too late, short frames, and processes started.
         self.skipped = self.short_frames = self.starts = 0
-        #: What the user should be told.
+        #: Messages for the user.
         self.notes: set[str] = set()
         self._cameras = cameras or UsbCameras()
         self._wanted = settings or CameraSettings()
-        self._lock = threading.Lock()  # process, settings, closed; held shortly
-        self._reading = threading.Lock()  # held while a frame is waited for
+        self._lock = threading.Lock()  # for process, settings, closed; held briefly
+        self._reading = threading.Lock()  # held while waiting for a frame
         self._closed = threading.Event()
         self._process: AcquisitionProcess | None = None
         self._stream: _Stream | None = None
@@ -102,7 +101,7 @@ class SwissRanger:
         self._forget()
 
     def _forget(self) -> None:
-        """Begin without a history of faults."""
+        """Forget earlier faults."""
         self._pause = 0.0
         self._reported: set[str] = set()
         self._hangs = 0
@@ -172,7 +171,7 @@ class SwissRanger:
         raise DeviceError("the camera is not open", remedy="open it first")
 
     def set_integration_time(self, value: float | None) -> None:
-        """Set the integration time (register 0..255) from the next frame on; None: as the camera had it.
+        """Set the integration time (register 0..255) from the next frame on; None: as found at the opening.
 
         Raises `InputError` where it is no such number, or with auto exposure.
         """
@@ -196,14 +195,14 @@ class SwissRanger:
 
     @property
     def settings(self) -> CameraSettings:
-        """The settings that were asked for; what is in force comes with each frame."""
+        """The requested settings; those in force are stated by each frame."""
         return self._wanted
 
     def change(self, **changes: Any) -> None:
         """Change fields of `CameraSettings`, all of them with the same frame.
 
-        Raises `InputError` for a value that no camera takes; nothing is changed then. What the camera
-        refuses is a note, and its settings stay as they were.
+        Raises `InputError` for a value that no camera accepts; then nothing is changed. If the camera refuses
+        a value there is a note, and its settings stay as they were.
         """
         with self._lock:
             self._want(replace(self._wanted, **changes))
@@ -279,7 +278,7 @@ class SwissRanger:
         )
 
     def _explained(self, error: RimError) -> RimError:
-        """Return what USB tells of a fault, where it tells one."""
+        """Return the cause of a fault as found on USB, or the error itself where none is found."""
         if isinstance(error, InputError):
             return error
         try:
@@ -309,7 +308,7 @@ class SwissRanger:
                 return self._frame(stream, message)
 
     def _patience(self) -> float:
-        """Seconds after the last frame with which the library counts as hung."""
+        """Seconds after the last frame after which the library counts as hung."""
         rate = self._wanted.frame_rate
         return self.watchdog + (1 / rate if rate else 0.0)
 
@@ -325,7 +324,7 @@ class SwissRanger:
         applied = CameraSettings.from_plain(message["settings"])
         if state["mode"] != mode_bits(applied.mode):
             self.notes.add(
-                f"the camera works in mode {mode_name(state['mode'])} although {applied.mode} was asked for"
+                f"the camera works in mode {mode_name(state['mode'])} although {applied.mode} was requested"
             )
         settings = Settings(
             integration_time=float(state["integration_time"]),
@@ -348,7 +347,7 @@ class SwissRanger:
         )
 
     def _count(self, message: Mapping[str, Any]) -> None:
-        """Keep the counts and the frame rate."""
+        """Update the counts and the frame rate."""
         self.skipped += message["dropped"] - self._dropped
         self.short_frames += message["short"] - self._short
         self._dropped, self._short = message["dropped"], message["short"]

@@ -73,7 +73,7 @@ class AcquisitionProcess:
     def receive(self, timeout: float) -> dict[str, Any] | None:
         """Return the next message, None where none came within ``timeout`` [s].
 
-        Raises what the process told as its fault, or `DeviceError` where it ended without a word.
+        Raises the fault that the process sent, or `DeviceError` where it ended without a message.
         """
         if not self._poll.poll(max(timeout, 0.0) * 1000):
             return None
@@ -96,7 +96,7 @@ class AcquisitionProcess:
         return bool(self._poll.poll(0))
 
     def images(self, slot: int, *, rows: int, columns: int) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-        """Return copies of a slot's distance and amplitude, (rows, columns) each, and give the slot back."""
+        """Return copies of a slot's distance and amplitude, (rows, columns) each, and release the slot."""
         size = 2 * rows * columns
         if self._memory is None:
             self._memory = mmap.mmap(self._memory_file, SLOTS * 2 * size, prot=mmap.PROT_READ)
@@ -106,11 +106,11 @@ class AcquisitionProcess:
         return distance, amplitude
 
     def release(self, slot: int) -> None:
-        """Give a slot back without reading it."""
+        """Release a slot without reading it."""
         self._send(release=slot)
 
     def send_settings(self, settings: CameraSettings) -> None:
-        """Send settings for the next frame on."""
+        """Send settings, for use from the next frame on."""
         self._send(settings=settings.to_plain())
 
     def finish(self) -> None:
@@ -119,7 +119,7 @@ class AcquisitionProcess:
             self._connection.shutdown(socket.SHUT_WR)
 
     def stop(self, patience: float) -> None:
-        """End the process, by force where it has not ended after ``patience`` [s], and free everything.
+        """End the process, kill it if it has not ended after ``patience`` [s], and free all resources.
 
         Raises `DeviceError` where it cannot be ended.
         """
@@ -147,7 +147,7 @@ class AcquisitionProcess:
             self._memory_file = -1
 
     def _send(self, **message: Any) -> None:
-        with contextlib.suppress(OSError):  # the process has ended: whoever receives next is told
+        with contextlib.suppress(OSError):  # the process has ended: the next receiver raises its error
             self._connection.send(json.dumps(message).encode())
 
     def _how_it_ended(self) -> str:
@@ -159,7 +159,7 @@ class AcquisitionProcess:
 
 
 def probe_library(path: str | None) -> dict[str, str]:
-    """Return ``file`` and ``version`` of the vendor's library, loaded in a process of its own.
+    """Return ``file`` and ``version`` of the vendor's library, which is loaded in a separate process.
 
     Raises `InputError` where it is absent or of an unknown version, `DeviceError` where loading it fails.
     """
@@ -189,7 +189,7 @@ def probe_library(path: str | None) -> dict[str, str]:
 
 
 def error_of(plain: dict[str, Any]) -> RimError:
-    """Return the error that a process told."""
+    """Return the error that a process sent as plain data."""
     kind = InputError if plain["input"] else DeviceError
     return kind(plain["problem"], file=plain["file"], place=plain["place"], remedy=plain["remedy"])
 

@@ -1,7 +1,7 @@
-"""What a SwissRanger can be set to, in the units of the driver, checked without a camera.
+"""Settings of a SwissRanger, in the units of the driver, checked without a camera.
 
-Numbers are those of the vendor's public header (definesSR.h, libMesaSR.h of libmesasr 1.0.14). Nothing here
-imports numpy: the acquisition process starts with it.
+Numbers are those of the vendor's public headers (definesSR.h, libMesaSR.h of libmesasr 1.0.14). Nothing here
+imports numpy, so that the acquisition process starts fast.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ AMPLITUDE_LIMITS = (0, 65535)
 #: Modulation frequencies in Hz that the enumeration ModulationFrq names for the SR-3000.
 MODULATION_FREQUENCIES = (40e6, 30e6, 21e6, 20e6, 19e6)
 
-#: Processing in camera and library, by name: bits of AcquireMode. AM_TOGGLE_FRQ is left out because a frame
-#: does not tell its frequency then, AM_CONV_GRAY because it replaces the amplitude.
+#: Processing in camera and library, by name: bits of AcquireMode. AM_TOGGLE_FRQ is excluded because frames do
+#: not state their frequency then, AM_CONV_GRAY because it replaces the amplitude.
 MODE_BITS: Mapping[str, int] = {"fixed_pattern": 0x01, "median": 0x04}
 #: No processing, what the correction of this package needs.
 RAW = "raw"
@@ -31,9 +31,8 @@ RAW = "raw"
 class AutoExposure:
     """The library's control of the integration time; the defaults are the vendor's for the SR-3000.
 
-    The integration time is moved slowly between ``least`` and ``greatest`` (register) until the position of
-    the histogram of amplitudes (8 bits) above which ``percent_over`` percent of the pixels are is at
-    ``position``.
+    The integration time is moved slowly between ``least`` and ``greatest`` (register) until ``percent_over``
+    percent of the pixels lie above ``position`` in the histogram of amplitudes (8 bits).
     """
 
     least: int = 5
@@ -96,7 +95,7 @@ class CameraSettings:
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> CameraSettings:
-        """Return the settings that `to_plain` made plain."""
+        """Return the settings from the plain data of `to_plain`."""
         auto = plain["auto_exposure"]
         return cls(**{**plain, "auto_exposure": None if auto is None else AutoExposure(**auto)})
 
@@ -115,7 +114,7 @@ def mode_bits(mode: str) -> int:
 
 
 def mode_name(bits: int) -> str:
-    """Return the names of the bits of AcquireMode, those without a name as a hexadecimal number."""
+    """Return the names of the bits of AcquireMode, bits without a name as a hexadecimal number."""
     names = [name for name, bit in MODE_BITS.items() if bits & bit]
     rest = bits & ~sum(MODE_BITS.values())
     return "+".join([*names, *([f"0x{rest:02x}"] if rest else [])]) or RAW

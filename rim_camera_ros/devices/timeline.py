@@ -28,13 +28,13 @@ def body_temperature(*, ambient: float, uptime: float) -> float:
 class Timeline:
     """The exposures of a scene's schedule, one after the other, with the state that they carry on.
 
-    Without a schedule one station holds for ever (`Scene`'s default is 100 frames at 25 Hz: see
-    ``length``). A station's ``uptime`` that lies ahead means waiting until then; one that lies behind
-    means that the camera was switched off and on. ``real_time``: nobody waits and nobody switches, the camera
-    runs on from the uptime of the first station, through the stations and when they repeat. ``rate`` [Hz]
-    and ``integration_time`` (device's own unit), where given, override the schedule.
-    ``repeat``: at its end the schedule starts anew, with everything else as it was at the beginning (also for
-    a moving camera without a schedule, after 100 frames).
+    Without a schedule there is one station without end (`Scene`'s default is 100 frames at 25 Hz: see
+    ``length``). If the ``uptime`` of a station lies ahead, time passes until then; if it lies in the past the
+    camera was switched off and on. With ``real_time`` there is no waiting or switching: the uptime starts at
+    that of the first station and runs on through all stations and repetitions. ``rate`` [Hz] and
+    ``integration_time`` (device's own unit), where given, override the schedule. ``repeat``: at its end the
+    schedule starts anew, and everything else is as at the beginning (also for a moving camera without a
+    schedule, after 100 frames).
 
     Raises `InputError` where a surface has no pose.
     """
@@ -132,7 +132,7 @@ class Timeline:
             ),
             poses=self._current_poses(),
             station=self._done_stations,
-            # resting surfaces: one pose message a station, by which recordings tell stations apart
+            # surfaces at rest have one pose message per station, which distinguishes stations in recordings
             pose_stamp=None if self.scene.camera_motion.moves else self._entered,
         )
         self._first = False
@@ -151,7 +151,7 @@ class Timeline:
             yield exposure
 
     def _restart(self) -> None:
-        """Put everything as it is before the first station."""
+        """Restore the state before the first station."""
         self._poses = {name: (pose, self._stamp) for name, pose in self.scene.fixed_poses().items()}
         self._ambient = DEFAULT_AMBIENT
         self._station_rate = self.rate_of(self.scene)
@@ -172,7 +172,7 @@ class Timeline:
         self._entered = self._stamp
 
     def _current_poses(self) -> dict[str, Pose]:
-        """Poses now: resting surfaces as the moving camera sees them since their pose was stated."""
+        """Return the present poses: those of surfaces at rest change as the camera moves."""
         motion = self.scene.camera_motion
         return {
             name: motion.carry(pose, (self._stamp - since) / NANOSECONDS)
@@ -183,10 +183,10 @@ class Timeline:
 def exposures_like(frames: Iterable[RawFrame], scene: Scene, camera: Camera) -> Iterator[Exposure]:
     """Yield exposures with the stamps, settings, temperatures and truth poses of recorded frames.
 
-    Surfaces with ``pose: truth`` take the recorded pose, which holds at each frame as recorded; the
-    others the scene file's, carried on by the camera's motion from the first frame. Frames with the same pose
-    messages form one station; poses of surfaces that the scene lacks are passed over. Raises `InputError`
-    where a truth pose is missing.
+    Surfaces with ``pose: truth`` have the recorded pose of each frame. The others have the pose of the scene
+    file at the first frame, and then move with the camera. Frames with the same pose messages form one
+    station; poses of surfaces that are not in the scene are ignored. Raises `InputError` where a truth pose
+    is missing.
     """
     surfaces = {surface.name for surface in scene.surfaces}
     first: int | None = None
@@ -210,6 +210,6 @@ def exposures_like(frames: Iterable[RawFrame], scene: Scene, camera: Camera) -> 
             settings=settings,
             poses=poses,
             station=station,
-            # what rests is told once, also where the recording tells no pose
+            # poses of surfaces at rest are published once, also if the recording has none
             pose_stamp=max(frame.pose_stamps.values(), default=None if motion.moves else first),
         )

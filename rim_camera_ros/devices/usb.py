@@ -1,7 +1,8 @@
-"""SwissRangers on USB: which are connected, whether they can be used, what is missing; and reset.
+"""SwissRangers on USB: which are connected, whether they can be used, what is missing; and their reset.
 
-By pyusb, which is optional. Only descriptors are read and an interface is claimed and released: the camera's
-own protocol is not public, frames come through the vendor's library (`rim_camera_ros.devices.mesa_library`).
+This uses pyusb, which is optional. It only reads descriptors, and claims and releases an interface: the
+camera's own protocol is not public, and frames come through the vendor's library
+(`rim_camera_ros.devices.mesa_library`).
 """
 
 from __future__ import annotations
@@ -35,14 +36,15 @@ MODELS: Mapping[tuple[int, int], Model] = {
     (0x1AD2, 0x0074): Model("SR-3000", 176, 144),
     (0x1AD2, 0x0075): Model("SR-4000"),
 }
-#: Where the rules of `udev_rules` belong; below 73, where udev gives the user of the seat access.
+#: File for the rules of `udev_rules`; its number is below 73, at which udev gives the user of the seat
+#: access.
 RULES_FILE = "/etc/udev/rules.d/70-swissranger.rules"
 RELOAD = "sudo udevadm control --reload && sudo udevadm trigger"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UsbCamera:
-    """A connected camera. ``state`` says whether it can be used, ``detail`` why not."""
+    """A connected camera. ``state``: whether it can be used; ``detail``: the reason why not."""
 
     vendor: int
     product: int
@@ -61,7 +63,7 @@ class UsbCamera:
         return f"/dev/bus/usb/{self.bus:03d}/{self.address:03d}"
 
     def error(self) -> DeviceError | None:
-        """Return why it cannot be used and what to do, None where it can."""
+        """Return why it cannot be used, and the remedy; None where it can be used."""
         if self.model.columns is None:
             return DeviceError(
                 f"the {self.model.name} is not supported", file=self.file, remedy="connect an SR-2 or SR-3000"
@@ -85,11 +87,11 @@ class UsbCamera:
 
 
 class UsbUnavailable(DeviceError):
-    """Pyusb or libusb is missing: nothing can be said about what is connected."""
+    """Pyusb or libusb is missing: it is unknown which cameras are connected."""
 
 
 class UsbCameras:
-    """The cameras that are connected. ``backend``: of pyusb; None: libusb."""
+    """The connected cameras. ``backend``: that of pyusb; None: libusb."""
 
     def __init__(self, backend: Any = None) -> None:
         self._backend = backend
@@ -101,9 +103,9 @@ class UsbCameras:
             return [self._described(device) for device in devices]
 
     def check(self) -> None:
-        """Raise `DeviceError` where no camera can be used, in words and with the remedy; no-op without pyusb.
+        """Raise `DeviceError`, with a remedy, where no camera can be used; no-op without pyusb.
 
-        Of several cameras one that can be used is enough.
+        One usable camera is enough if there are several.
         """
         try:
             cameras = self.find()
@@ -121,7 +123,7 @@ class UsbCameras:
             raise errors[0]
 
     def reset(self) -> int:
-        """Reset the ports of all supported cameras that nobody else uses, and return their number.
+        """Reset the ports of all supported cameras that no other process uses, and return their number.
 
         Raises `UsbUnavailable`, and `DeviceError` where a reset failed.
         """

@@ -1,1 +1,1 @@
-"""A first camera file from a recording: geometry, step, saturation, noise, gain, and where each is from."""
+"""A first camera file from a recording: geometry, step, saturation, noise, gain, and the source of each."""

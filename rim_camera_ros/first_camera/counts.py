@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import FULL_SCALE
 from rim_camera_ros.frame import RawFrame
 
-#: The greatest value is saturation where it holds so many times the mean of the values below it, and so many.
+#: The greatest value is the saturation if its frequency is at least the first number times the mean frequency
+#: of the values below it, and at least the second number.
 _PILE, _LEAST = 8.0, 20
-#: How many values below the greatest are looked at.
+#: Number of values below the greatest that are used.
 _BELOW = 64
 
 

@@ -1,4 +1,4 @@
-"""A camera from a recording: what its frames tell, and what of it had to be assumed."""
+"""A camera from a recording: values estimated from its frames, and values that had to be assumed."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from rim_camera_ros.phasor import ambiguity_range
 
 #: Modulation frequency where nothing states one [Hz].
 ASSUMED_FREQUENCY = 20e6
-#: Step of a camera whose distances come in metres [m]: it only says that they do not wrap.
+#: Step of a camera whose distances come in metres [m]; it only states that they do not wrap.
 _METRES = 0.001
 _MOST_AMPLITUDE = 65535.0
-#: Relative RMS of the noise classes about the model above which it is said.
+#: Relative RMS of the noise classes about the model above which there is a note.
 _POOR = 0.15
-#: Share of an image's light that is elsewhere in an image of another scene.
+#: Share of an image's light that must be elsewhere for an image to show another scene.
 _ELSEWHERE = 0.1
 
 
 @dataclass(frozen=True)
 class Stated:
-    """What the user states; None: what the recording tells. ``region``: u0 v0 u1 v1, inclusive."""
+    """Statements of the user; None: by the recording. ``region``: u0 v0 u1 v1, inclusive."""
 
     device: str | None = None
     modulation_frequency: float | None = None
@@ -46,7 +46,7 @@ class Stated:
 
 @dataclass(frozen=True)
 class FirstCamera:
-    """The camera, by dotted path where its values are from, what a user must know, and the evidence."""
+    """The camera, the source of its values by dotted path, notes for the user, and the evidence."""
 
     camera: Camera
     why: dict[str, str]
@@ -59,7 +59,7 @@ class FirstCamera:
 def first_camera(
     frames: Iterable[RawFrame], stated: Stated, *, provenance: dict[str, Any] | None = None
 ) -> FirstCamera:
-    """Read all frames once and return the camera that they tell of.
+    """Read all frames once and return the camera that is estimated from them.
 
     Raises `InputError` for a recording without frames or geometry, or a region without measurements.
     """
@@ -139,7 +139,7 @@ def _chain(first: RawFrame, rest: Iterable[RawFrame]) -> Iterable[RawFrame]:
 class _Means:
     """Mean distance [m] and amplitude [counts] of each pixel over the first frames of one scene.
 
-    They are of one scene as long as poses and settings stay, and the image does: poses need not be told.
+    Frames show one scene while poses, settings and the image stay the same; poses need not be recorded.
     """
 
     def __init__(self, unit: float) -> None:

@@ -51,7 +51,7 @@ def gain_of(
         du, dv = max(2, round(width * _MIDDLE / 2)), max(2, round(height * _MIDDLE / 2))
         region = (width // 2 - du, height // 2 - dv, width // 2 + du, height // 2 + dv)
         middle = distance[region[1] : region[3] + 1, region[0] : region[2] + 1]
-        if (middle > 0).sum() < _LEAST_PIXELS:  # what is seen lies elsewhere
+        if (middle > 0).sum() < _LEAST_PIXELS:  # surfaces are elsewhere in the image
             region = (0, 0, width - 1, height - 1)
     u0, v0, u1, v1 = region
     if not (0 <= u0 <= u1 < width and 0 <= v0 <= v1 < height):

@@ -13,11 +13,11 @@ from rim_camera_ros.noise import Noise
 
 Array = NDArray[np.float64]
 
-#: Classes that a fit of all three parameters needs, and the range of amplitudes (greatest over least).
+#: Least number of classes, and least range of amplitudes (greatest over least), to fit all three parameters.
 _LEAST_CLASSES, _LEAST_RANGE = 4, 2.0
-#: Draws for the uncertainty.
+#: Number of draws (bootstrap) for the uncertainty.
 _DRAWS = 200
-#: Relative error of a class's variance that no number of values undercuts: pixels are not alike.
+#: Least relative error of a class's variance, with any number of values, as pixels differ.
 _FLOOR = 0.02
 
 
@@ -25,8 +25,8 @@ _FLOOR = 0.02
 class NoiseEstimate:
     """The model, 1-sigma of its parameters (floor, shot, amplitude), and the relative RMS of sigma about it.
 
-    ``whole``: all three parameters were fitted; else the amplitudes span too little, and ``amplitude`` alone
-    was.
+    ``whole``: all three parameters were fitted. Otherwise the range of amplitudes is too small, and only
+    ``amplitude`` was fitted.
     """
 
     noise: Noise
@@ -38,8 +38,8 @@ class NoiseEstimate:
 def fit_noise_model(classes: tuple[NoiseClass, ...], *, seed: int = 0) -> NoiseEstimate | None:
     """Fit sigma^2 = floor^2 + shot^2 / A + (amplitude / A)^2 by non-negative least squares.
 
-    The uncertainty comes from classes drawn anew within their errors, widened where the model does not
-    describe them. Returns None without a class.
+    The uncertainty comes from fits to classes drawn anew within their errors, which are enlarged where the
+    model does not describe them. Returns None without a class.
     """
     if not classes:
         return None

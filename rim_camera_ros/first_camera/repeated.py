@@ -13,18 +13,19 @@ from rim_camera_ros.frame import RawFrame
 
 Array = NDArray[np.float64]
 
-#: Classes of amplitude, and values without which one tells nothing.
+#: Number of classes of amplitude, and the least number of values for one to be used.
 CLASSES = 24
 LEAST_VALUES = 200
 #: Frames of a group; a longer one is cut, so that a slow drift does not count as noise.
 _LONGEST = 100
-#: Pixels of a group of which the variances are kept.
+#: Most pixels of a group whose variances are kept.
 _KEPT = 40_000
-#: Share of the variances that is looked at: edges and flipped bits are in the rest.
+#: Share of the variances, the smallest, that is used: edges and flipped bits are in the rest.
 _TRIMMED = 0.9
-#: Variance over two frames against that over one, or against that between neighbours, that is motion.
+#: Ratio of the variance over two frames to that over one, or to that between neighbours, above which there is
+#: motion.
 _MOVING = 1.5
-#: Neighbours whose amplitudes differ by more do not show the same surface.
+#: Neighbours whose amplitudes differ by more than this share do not show the same surface.
 _ALIKE = 0.2
 
 
@@ -40,9 +41,9 @@ class NoiseClass:
 
 @dataclass(frozen=True)
 class NoiseData:
-    """What repeated frames tell: the classes, the groups and frames behind them, whether frames move.
+    """Results of repeated frames: the classes, the numbers of groups and frames, whether there is motion.
 
-    ``moving``: no group was at rest; the variances are those left between neighbouring pixels.
+    ``moving``: no group was at rest; the variances are the remaining ones between neighbouring pixels.
     """
 
     classes: tuple[NoiseClass, ...]
@@ -51,11 +52,10 @@ class NoiseData:
 
 
 class RepeatedFrames:
-    """Gathers variances group by group: frames one after the other of one pose and setting.
+    """Collects variances by groups, which are consecutive frames of one pose and setting.
 
-    ``lsb``: metres of a count (1 for distances in metres); ``period``: metres at which distances begin anew,
-    None where they do not; ``saturation`` in counts. Memory does not grow with the number of frames within a
-    group.
+    ``lsb``: metres per count (1 for distances in metres); ``period``: metres after which distances wrap, None
+    if they do not; ``saturation`` in counts. Memory does not grow with the number of frames in a group.
     """
 
     def __init__(self, *, lsb: float, period: float | None, saturation: float) -> None:
@@ -79,7 +79,7 @@ class RepeatedFrames:
         self._last = frame
 
     def result(self) -> NoiseData:
-        """Return what was gathered; no class where it tells nothing."""
+        """Return the results, without classes that have too few values."""
         self._close()
         if self._resting:
             rows = self._resting
@@ -108,17 +108,17 @@ class RepeatedFrames:
         return distance, amplitude, (distance > 0) & (amplitude > 0) & (amplitude < self._saturation)
 
     def _between(self, before: RawFrame, frame: RawFrame) -> None:
-        """Keep second differences along the rows of the difference of two frames: planes cancel in them."""
+        """Keep second differences along rows of the difference of two frames, in which planes cancel."""
         d0, a0, valid0 = self._values(before)
         d1, a1, valid1 = self._values(frame)
         step = _wrapped(d1 - d0, self._period)
         amplitude = (a0 + a1) / 2
         valid = valid0 & valid1 & (np.abs(a1 - a0) < _ALIKE * amplitude)
-        middle, beside = slice(1, -1), (slice(None, -2), slice(2, None))
-        good = valid[:, middle] & valid[:, beside[0]] & valid[:, beside[1]]
-        for one in beside:
+        middle, sides = slice(1, -1), (slice(None, -2), slice(2, None))
+        good = valid[:, middle] & valid[:, sides[0]] & valid[:, sides[1]]
+        for one in sides:
             good &= np.abs(amplitude[:, one] - amplitude[:, middle]) < _ALIKE * amplitude[:, middle]
-        bend = step[:, beside[0]] - 2 * step[:, middle] + step[:, beside[1]]
+        bend = step[:, sides[0]] - 2 * step[:, middle] + step[:, sides[1]]
         # six times the variance of a difference, twice that of one distance
         chosen = _thinned(good, _KEPT // 8)
         self._neighbours.append((amplitude[:, middle][chosen], bend[chosen] ** 2 / 12))
@@ -136,7 +136,7 @@ class RepeatedFrames:
 
 
 class _Group:
-    """Sums per pixel over frames one after the other."""
+    """Sums per pixel over consecutive frames."""
 
     def __init__(self, shape: tuple[int, int], period: float | None) -> None:
         self.frames = 0
@@ -167,7 +167,7 @@ class _Group:
         level = float(np.median(variance[good]))
         pairs = good[:, 1:] & good[:, :-1]
         across = float(np.median((self._across[:, 1:] / (2 * (n - 1)))[pairs])) if pairs.any() else level
-        # common to neighbours, or growing with time: motion or drift, no noise of single pixels
+        # shared by neighbours, or growing with time: motion or drift, not noise of single pixels
         if level > 0 and across * _MOVING < level:
             return None
         if n > 2 and float(np.median((self._twice / (2 * (n - 2)))[good])) > _MOVING * level > 0:
@@ -191,7 +191,7 @@ def _wrapped(step: Array, period: float | None) -> Array:
 
 
 def _thinned(good: NDArray[np.bool_], most: int) -> tuple[NDArray[Any], ...]:
-    """Return the places of at most so many true values, evenly taken."""
+    """Return the places of true values, at most ``most`` of them, evenly spaced."""
     places = np.flatnonzero(good)
     if places.size > most:
         places = places[np.linspace(0, places.size - 1, most).astype(np.int64)]
@@ -199,7 +199,7 @@ def _thinned(good: NDArray[np.bool_], most: int) -> tuple[NDArray[Any], ...]:
 
 
 def _classes(amplitude: Array, variance: Array, freedom: Array, rounding: float) -> tuple[NoiseClass, ...]:
-    """Return mean variances by classes of amplitude, without the greatest tenth, corrected for that."""
+    """Return mean variances by classes of amplitude, without the greatest tenth and corrected for it."""
     if amplitude.size < LEAST_VALUES:
         return ()
     number = min(CLASSES, amplitude.size // LEAST_VALUES)
@@ -223,7 +223,7 @@ def _trimmed_mean(variance: Array, freedom: float) -> tuple[float, float]:
     limit = float(np.quantile(variance, _TRIMMED))
     kept = variance[variance <= limit]
     share = kept.size / variance.size
-    # of a chi-square variable x with f degrees of freedom: E[x; x < c] = f P(x' < c), x' with f + 2
+    # for a chi-square variable x with f degrees of freedom E[x; x < c] = f P(x' < c), with x' of f + 2
     cut = float(chi2.ppf(min(share, 1 - 1e-9), freedom))
     below = float(chi2.cdf(cut, freedom + 2)) / share
     level = float(kept.mean()) / below

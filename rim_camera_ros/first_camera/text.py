@@ -1,4 +1,4 @@
-"""A camera file as text with a comment at every key: meaning, unit, and where its value is from."""
+"""A camera file as text with a comment at every key: meaning, unit, and the source of its value."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ _COLUMN = 46
 def camera_text(camera: Camera, *, why: Mapping[str, str], heading: str) -> str:
     """Return the text of a camera file without effects.
 
-    ``why`` says by dotted path where a value is from; a key without one has its default, which is said.
+    ``why``: the source of a value by dotted path. A key without one has its default value, and the comment
+    says so.
     """
     lines = [f"# {line}".rstrip() for line in heading.splitlines()]
     lines += [_line("format", CAMERA_FORMAT, "kind of file and version"), ""]

@@ -1,1 +1,1 @@
-"""Gated (shuttered) cameras: distances from the shares of a light pulse that shutters let through."""
+"""Gated (shuttered) cameras: distances from the shares of a light pulse that gates transmit."""

@@ -1,10 +1,10 @@
-"""Images of gates -> distance, amplitude, precision: the ratios of what the gates let through.
+"""Images of gates -> distance, amplitude, precision, from ratios of the light that the gates transmit.
 
-The counts of gate i are q_i = A g_i(d) + B w_i: the pulse's light A with the share g_i(d), and unmodulated
-light B in proportion to the gate's width. A cancels in the direction of the vector q; B is eliminated where
-there are three gates or more, else it has to be known. The direction that fits q best gives the first
-distance, Fisher's scoring with the noise of photons and read-out the final one, and the inverse of the Fisher
-information sum_i dq_i/dtheta dq_i/dtheta' / var_i its precision.
+The counts of gate i are q_i = A g_i(d) + B w_i: the light A of the pulse with the share g_i(d), and
+unmodulated light B in proportion to the gate's width. A cancels in the direction of the vector q. B is
+eliminated if there are three gates or more, else it must be known. The direction that fits q best gives a
+first distance; Fisher scoring with the noise of photons and read-out gives the final one. Its precision is
+the inverse of the Fisher information sum_i dq_i/dtheta dq_i/dtheta' / var_i.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ Array = NDArray[Any]
 _ENTRIES, _COARSE = 4096, 256
 #: Steps of Fisher's scoring from the grid.
 _STEPS = 4
-#: Share of the best that a distance must tell by the change of the gates' ratios, and see of the light.
+#: Least change of the gates' ratios with distance, and least transmitted light, at a usable distance, as
+#: shares of their largest values.
 _TELLS, _SEES = 0.02, 0.05
-#: Share of the light that a second gate must see within that part of the pulse's depth.
+#: Share of the light that a second gate must transmit, within this part of the pulse's depth.
 _SHARED, _NEAR = 0.01, 0.05
 #: Least variance of an image [counts^2]: that of rounding.
 ROUNDING = 1.0 / 12.0
@@ -35,7 +36,7 @@ _TINY = 1e-30
 
 @dataclass(frozen=True)
 class GateEstimates:
-    """What the images tell, all (pixels,): distance [m], NaN where the gates do not tell it.
+    """Estimates from the images, all (pixels,): distance [m], NaN where the gates do not determine it.
 
     ``amplitude`` [counts]: light of the pulse. ``sigma`` [m]: Cramer-Rao bound of the distance's standard
     deviation.
@@ -49,15 +50,15 @@ class GateEstimates:
 class GateEstimator:
     """Evaluates the images of one shutter.
 
-    ``background``: unmodulated light [counts per pulse width], which two gates alone cannot tell.
+    ``background``: unmodulated light [counts per pulse width], which two gates alone do not determine.
 
-    Raises ValueError where the gates do not overlap: no ratio of them tells any distance.
+    Raises ValueError if gates do not overlap: then no ratio of them determines a distance.
     """
 
     def __init__(self, shutter: GatedShutter, *, background: float = 0.0) -> None:
         self.shutter = shutter
         self._step = shutter.ambiguity / _ENTRIES
-        #: of the pulse in metres, there and back
+        #: depth [m] of the pulse, for its way there and back
         self._depth = shutter.pulse_width * SPEED_OF_LIGHT / 2.0
         at = np.arange(_ENTRIES) * self._step
         self._shares = shutter.shares(at)
@@ -76,7 +77,7 @@ class GateEstimator:
         turn = np.sqrt(np.maximum((change * change).sum(axis=0) - along**2, 0.0)) / np.maximum(length, _TINY)
         lit = length > _SEES * max(float(length.max()), _TINY)
         turn[~lit] = 0.0
-        #: whether the gates tell a distance of the table: by more than the tail of an edge in a second gate
+        #: whether gates determine a distance of the table, by more than the tail of an edge in a second gate
         second = np.sort(self._shares, axis=0)[-2]
         near = max(round(_NEAR * self._depth / self._step), 1)
         from scipy.ndimage import maximum_filter1d  # takes a good part of a node's start
@@ -92,9 +93,9 @@ class GateEstimator:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Least and greatest distance [m] that the gates tell."""
+        """Least and greatest distance [m] that the gates determine."""
         found = np.flatnonzero(self.usable)
-        # they may begin before the pulse does: the widest gap is where one period ends
+        # gates may begin before the pulse: a period ends at the widest gap
         widths = np.diff(found, append=found[0] + _ENTRIES)
         last = int(widths.argmax())
         begin = found[(last + 1) % len(found)]
@@ -118,7 +119,7 @@ class GateEstimator:
             distance, amplitude, variance = self._scored(q, distance)
         entry = np.rint(distance / self._step).astype(int) % _ENTRIES
         near = self.usable[entry] & (fits.max(axis=1) > 0) & (amplitude > 0) & (distance >= 0)
-        # where noise may put it anywhere within the pulse, nothing is measured
+        # where the error may be as large as the pulse there is no measurement
         near &= variance < self._depth**2
         return GateEstimates(
             distance=np.where(near, distance, np.nan),
@@ -140,7 +141,7 @@ class GateEstimator:
         following = (entry + 1) % _ENTRIES
         one, two = self._shares[:, entry], self._shares[:, following]
         slope = self._slopes[:, entry] * (1.0 - part) + self._slopes[:, following] * part
-        # a parabola through both: half the change of the slope over the step
+        # the parabola with both slopes: half the change of the slope over the step
         bend = (self._slopes[:, following] - self._slopes[:, entry]) * (
             part * (part - 1.0) * 0.5 * self._step
         )

@@ -1,7 +1,7 @@
-"""What gates see of a light pulse: the share of its light that each lets through, by distance.
+"""Shares of a light pulse that gates transmit, by distance.
 
-Kahlmann 2007, sec. 2.3.4: a shutter before an ordinary image sensor is open for a short time after the pulse;
-how much light passes it says how far it came. Two gates or more cancel what the surface reflects.
+Kahlmann 2007, sec. 2.3.4: a shutter before an ordinary image sensor is open for a short time after the pulse.
+The amount of transmitted light depends on the distance. With two gates or more the reflectivity cancels.
 R. Gvili, A. Kaplan, E. Ofek & G. Yahav, *Depth keying*, Proc. SPIE 5006 (2003).
 """
 
@@ -19,7 +19,7 @@ from rim_camera_ros.phasor import SPEED_OF_LIGHT
 
 Array = NDArray[Any]
 
-#: Standard deviations of an edge within which it opens and closes.
+#: An edge of a gate extends over so many of its standard deviations.
 _EDGE = 8.0
 
 
@@ -33,7 +33,7 @@ class Gate:
 
 @dataclass(frozen=True, kw_only=True)
 class PulseAndGates:
-    """A rectangular light pulse and the gates that look at it, whatever the rate of the pulses."""
+    """A rectangular light pulse and its gates, without the rate of the pulses."""
 
     gates: tuple[Gate, ...] = quantity("-", "in the order of their images", most=64)
     pulse_width: float = quantity("s", "length of the light pulse", minimum=1e-11, maximum=1e-3)
@@ -45,11 +45,11 @@ class PulseAndGates:
         maximum=1e-6,
     )
     read_noise: float = quantity(
-        "counts", "1-sigma of one image, beside that of the photons", default=5.0, minimum=0.0
+        "counts", "1-sigma of one image, in addition to that of the photons", default=5.0, minimum=0.0
     )
     black_level: float = quantity(
         "counts",
-        "an image without any light, on which the read-out noise is: what is cut at 0 is no longer symmetric",
+        "value of an image without any light; read-out noise is symmetric where it is not cut off at 0",
         default=0.0,
         minimum=0.0,
         maximum=65535.0,
@@ -69,20 +69,20 @@ class GatedShutter(PulseAndGates):
 
     @property
     def ambiguity(self) -> float:
-        """Distance in metres after which the next pulse's light is seen: c / (2 pulse_rate)."""
+        """Distance in metres from which light is attributed to the next pulse: c / (2 pulse_rate)."""
         return SPEED_OF_LIGHT / (2.0 * self.pulse_rate)
 
     @property
     def windows(self) -> Array:
-        """Width of each gate (gates,) in widths of the pulse: its share of unmodulated light."""
+        """Width of each gate (gates,) in widths of the pulse, which is its factor on unmodulated light."""
         return np.array([gate.width for gate in self.gates]) / self.pulse_width
 
     def shares(self, distance: Array) -> Array:
-        """Return the share (gates, ...) of a pulse's light that each gate lets through, by distance [m].
+        """Return the share (gates, ...) of a pulse's light that each gate transmits, by distance [m].
 
-        The pulse lasts from 2 d / c to 2 d / c + `pulse_width`; its overlap with the gate, with edges that
-        are integrals of a Gaussian, by four terms of F(x) = x Phi(x / s) + s phi(x / s). Light of a
-        distance and of the same one plus `ambiguity` is seen alike.
+        The pulse arrives from 2 d / c to 2 d / c + `pulse_width`. Its overlap with the gate, with edges that
+        are integrals of a Gaussian, has four terms of F(x) = x Phi(x / s) + s phi(x / s). Distances that
+        differ by `ambiguity` give the same shares.
         """
         arrival = np.mod(np.asarray(distance, float), self.ambiguity) * (2.0 / SPEED_OF_LIGHT)
         result = np.zeros((len(self.gates), *arrival.shape))
@@ -94,7 +94,7 @@ class GatedShutter(PulseAndGates):
                 end = begin + self.pulse_width
                 result[i] += self._ramp(end) - self._ramp(begin)
                 result[i] -= self._ramp(end - gate.width) - self._ramp(begin - gate.width)
-        # differences of ramps leave rounding
+        # differences of ramps may be negative by rounding
         return np.maximum(result, 0.0) / self.pulse_width
 
     def _ramp(self, time: Array) -> Array:
@@ -105,7 +105,7 @@ class GatedShutter(PulseAndGates):
         return np.asarray(self.rise_time * (x * ndtr(x) + density))
 
     def slice_of(self, gate: int) -> tuple[float, float]:
-        """Return the distances [m] from which a gate sees at least half of what it sees at most.
+        """Return the limits [m] of the distances at which a gate transmits at least half of its maximum.
 
         A gate's image is a slice of the scene's depth (sec. 2.3.4, fig. 2.35).
         """

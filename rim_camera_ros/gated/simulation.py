@@ -1,4 +1,4 @@
-"""Frames of a gated camera: the light of the chain, through each gate."""
+"""Frames of a gated camera: the light of the chain through each gate."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from rim_camera_ros.pipeline.simulate import Exposure
 
 Image = NDArray[Any]
 
-#: Places of a period at which the shares of the gates are taken, and the part of their Fourier series that is
-#: left away.
+#: Number of distances over a period at which the shares of the gates are sampled, and the part of their
+#: Fourier series that is dropped.
 _PLACES, _LEFT = 4096, 1e-6
 _FULL = 65535
 
@@ -28,9 +28,9 @@ _FULL = 65535
 class GatedSimulation(PulsedSimulation):
     """Makes the image of every gate and evaluates them as the device would.
 
-    The amplitude is the light of the pulse in counts, as if a gate had let all of it through. The image of
-    the role ``gates`` (H, W, gates), uint16, holds the counts above 0, black level included; a pixel that is
-    full in one of them saturates.
+    The amplitude is the light of the pulse in counts, as if a gate transmitted all of it. The image of the
+    role ``gates`` (H, W, gates), uint16, has the counts of all gates, black level included, with 0 for
+    negative ones; a pixel that is full in one of them saturates.
     """
 
     @cached_property
@@ -41,7 +41,7 @@ class GatedSimulation(PulsedSimulation):
 
     @cached_property
     def _series(self) -> Image:
-        """Fourier series (gates, k) of the shares over the distance, as far as it matters."""
+        """Fourier series (gates, k) of the shares over the distance, without negligible terms."""
         at = np.arange(_PLACES) * (self.shutter.ambiguity / _PLACES)
         series = np.fft.rfft(self.shutter.shares(at), axis=1) / _PLACES
         series[:, 1:] *= 2.0
@@ -54,7 +54,7 @@ class GatedSimulation(PulsedSimulation):
         return result
 
     def light_of_gates(self, signal: Signal, exposure: Exposure) -> Image:
-        """Return what each gate sees of the pulse (gates, H, W) in counts, noise-free."""
+        """Return the light of the pulse through each gate (gates, H, W) in counts, without noise."""
         arrivals = self.arrivals(signal, exposure, harmonics=self._series.shape[1] - 1)
         light: Image = np.tensordot(self._series, arrivals.conj(), axes=1).real
         return np.maximum(light, 0.0, out=light)
@@ -71,7 +71,7 @@ class GatedSimulation(PulsedSimulation):
             images = self._rng.poisson(images) + self.shutter.read_noise * self._rng.standard_normal(
                 images.shape
             )
-        # the noise of the read-out may be below the black level, the response is that of the light
+        # read-out noise may give values below the black level; the response only applies to the light
         dark, level = np.minimum(images, 0.0), self.shutter.black_level
         images = np.clip(self._chain.published(np.maximum(images, 0.0)) + dark + level, 0.0, _FULL)
         if self.quantised:

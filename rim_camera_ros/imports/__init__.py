@@ -1,1 +1,1 @@
-"""Recordings of other drivers, read by a profile that says what their topics mean."""
+"""Recordings of other drivers, read by a profile that describes their topics."""

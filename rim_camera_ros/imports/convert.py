@@ -1,4 +1,4 @@
-"""A driver's recording into one of this package."""
+"""Conversion of a driver's recording into one of this package."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.frame import RawFrame
 from rim_camera_ros.imports.reading import DriverRecording
 
-#: Topics that are copied as they are: what a reference instrument said of the surfaces.
+#: Topics that are copied unchanged: poses of surfaces by a reference instrument.
 _TRUTH = "/ground_truth/"
 
 
 @dataclass(frozen=True)
 class Imported:
-    """What was written: number of frames, and of messages of true poses."""
+    """Numbers of frames and of messages with true poses that were written."""
 
     frames: int
     poses: int
@@ -33,8 +33,8 @@ def convert(
 ) -> Imported:
     """Write the frames of a prepared recording, and the true poses in it, as a recording of this package.
 
-    ``counted`` wraps the frames, for progress. Raises `RimError` where it cannot be written, `InputError` for
-    a message that is wrong or a recording without a frame.
+    ``counted`` wraps the frames, to show progress. Raises `RimError` where it cannot be written, `InputError`
+    for a wrong message or a recording without a frame.
     """
     frames = 0
     with RecordingWriter(out, force=force, frame_id=recording.frame_id) as writer:
@@ -58,7 +58,7 @@ def _copy_truth(recording: DriverRecording, writer: RecordingWriter) -> int:
         raw = unpack_message(message, recording.path)
         try:
             data = bytes(messages.typestore().ros1_to_cdr(raw, kind)) if storage.ros1 else raw
-        except Exception as error:  # the generated converters raise whatever damaged bytes provoke
+        except Exception as error:  # the generated converters may raise anything for damaged bytes
             place = f"topic {message.topic}, recorded at {messages.stamp_text(message.time)}"
             raise InputError(
                 f"a message of type {kind} is damaged: {type(error).__name__}",

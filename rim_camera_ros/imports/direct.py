@@ -1,4 +1,4 @@
-"""Topics of a driver that are read as they are, without an import: radial, raw, both images of one stamp."""
+"""Topics of a driver that need no import: radial distances, raw images, both images with the same stamp."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from rim_camera_ros.imports.sources import find_sources
 
 
 def direct_topics(name: str, path: Path, topics: Topics) -> Topics:
-    """Return the topics that a profile means in a recording, for reading without an import.
+    """Return the topics of a profile in a recording, for reading without an import.
 
-    ``topics`` are those of the options, which win. Raises `InputError` where the images must be converted
-    first, with the command that does it.
+    ``topics``: those of the options, which have precedence. Raises `InputError` where the images must be
+    converted first, with the command for it.
     """
     profile = load_profile(name)
     remedy = f"convert it first: rim import {path} --profile {name} --out BAG"

@@ -18,7 +18,7 @@ from rim_camera_ros.errors import InputError
 
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 
-#: How an image travels: its topic's ending.
+#: Transport of an image, which is the ending of its topic.
 Transport = Literal["raw", "compressed", "compressedDepth"]
 
 #: Pixels beyond which a compressed image is refused.
@@ -33,7 +33,7 @@ _PNG = struct.Struct(">8s4s4sII")
 def decode_pixels(message: Any, transport: Transport, *, role: str, place: str) -> NDArray[Any]:
     """Return a message's pixels: (H, W) uint8, uint16 or float32, or (H, W, 3) float32 for 32FC3.
 
-    ``role`` (distance or amplitude): a distance must not have gone through JPEG.
+    ``role`` (distance or amplitude): a distance must not have been compressed as JPEG.
     Raises `InputError` for an encoding that holds no such image, or damaged data.
     """
     if transport == "raw":
@@ -42,7 +42,7 @@ def decode_pixels(message: Any, transport: Transport, *, role: str, place: str) 
     encoding, _, how = (part.strip() for part in str(message.format).partition(";"))
     if transport == "compressedDepth":
         return _compressed_depth(data, encoding, how, place)
-    if encoding in ("jpeg", "jpg", "png", "tiff"):  # drivers that name the file format only
+    if encoding in ("jpeg", "jpg", "png", "tiff"):  # some drivers only name the file format
         encoding, how = "", encoding
     lossy = "jpeg" in how or "jpg" in how or data[:2] == b"\xff\xd8"
     if lossy and role == "distance":
@@ -139,7 +139,7 @@ def decode_rvl(data: bytes, place: str | None = None) -> NDArray[np.uint16]:
         raise broken
     width, height = struct.unpack_from("<II", data)
     pixels = width * height
-    # four pixels a byte is the best that RVL can do for values, runs of zeros are shorter still
+    # RVL stores at most four pixels per byte for values, runs of zeros are shorter still
     if not 0 < pixels <= _MOST_PIXELS:
         raise broken
     words = np.frombuffer(data[8 : 8 + (len(data) - 8) // 4 * 4], "<u4")

@@ -1,4 +1,4 @@
-"""Lens models of CameraInfo: exact directions of the pixels, and the plumb_bob model nearest to them.
+"""Lens models of CameraInfo: exact directions of the pixels, and the plumb_bob model that fits them best.
 
 Models: plumb_bob and rational_polynomial as OpenCV's calibration module defines them, equidistant as OpenCV's
 fisheye module does (Kannala and Brandt 2006); CameraInfo's use of K, D, P, binning and region of interest
@@ -29,11 +29,11 @@ _FISHEYE = ("equidistant", "fisheye")
 _COUNTS = (4, 5, 8, 12)
 #: Newton steps of an inversion, and the longest of them in ideal image coordinates.
 _STEPS, _LONGEST = 60, 0.2
-#: An inversion that does not lead back to the pixel within so many pixels has failed.
+#: An inversion has failed if projecting its result misses the pixel by more than this [px].
 _INVERTED = 1e-3
-#: Pixels along a side at most that the fit of plumb_bob looks at.
+#: Most pixels along a side that are used in the fit of plumb_bob.
 _GRID = 60
-#: Directions farther from the axis than this have no place in a plane image [tangent of 80 degrees].
+#: Directions farther from the axis than this are not represented in a plane image [tangent of 80 degrees].
 _WIDEST = math.tan(math.radians(80.0))
 
 
@@ -52,7 +52,7 @@ class Lens:
 
     @property
     def is_plumb_bob(self) -> bool:
-        """Whether the model is plumb_bob as it stands."""
+        """Whether the model is plumb_bob without a conversion."""
         return self.model == "plumb_bob"
 
     def directions(self) -> Array:
@@ -77,7 +77,7 @@ class Lens:
             off, (a, b, c, e) = _forward(xy[left], d)
             off -= target[left]
             determinant = a * e - b * c
-            # the image turns back here: no direction of the pixel lies beyond
+            # the image folds back here: no direction of the pixel lies beyond
             folded = ~((determinant > 0) & (a + e > 0))
             bad[left[folded]] = True
             going = ~folded & ~(np.abs(off).max(axis=-1) < 1e-12)
@@ -87,7 +87,7 @@ class Lens:
             a, b, c, e = a[going], b[going], c[going], e[going]
             step = np.stack([e * off[:, 0] - b * off[:, 1], a * off[:, 1] - c * off[:, 0]], axis=-1)
             step /= determinant[:, None]
-            # a long step may jump over the fold
+            # limited, as a long step may jump over the fold
             length = np.hypot(step[:, 0], step[:, 1])
             xy[left] -= step * np.minimum(1.0, _LONGEST / np.maximum(length, 1e-30))[:, None]
         rest = np.abs(_forward(xy, d)[0] - target).max(axis=-1) * max(self.fx, self.fy)
@@ -147,9 +147,9 @@ def _forward(xy: Array, d: Array) -> tuple[Array, tuple[Array, ...]]:
 
 @dataclass(frozen=True)
 class PlumbBob:
-    """The nearest plumb_bob: its residuals against the exact model in pixels, and pixels without a direction.
+    """The best fitting plumb_bob, and its residuals relative to the exact model in pixels.
 
-    ``lost`` is the share of pixels for which the exact model or the fitted one has no direction.
+    ``lost``: the share of pixels for which the exact model or the fitted one has no direction.
     """
 
     intrinsics: Intrinsics
@@ -159,7 +159,7 @@ class PlumbBob:
 
 
 def nearest_plumb_bob(lens: Lens) -> PlumbBob:
-    """Fit fx fy cx cy k1 k2 p1 p2 k3 to the directions of the pixels, in the sense of least squares.
+    """Fit fx fy cx cy k1 k2 p1 p2 k3 to the directions of the pixels by least squares.
 
     Raises `InputError` where fewer than half of the pixels have a direction.
     """
@@ -228,9 +228,9 @@ def nearest_plumb_bob(lens: Lens) -> PlumbBob:
 def lens_from(message: Any, *, rectified: bool, shape: tuple[int, int], place: str) -> Lens:
     """Return the lens of a sensor_msgs/CameraInfo for images of ``shape`` (height, width).
 
-    ``rectified``: the images are; then P holds and there is no distortion. Binning and a region of interest
-    are applied. Raises `InputError` for an uncalibrated camera, a model that is not known, a size that does
-    not fit the images.
+    ``rectified``: the images are rectified; then P is used, without distortion. Binning and a region of
+    interest are applied. Raises `InputError` for an uncalibrated camera, an unknown model, or a size that
+    does not fit the images.
     """
     k = [float(x) for x in (message.k if hasattr(message, "k") else message.K)]
     d = tuple(float(x) for x in (message.d if hasattr(message, "d") else message.D))
@@ -251,7 +251,7 @@ def lens_from(message: Any, *, rectified: bool, shape: tuple[int, int], place: s
 
 
 def _checked(lens: Lens, place: str) -> Lens:
-    """Return the lens with the name that its coefficients show: some drivers call all models plumb_bob."""
+    """Return the lens with its model by the number of coefficients, as some drivers call all plumb_bob."""
     d = lens.coefficients
     if lens.model in _FISHEYE:
         if len(d) > 4 and any(d[4:]):
@@ -302,9 +302,9 @@ def _fitting(lens: Lens, message: Any, shape: tuple[int, int], place: str) -> Le
 
 
 def lens_of_file(path: Path, *, rectified: bool, shape: tuple[int, int]) -> Lens:
-    """Return the lens of a calibration file as camera_calibration and camera_info_manager write it.
+    """Return the lens of a calibration file, as written by camera_calibration and camera_info_manager.
 
-    Raises `InputError` for a file of another form.
+    Raises `InputError` for a file in another form.
     """
     document = read_yaml(path)
 
@@ -333,7 +333,7 @@ def lens_of_file(path: Path, *, rectified: bool, shape: tuple[int, int]) -> Lens
 
 
 class _Fields:
-    """Fields by name, as a message has them."""
+    """Fields by name, like those of a message."""
 
     def __init__(self, **fields: Any) -> None:
         self.__dict__.update(fields)

@@ -16,9 +16,9 @@ def radial_distance(
 ) -> NDArray[Any]:
     """Return distances from the projection centre (H, W), 0 where there is none.
 
-    Radial 16-bit counts without an offset stay uint16 counts, all else becomes float32 metres. ``stretch``
-    (H, W): distance over depth along z, by the exact lens model; None where depth is not along z.
-    Raises `InputError` for an image that is not of the source's kind.
+    Radial 16-bit counts without an offset stay uint16 counts; everything else becomes float32 metres.
+    ``stretch`` (H, W): ratio of the distance to the depth along z, by the exact lens model; None where images
+    are not depths along z. Raises `InputError` for an image that is not of the source's kind.
     """
     if (image.ndim == 3) != (source.kind == "points"):
         raise InputError(
@@ -51,7 +51,7 @@ def _metres(image: NDArray[Any], source: DistanceSource) -> NDArray[Any]:
 
 
 def amplitude_counts(image: NDArray[Any], source: AmplitudeSource) -> NDArray[Any]:
-    """Return amplitudes (H, W) in counts, uint16 or float32; 0 where a float is none.
+    """Return amplitudes (H, W) in counts, uint16 or float32; 0 where a float is not finite.
 
     Raises `InputError` for an image of several channels.
     """

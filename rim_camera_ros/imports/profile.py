@@ -1,7 +1,7 @@
 """Profiles of drivers: which topics hold distance, amplitude and settings, and in which form.
 
-A profile is a small YAML file (``rim_profile/1``); those in ``profiles/`` are found by name, and each names
-the repository and file of the driver that it was written from.
+A profile is a small YAML file (``rim_profile/1``). Those in ``profiles/`` are found by name, and each states
+the repository and file of the driver from which it was written.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from rim_camera_ros.yaml_files import read_yaml
 
 PROFILE_FORMAT = "rim_profile/1"
 
-#: The profile to copy for a driver that has none; it is not tried on recordings.
+#: The profile to copy for a driver without one; it is not tried on recordings.
 TEMPLATE = "template"
 
-#: What a pixel of the distance image is: depth along the optical axis, distance from the projection centre,
-#: or the point itself (32FC3).
+#: Meaning of a pixel of the distance image: depth along the optical axis, distance from the projection
+#: centre, or the point itself (32FC3).
 Kind = Literal["z", "radial", "points"]
 
 _FOLDER = Path(__file__).parent / "profiles"
@@ -70,7 +70,7 @@ class CameraInfoSource:
 
 @dataclass(frozen=True)
 class SettingSource:
-    """A number in a message of settings, with the message's definition where no distribution has it."""
+    """A number in a message of settings, with the definition of a message type that is not part of ROS."""
 
     topics: tuple[str, ...] = quantity("-", "topics below the namespace, the best first")
     path: str = quantity("-", "dotted path of the number in the message; a text in JSON is entered")
@@ -82,7 +82,7 @@ class SettingSource:
 
 @dataclass(frozen=True)
 class Profile:
-    """What the topics of a driver mean."""
+    """Description of the topics of a driver."""
 
     driver: str = quantity("-", "name of the driver")
     source: tuple[str, ...] = quantity("-", "repositories, versions and files that this was read from")
@@ -102,7 +102,7 @@ class Profile:
     name: str = field(default="", metadata={"unit": "-", "doc": "set by the file's name"})
 
     def names(self) -> tuple[str, ...]:
-        """All topic names that the profile knows, without transports."""
+        """All topic names in the profile, without transports."""
         found = [*self.distance.topics, *self.amplitude.topics, *self.camera_info.topics]
         for setting_source in (self.integration_time, self.body_temperature):
             found += setting_source.topics if setting_source is not None else ()
@@ -110,7 +110,7 @@ class Profile:
 
 
 def shipped_profiles() -> tuple[str, ...]:
-    """Return the names of the profiles that come with the package, without the template."""
+    """Return the names of the shipped profiles, without the template."""
     return tuple(sorted(path.stem for path in _FOLDER.glob("*.yaml") if path.stem != TEMPLATE))
 
 
@@ -136,7 +136,7 @@ def find_profile(name: str) -> Path:
 
 
 def load_profile(name: str) -> Profile:
-    """Read a profile by its name or path. Raises `InputError` for whatever is wrong in it."""
+    """Read a profile by its name or path. Raises `InputError` for any error in it."""
     path = find_profile(name)
     document = read_yaml(path)
     stated = document.data.get("format") if isinstance(document.data, dict) else None

@@ -28,7 +28,7 @@ from rim_camera_ros.imports.stamps import Series, half_period, header_stamp, pai
 if TYPE_CHECKING:
     from typing import Self
 
-#: Exposures that may wait for their other image.
+#: Most exposures that may wait for their other image.
 _MOST_WAITING = 64
 #: Residual of the converted lens model above which it is a warning [px].
 _POOR_LENS = 0.3
@@ -38,7 +38,7 @@ _IMAGES = ("distance", "amplitude")
 
 @dataclass(frozen=True)
 class Given:
-    """What the user states beside the profile: settings that no topic holds, and a calibration file."""
+    """Statements of the user in addition to the profile: settings without a topic, and a calibration file."""
 
     integration_time: float | None = None
     modulation_frequency: float | None = None
@@ -48,8 +48,8 @@ class Given:
 class DriverRecording:
     """A recording of another driver, read by a profile. A context manager; `frames` may be called once.
 
-    ``notes`` say what was converted and assumed, ``skipped`` counts what did not become a frame.
-    Entering raises InputError for a path that is no recording. ``prepare`` finds the topics.
+    ``notes`` state conversions and assumptions; ``skipped`` counts images that did not become frames.
+    Entering raises InputError for a path that is not a recording. ``prepare`` finds the topics.
     """
 
     def __init__(self, path: Path, given: Given | None = None) -> None:
@@ -91,7 +91,7 @@ class DriverRecording:
     def prepare(self, sources: Sources) -> int:
         """Read stamps, geometry and settings of the recording; return the number of frames to come.
 
-        Raises InputError where what a frame needs is missing or the images have no common exposures.
+        Raises InputError where a part that frames need is missing, or the images have no common exposures.
         """
         self._sources = sources
         profile = sources.profile
@@ -117,7 +117,7 @@ class DriverRecording:
         return len(self._partner)
 
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the frames in the order of their stamps; raises InputError for a message that is wrong."""
+        """Yield the frames in the order of their stamps; raises InputError for a wrong message."""
         topics = {getattr(self._sources, role).topic: role for role in _IMAGES}
         distance_of = {amplitude: distance for distance, amplitude in self._partner.items()}
         waiting: OrderedDict[int, dict[str, NDArray[Any]]] = OrderedDict()
@@ -160,7 +160,7 @@ class DriverRecording:
         return unpack_message(message, self.path)
 
     def _stamp(self, message: Message) -> int:
-        """Return a message's stamp: its header's, or the time of recording where it has none."""
+        """Return a message's stamp, that of its header, or the time of recording where it has none."""
         if self._recorded_times:
             return message.time
         stamp = header_stamp(self._raw(message), ros1=self.storage.ros1)
@@ -356,7 +356,7 @@ class DriverRecording:
 
     @property
     def lsb(self) -> float | None:
-        """Metres of one count of the driver's images; None where it is the camera file that says."""
+        """Metres per count of the driver's images; None: as the camera file states."""
         return self._sources.profile.distance.unit
 
     def _setting(self, name: str, stamp: int, stated: float | None) -> float | None:

@@ -1,4 +1,4 @@
-"""Numbers in messages of settings: by a dotted path, through JSON texts and lists of keys and values."""
+"""Numbers in messages of settings, by a dotted path, also in JSON texts and lists of keys and values."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rim_camera_ros.errors import InputError, nearest_name
 
 
 class Definitions:
-    """Decoding of messages whose type may be a driver's own, by the definition that its profile states."""
+    """Decodes messages, also those of a driver's own types, by the definition in its profile."""
 
     def __init__(self, *, ros1: bool) -> None:
         self._ros1 = ros1
@@ -21,7 +21,7 @@ class Definitions:
         self._own: set[str] = set()
 
     def add(self, msgtype: str, definition: str | None, place: str) -> None:
-        """Take a definition. Raises `InputError` for a type that neither ROS nor a definition describes."""
+        """Add a definition. Raises `InputError` for a type that neither ROS nor a definition describes."""
         if msgtype in self._store.fielddefs:
             return
         if definition is None:
@@ -32,7 +32,7 @@ class Definitions:
             )
         try:
             self._store.register(get_types_from_msg(definition, msgtype))
-        except Exception as error:  # the parser of rosbags raises whatever a wrong text provokes
+        except Exception as error:  # the parser of rosbags may raise anything for a wrong text
             reason = " ".join(str(error).split())[:120]
             raise InputError(f"the definition of {msgtype} is wrong: {reason}", place=place) from None
         self._own.add(msgtype)
@@ -45,7 +45,7 @@ class Definitions:
             if self._ros1:
                 return self._store.deserialize_ros1(raw, msgtype)
             return self._store.deserialize_cdr(raw, msgtype)
-        except Exception as error:  # the generated decoders raise whatever damaged bytes provoke
+        except Exception as error:  # the generated decoders may raise anything for damaged bytes
             raise InputError(
                 f"a message of type {msgtype} cannot be decoded: {type(error).__name__} {error}",
                 place=place,
@@ -57,7 +57,7 @@ def number_at(message: Any, path: str, place: str) -> float | None:
     """Return the number at a dotted path of a message, None where it is not finite.
 
     Parts of the path are fields, indices of lists, keys of a JSON text, or keys of a list of keys and values
-    (diagnostic_msgs). Raises `InputError` for a path that leads nowhere.
+    (diagnostic_msgs). Raises `InputError` for a path that does not exist.
     """
     value = message
     for part in path.split("."):

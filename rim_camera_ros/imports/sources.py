@@ -1,4 +1,4 @@
-"""Which topics of a recording a profile means, and which profile a recording is of."""
+"""The topics of a profile in a recording, and the profile that fits a recording."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rim_camera_ros.errors import InputError
 from rim_camera_ros.imports.images import COMPRESSED_IMAGE, Transport
 from rim_camera_ros.imports.profile import Profile, SettingSource, load_profile, shipped_profiles
 
-#: Endings of image topics, the best first; rosbags names ROS 1 types as ROS 2's.
+#: Endings of image topics, the best first; rosbags names types of ROS 1 as those of ROS 2.
 _TRANSPORTS: tuple[tuple[Transport, str, str], ...] = (
     ("raw", "", IMAGE),
     ("compressedDepth", "/compressedDepth", COMPRESSED_IMAGE),
@@ -20,7 +20,7 @@ _TRANSPORTS: tuple[tuple[Transport, str, str], ...] = (
 
 @dataclass(frozen=True)
 class ImageTopic:
-    """A topic of images and how they travel."""
+    """A topic of images, and their transport."""
 
     topic: str
     transport: Transport
@@ -28,7 +28,7 @@ class ImageTopic:
 
 @dataclass(frozen=True)
 class Sources:
-    """What of a recording is read, by a profile: None for what it does not hold."""
+    """The topics of a recording that are read by a profile; None for those that are missing."""
 
     profile: Profile
     namespace: str
@@ -57,7 +57,7 @@ def image_topic(name: str, types: Mapping[str, str]) -> ImageTopic | None:
 
 
 def _namespaces(profile: Profile, types: Mapping[str, str]) -> list[str]:
-    """Return the namespaces below which both images lie."""
+    """Return the namespaces with both images."""
     found = set()
     for name in profile.distance.topics:
         for _, ending, msgtype in _TRANSPORTS:
@@ -85,10 +85,10 @@ def _setting(namespace: str, source: SettingSource | None, types: Mapping[str, s
 def find_sources(
     profile: Profile, types: Mapping[str, str], *, namespace: str | None, named: Mapping[str, str]
 ) -> Sources:
-    """Return the topics of a recording (topic: message type) that a profile means.
+    """Return the topics of a profile in a recording (topic: message type).
 
-    ``namespace`` None: the one below which both images lie. ``named`` maps distance, amplitude and
-    camera_info to other topics. Raises `InputError` that says what is missing and what there is.
+    ``namespace`` None: the namespace with both images. ``named`` maps distance, amplitude and camera_info to
+    other topics. Raises `InputError`, which lists missing and existing topics.
     """
     if namespace is None:
         found = _namespaces(profile, types)
@@ -118,8 +118,8 @@ def find_sources(
             )
     else:
         listed_names = [f"{namespace}/{name}" for name in profile.camera_info.topics]
-        beside = images["distance"].topic.rpartition("/")[0] + "/camera_info"  # type: ignore[union-attr]
-        info = next((name for name in (*listed_names, beside) if types.get(name) == CAMERA_INFO), None)
+        paired = images["distance"].topic.rpartition("/")[0] + "/camera_info"  # type: ignore[union-attr]
+        info = next((name for name in (*listed_names, paired) if types.get(name) == CAMERA_INFO), None)
     return Sources(
         profile=profile,
         namespace=namespace,
@@ -142,7 +142,7 @@ def _missing(role: str, namespace: str, names: tuple[str, ...], types: Mapping[s
 
 
 def recognise(types: Mapping[str, str], *, namespace: str | None = None) -> Profile:
-    """Return the shipped profile whose topics a recording (topic: message type) holds most of.
+    """Return the shipped profile of whose topics a recording (topic: message type) has the most.
 
     Raises `InputError` where none or several fit.
     """
@@ -179,7 +179,7 @@ def recognise(types: Mapping[str, str], *, namespace: str | None = None) -> Prof
 def with_options(
     profile: Profile, *, kind: str | None, unit: float | None, offset: float | None, counts: float | None
 ) -> Profile:
-    """Return the profile with what the command line says of its images."""
+    """Return the profile with changes by options of the command line."""
     distance = profile.distance
     if kind is not None:
         distance = replace(distance, kind=kind)  # type: ignore[arg-type]

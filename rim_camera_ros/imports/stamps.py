@@ -1,4 +1,4 @@
-"""Stamps of messages without decoding them, and pairs of those that belong to one exposure."""
+"""Stamps of messages without decoding them, and pairs of stamps that belong to one exposure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ROS1 = struct.Struct("<4xII")
 
 
 def header_stamp(data: bytes, *, ros1: bool) -> int | None:
-    """Return the stamp in ns of a serialised message that begins with a header, None if too short."""
+    """Return the stamp in ns of a serialised message that begins with a header; None if it is too short."""
     if len(data) < 12:
         return None
     kind = _ROS1 if ros1 else (_CDR_LITTLE if data[1] & 1 else _CDR_BIG)
@@ -24,7 +24,7 @@ def header_stamp(data: bytes, *, ros1: bool) -> int | None:
 
 
 class Series:
-    """Numbers by stamp in ns, of a whole recording."""
+    """Numbers of a whole recording by stamp in ns."""
 
     def __init__(self) -> None:
         self._rows: list[tuple[int, float]] = []
@@ -53,7 +53,7 @@ def half_period(stamps: NDArray[np.int64]) -> int:
 def pairs(first: NDArray[np.int64], second: NDArray[np.int64], *, tolerance: int) -> dict[int, int]:
     """Return, by stamp of ``first``, the stamp of ``second`` that belongs to it.
 
-    Each is the other's nearest, and they lie at most ``tolerance`` ns apart.
+    Each is the nearest to the other, and they are at most ``tolerance`` ns apart.
     """
     first, second = np.unique(first), np.unique(second)
     if not first.size or not second.size:

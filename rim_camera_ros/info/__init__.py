@@ -1,1 +1,1 @@
-"""What is in a recording, a camera file or a scene file: facts for programs, text for people."""
+"""Contents of a recording, a camera file or a scene file: facts for programs, text for people."""

@@ -63,7 +63,7 @@ def camera_facts(camera: Camera) -> dict[str, Any]:
 
 
 def camera_text(facts: dict[str, Any]) -> str:
-    """Return the facts for a person."""
+    """Return the facts as text."""
     wide, high = facts["field_of_view_deg"]
     threshold = facts["amplitude_threshold_counts"]
     lines = [
@@ -120,7 +120,7 @@ def camera_text(facts: dict[str, Any]) -> str:
             )
         )
         if any(undo != "exact" for undo in facts["undone"].values()):
-            parts[-1] += "\n  (~ undone in part, - not undone: one frame does not tell)"
+            parts[-1] += "\n  (~ undone in part, - not undone: one frame does not determine it)"
     else:
         parts.append("effects\n  none: distances are taken as measured")
     units = {"distance": "m", "amplitude": "counts", "temperature": "degC", "region": "px"}
@@ -147,7 +147,7 @@ def camera_text(facts: dict[str, Any]) -> str:
 
 
 def _effects(parts: Sequence[Part]) -> dict[str, Effect]:
-    """Return the effects by name, with the part's name where the parts differ in it."""
+    """Return the effects by name, with the name of the part where parts differ in an effect."""
     result: dict[str, Effect] = {}
     for name in dict.fromkeys(name for part in parts for name in part.camera.effects):
         found = [(part.camera.effects[name], part.name) for part in parts if name in part.camera.effects]
@@ -166,7 +166,7 @@ def _angle(rays: Any) -> float:
 
 
 def _integration_times(camera: Camera) -> list[float | None]:
-    """Return the integration times for which the file has rows, or the one of the sensor, or None."""
+    """Return the integration times with rows in the file, or that of the sensor, or None."""
     times: set[float] = set()
     for effect in camera.effects.values():
         times |= effect.rows()

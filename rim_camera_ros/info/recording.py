@@ -1,4 +1,4 @@
-"""Facts on a recording, gathered in one pass and bounded memory."""
+"""Facts on a recording, collected in one pass and in bounded memory."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from rim_camera_ros.info.statistics import METRES, Histogram, Noise, SettingsSee
 from rim_camera_ros.info.text import listed_short, number, percent, section, span, table, wrapped
 from rim_camera_ros.measurement import measurement_of
 
-#: Relative difference of two modulation frequencies that is worth saying.
+#: Relative difference of two modulation frequencies above which there is a note.
 _DETUNED = 1e-3
 
 
 class _Raw:
-    """What is gathered of raw frames."""
+    """Facts that are collected from raw frames."""
 
     def __init__(self, camera: Camera | None) -> None:
         self._camera = camera
@@ -108,7 +108,7 @@ class _Raw:
 
 
 def _until_fault[T](frames: Callable[[], Iterator[T]]) -> Iterator[tuple[T | None, RimError | None]]:
-    """Yield (frame, None) and, where reading ends in an error, (None, error) last."""
+    """Yield (frame, None), and at the end (None, error) if reading ends with an error."""
     try:
         for frame in frames():
             yield frame, None
@@ -122,10 +122,10 @@ def recording_facts(
     camera: Camera | None = None,
     count: Callable[[int], Any] = lambda done: None,
 ) -> tuple[dict[str, Any], RimError | None]:
-    """Return plain facts on a recording, and the error that kept it from being read (to the end).
+    """Return plain facts on a recording, and the error because of which it could not be read completely.
 
-    ``camera`` gives counts their metres and the noise its model. Raises `InputError` where the path is no
-    recording, or one of another sensor than the camera's.
+    ``camera`` states metres per count and the noise model. Raises `InputError` where the path is not a
+    recording, or it is from another sensor than the camera's.
     """
     with Recording(path, topics=topics) as bag:
         summary = bag.summary()
@@ -205,7 +205,7 @@ def recording_text(facts: dict[str, Any]) -> str:
         parts.append(_noise_text(facts["noise"]))
     notes = [*facts["assumptions"], *facts["notes"]]
     notes += [f"excluded: {n} {why}" for why, n in facts["skipped"].items() if n]
-    if facts["damage"] and not facts["fault"]:  # a fault is the error that follows
+    if facts["damage"] and not facts["fault"]:  # a fault is reported as an error afterwards
         notes.append(f"damage: {facts['damage']}")
     if facts["frames"] and facts["distance_unit"] == "counts":
         notes.append("--camera CAMERA gives distances in metres and the noise of its model")

@@ -1,4 +1,4 @@
-"""Facts on a scene file, and on what a camera would see of it."""
+"""Facts on a scene file, and on the view of a camera on it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rim_camera_ros.scene import Scene, Surface
 
 
 def scene_facts(scene: Scene, camera: Camera | None = None) -> dict[str, Any]:
-    """Return plain facts: surfaces, schedule, motion, and with a camera what its pixels see of it first."""
+    """Return plain facts: surfaces, schedule, motion, and with a camera the first view of its pixels."""
     stations = scene.schedule
     facts: dict[str, Any] = {
         "surfaces": [_surface(surface) for surface in scene.surfaces],

@@ -1,4 +1,4 @@
-"""Statistics of a recording's frames, gathered one after the other in constant memory."""
+"""Statistics of a recording's frames, collected frame by frame in constant memory."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from rim_camera_ros.frame import NANOSECONDS, RawFrame
 
 #: Classes of amplitude in counts for the noise.
 CLASSES = (0, 25, 50, 100, 200, 400, 800, 1600, 3200, 6400, 12800, 25600, 65536)
-#: Width of a bin in metres of distances that come in metres.
+#: Width [m] of a bin for distances that come in metres.
 METRES = 1e-3
 
-#: Values of a class below which its noise is not stated.
+#: Least number of values in a class to state its noise.
 _LEAST = 200
-#: A step between frames above so many periods is a gap.
+#: A step between frames of more than so many periods is a gap.
 _GAP = 1.5
-#: Bins of the steps between frames, and their width in metres where distances come in metres.
+#: Number of bins for differences between frames, and their width [m] where distances come in metres.
 _BINS, _STEP = 8192, 1e-4
-#: Steps beyond so many sigma are outliers: edges, bits that flip.
+#: Differences beyond so many sigma are outliers: edges, flipped bits.
 _CLIP = 4.0
-#: Noise over two frames that exceeds that over one by this factor is motion or drift.
+#: Ratio of the noise over two frames to that over one above which there is motion or drift.
 _MOVING = 1.3
 
 _SETTINGS = (
@@ -38,14 +38,14 @@ _SETTINGS = (
 
 
 class SettingsSeen:
-    """Least and greatest value of each setting, and how often each integration time came."""
+    """Least and greatest value of each setting, and the number of frames of each integration time."""
 
     def __init__(self) -> None:
         self._seen: dict[str, list[float]] = {}
         self._integration_times: dict[float, int] = {}
 
     def add(self, frame: RawFrame) -> None:
-        """Take a frame's settings."""
+        """Add the settings of a frame."""
         settings = frame.settings
         if settings.integration_time is not None:
             time = settings.integration_time
@@ -63,7 +63,7 @@ class SettingsSeen:
 
 
 class Timing:
-    """Rate, jitter and gaps; eight bytes a frame are kept."""
+    """Rate, jitter and gaps; eight bytes are kept for each frame."""
 
     def __init__(self) -> None:
         self._stamps = array("q")
@@ -92,7 +92,7 @@ class Timing:
         if period <= 0:
             return facts
         gaps = steps > _GAP * period
-        # nanoseconds as whole numbers until here, so that an exact rate has no jitter
+        # nanoseconds are whole numbers up to here, so that an exact rate has no jitter
         facts["rate_hz"] = NANOSECONDS / period
         facts["jitter_s"] = float(np.std(steps[~gaps] - period)) / NANOSECONDS
         facts["gaps"] = int(gaps.sum())
@@ -129,9 +129,9 @@ class Histogram:
 class Noise:
     """Noise of one distance by amplitude, from the differences of successive frames.
 
-    Differences are taken within one station and setting and divided by sqrt(2), so that a slow drift enters
-    by its step only. Outliers beyond 4 sigma are left out. In metres with a camera or for distances in
-    metres, else in counts.
+    Differences are taken within one station and setting and divided by sqrt(2), so that a slow drift only
+    enters by its change from frame to frame. Outliers beyond 4 sigma are excluded. The unit is metres with a
+    camera or for distances in metres, else counts.
     """
 
     def __init__(self, camera: Camera | None, *, in_metres: bool) -> None:
@@ -164,7 +164,7 @@ class Noise:
             if self._model is not None:
                 self._variance += np.bincount(kind, self._model[amplitude], len(self._variance))
         if len(self._before) == 2:
-            # over the same three frames, so that both see the same pixels
+            # over the same three frames, so that both use the same pixels
             self._twice += np.bincount(self._step(self._before[0], frame)[0], minlength=_BINS)
             self._once += np.bincount(self._step(self._before[1], frame)[0], minlength=_BINS)
         self._before.append(frame)

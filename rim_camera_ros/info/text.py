@@ -8,7 +8,7 @@ from typing import Any
 
 Lines = Sequence[tuple[str, str]]
 
-#: Characters of a line at most, where words allow it.
+#: Most characters in a line, where words allow it.
 _WIDTH = 100
 
 
@@ -86,7 +86,7 @@ def span(low: float | None, high: float | None, unit: str = "") -> str:
 
 
 def listed_short(items: Sequence[str], most: int = 8) -> str:
-    """Return items after one another, the first ones of many."""
+    """Return a list of items for a sentence, only the first ones if there are many."""
     more = f" and {len(items) - most} more" if len(items) > most else ""
     return ", ".join(items[:most]) + more
 

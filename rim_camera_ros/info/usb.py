@@ -1,4 +1,4 @@
-"""Facts on the cameras on USB: what is connected, and what is missing to take frames."""
+"""Facts on the cameras on USB: which are connected, and what is missing to take frames."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ def usb_facts(cameras: UsbCameras | None = None, *, library: str | None = None) 
 
     ``cameras``: a list with ``model``, ``ids``, ``file``, ``state`` and ``problem`` of each, None where pyusb
     or libusb is missing. ``library``: ``file`` and ``version`` of libmesasr, None where it cannot be used.
-    ``missing``: sentences, empty where frames can be taken. ``library`` as argument: its path, None: as the
-    environment says, or the system's.
+    ``missing``: sentences, empty where frames can be taken. The argument ``library``: its path; None: that of
+    the environment variable, or the system's.
     """
     facts: dict[str, Any] = {"cameras": None, "library": None, "missing": []}
     missing: list[str] = facts["missing"]
@@ -37,7 +37,7 @@ def usb_facts(cameras: UsbCameras | None = None, *, library: str | None = None) 
 
 
 def usb_text(facts: dict[str, Any]) -> str:
-    """Return the facts as text, one line for each thing that is there or missing."""
+    """Return the facts as text, one line for each connected camera and each missing part."""
     lines = []
     for fact in facts["cameras"] or ():
         lines.append(f"{fact['model']} ({fact['ids']}) at {fact['file']}: {fact['state']}")

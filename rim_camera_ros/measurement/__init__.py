@@ -1,7 +1,7 @@
-"""How devices measure: one frequency, or another type that the camera file's ``measurement`` names.
+"""Ways of measuring: one frequency, or another type that is named by ``measurement`` of the camera file.
 
-Outside this package and `rim_camera_ros.devices` nothing asks which type a camera is of: it asks the
-`Measurement` what it needs.
+Outside of this package and `rim_camera_ros.devices` no code depends on the type of a camera; it uses the
+interface `Measurement`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _ORDINARY = OneFrequency()
 
 
 def measurement_of(camera: Camera) -> Measurement:
-    """Return how a camera measures."""
+    """Return the way of measuring of a camera."""
     found: Measurement = _ORDINARY if camera.measurement is None else camera.measurement
     return found
 

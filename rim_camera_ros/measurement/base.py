@@ -31,7 +31,7 @@ class FrameSimulation(Protocol):
         """Return one raw frame with settings and truth."""
 
     def geometry(self, poses: Mapping[str, Any]) -> Geometry:
-        """Return what the pixels see."""
+        """Return the geometry that the pixels see."""
 
     def true_distance(self, exposure: Exposure) -> NDArray[np.float64]:
         """Return the true radial distance (H, W) in metres, NaN where nothing is seen."""
@@ -58,17 +58,17 @@ class FrameCorrection(Protocol):
         """Return the depth along z in metres (H, W) float32."""
 
     def minimum_for(self, settings: Settings) -> float:
-        """Return the minimum amplitude in counts that holds at these settings."""
+        """Return the minimum amplitude in counts at these settings."""
 
     def carry_on(self, before: Any) -> None:
-        """Take over what another correction of this camera knows of the past."""
+        """Take over the state of another correction of this camera."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """Images of a camera that are calibrated and diagnosed by themselves, as an ordinary camera's.
+    """Images of a camera that are calibrated and diagnosed on their own, as those of an ordinary camera.
 
-    ``name`` is empty where they are all there is; ``frequency``: the number of their frequency.
+    ``name`` is empty where there is only one part; ``frequency``: the number of its frequency.
     """
 
     camera: Camera
@@ -78,7 +78,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Change:
-    """What true poses deny of a camera file: effect or key, of which part (empty: all), before, after."""
+    """A change of a camera file by true poses: effect or key, its part (empty: all), before, after."""
 
     effect: str
     part: str
@@ -87,14 +87,14 @@ class Change:
 
 
 class Measurement(Protocol):
-    """How a device measures: the images of an exposure, what simulates them and what corrects them.
+    """A way of measuring: the images of an exposure, their simulation and their correction.
 
     The object is the group ``measurement`` of a camera file, by its ``type``.
     """
 
-    #: its name in a camera file
+    #: name in a camera file
     type: ClassVar[str]
-    #: roles of images of several values a pixel, from which distances are evaluated anew where they come
+    #: roles of images with several values a pixel, from which distances are evaluated anew if present
     samples: ClassVar[tuple[str, ...]]
     #: whether distances are phases: effects of a demodulation (`Effect.demodulates`) can act on them
     demodulates: ClassVar[bool]
@@ -115,17 +115,17 @@ class Measurement(Protocol):
         noise: bool = True,
         quantised: bool = True,
     ) -> FrameSimulation:
-        """Return what simulates frames of the camera. Raises `InputError` for what it cannot simulate."""
+        """Return the simulation of the camera. Raises `InputError` for options that it does not support."""
 
     def correction(
         self, camera: Camera, *, without: Iterable[str] = (), minimum_amplitude: float | None = None
     ) -> FrameCorrection:
-        """Return what corrects frames of the camera."""
+        """Return the correction of the camera's frames."""
 
     def noise_factors(
         self, camera: Camera, distance: NDArray[Any], settings: Settings
     ) -> NoiseFactors | None:
-        """Return how the noise goes with distance [m] and settings; None where it does not."""
+        """Return factors on the noise by distance [m] and settings; None if it does not depend on them."""
 
     def camera_of_frame(self, camera: Camera, frame: RawFrame) -> Camera:
         """Return the ordinary camera of a raw frame's distance and amplitude."""
@@ -134,16 +134,16 @@ class Measurement(Protocol):
         """Return the images that are calibrated and diagnosed, with the ordinary camera of each."""
 
     def joined(self, camera: Camera, parts: tuple[Camera, ...]) -> Camera:
-        """Return the camera whose `parts` have become these."""
+        """Return the camera with these parts in place of its own `parts`."""
 
     def review(self, camera: Camera, frames: Iterable[RawFrame], scene: Scene) -> tuple[Camera, list[Change]]:
-        """Return the camera without what true poses deny at once, before its parts are diagnosed.
+        """Return the camera without statements that true poses contradict, before its parts are diagnosed.
 
-        That is what one part alone cannot show: offsets between the parts, keys of the group.
+        These are errors that one part alone does not show: offsets between parts, keys of the group.
         """
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
-        """Return what `rim info` says of the way of measuring: labels and texts."""
+        """Return labels and texts of `rim info` on the way of measuring."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ class OneFrequency:
     def noise_factors(
         self, camera: Camera, distance: NDArray[Any], settings: Settings
     ) -> NoiseFactors | None:
-        """Return None: it goes with the amplitude alone."""
+        """Return None, as the noise only depends on the amplitude."""
         return None
 
     def camera_of_frame(self, camera: Camera, frame: RawFrame) -> Camera:
@@ -188,7 +188,7 @@ class OneFrequency:
         return (Part(camera),)
 
     def joined(self, camera: Camera, parts: tuple[Camera, ...]) -> Camera:
-        """Return its only part."""
+        """Return the only part."""
         return parts[0]
 
     def review(self, camera: Camera, frames: Iterable[RawFrame], scene: Scene) -> tuple[Camera, list[Change]]:
@@ -196,5 +196,5 @@ class OneFrequency:
         return camera, []
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
-        """Return nothing: the sensor's rows say it."""
+        """Return no rows, as those of the sensor are enough."""
         return []

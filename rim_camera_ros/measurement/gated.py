@@ -20,7 +20,7 @@ from rim_camera_ros.noise import Noise, NoiseFactors
 from rim_camera_ros.phasor import Waveform
 from rim_camera_ros.scene import Scene
 
-#: Counts at which the noise of photons and that of the read-out are taken, and the distances of the median.
+#: Counts at which the noises of photons and read-out are computed, and number of distances for the median.
 _BRIGHT, _FAINT, _PLACES = 1e6, 1e-3, 200
 
 
@@ -42,13 +42,13 @@ class Gated(PulseAndGates, OneFrequency):
         return GatedShutter(pulse_rate=camera.sensor.modulation_frequency, **keys)
 
     def estimator(self, camera: Camera) -> GateEstimator:
-        """Return what evaluates the images. Raises ValueError for gates that do not overlap."""
+        """Return the estimator for the images. Raises ValueError for gates that do not overlap."""
         return GateEstimator(self.shutter(camera), background=camera.background)
 
     def check(self, camera: Camera) -> None:
-        """Raise ValueError for gates that tell no distance, or effects of demodulation."""
+        """Raise ValueError for gates that do not determine a distance, or effects of demodulation."""
         if len(self.gates) < 2:
-            raise ValueError("one gate cannot tell a distance from a reflectivity: give two gates or more")
+            raise ValueError("one gate cannot separate distance and reflectivity: give two gates or more")
         self.estimator(camera)
         check_effects(camera, "a gated camera")
 
@@ -62,7 +62,7 @@ class Gated(PulseAndGates, OneFrequency):
         return GatedSimulation(camera, scene, **options)
 
     def correction(self, camera: Camera, **options: Any) -> FrameCorrection:
-        """Return the chain of effects in reverse, after the evaluation of the gates where they are there."""
+        """Return the chain of effects in reverse, after the evaluation of the gates if a frame has them."""
         from rim_camera_ros.pipeline.resolved import ResolvedCorrection
 
         estimator = self.estimator(camera)
@@ -86,9 +86,9 @@ class Gated(PulseAndGates, OneFrequency):
         )
 
     def noise(self, camera: Camera) -> Noise:
-        """Return the noise of a distance without the images: the Cramer-Rao bound, its median over the range.
+        """Return the noise of a distance without images: the Cramer-Rao bound, as its median over the range.
 
-        shot of the pulse's photons, amplitude of the read-out; unmodulated light is left out.
+        ``shot`` is by the pulse's photons, ``amplitude`` by the read-out; unmodulated light is neglected.
         """
         shot, amplitude = (float(np.median(one)) for one in _noise_at(self.shutter(camera))[1:])
         return Noise(floor=0.0, shot=shot, amplitude=amplitude, circular_range=2.0 * math.pi * shot)
@@ -96,7 +96,7 @@ class Gated(PulseAndGates, OneFrequency):
     def noise_factors(self, camera: Camera, distance: NDArray[Any], settings: Settings) -> NoiseFactors:
         """Return the Cramer-Rao bounds at the distances over their medians, as variances.
 
-        Unmodulated light adds photons to each gate as the read-out adds electrons: it acts as that does.
+        Unmodulated light adds photons to each gate like the read-out adds electrons, and has its factor.
         """
         at, shot, amplitude = _noise_at(self.shutter(camera))
         near = np.nan_to_num(distance)
@@ -108,13 +108,13 @@ class Gated(PulseAndGates, OneFrequency):
         return NoiseFactors(photons, read_out, light)
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
-        """Return pulse, gates, and the distances that they tell."""
+        """Return pulse, gates, and the distances that they determine."""
         shutter = self.shutter(camera)
         low, high = self.estimator(camera).limits
         rows = [
             (
                 "gates",
-                f"{len(self.gates)}, of pulses of {self.pulse_width * 1e9:g} ns; their ratios tell "
+                f"{len(self.gates)}, of pulses of {self.pulse_width * 1e9:g} ns; their ratios determine "
                 f"{low:.3g} .. {high:.3g} m",
             )
         ]
@@ -136,5 +136,5 @@ def _noise_at(shutter: GatedShutter) -> tuple[NDArray[Any], NDArray[Any], NDArra
     estimator = GateEstimator(shutter)
     at = np.linspace(*estimator.limits, _PLACES + 2)[1:-1]
     shot = estimator.bound(at, amplitude=_BRIGHT) * math.sqrt(_BRIGHT)
-    # so little light that its photons add no noise
+    # with so little light photons add no noise
     return at, shot, estimator.bound(at, amplitude=_FAINT) * _FAINT

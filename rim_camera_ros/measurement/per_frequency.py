@@ -1,9 +1,9 @@
-"""Camera files of several frequencies: the file of each, and one file of all.
+"""Camera files of several frequencies: split into a file for each, and merged into one.
 
-What may differ between the frequencies may be a list with an entry for each, in the order of
-``sensor.modulation_frequency``; what is no such list holds for all. In ``sensor``, ``radiometry`` and
-``noise`` these are the single numbers, beside them ``minimum_amplitude``, each effect as a whole (null: off
-at that frequency) and ``covariance``.
+A value that differs between the frequencies is a list with an entry for each, in the order of
+``sensor.modulation_frequency``; other values apply to all. Such lists may be given for single numbers in
+``sensor``, ``radiometry`` and ``noise``, for ``minimum_amplitude``, for each effect as a whole (null: off at
+that frequency) and for ``covariance``.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from typing import Any
 from rim_camera_ros.yaml_files import Document
 
 _SECTIONS = ("sensor", "radiometry", "noise")
-#: Keys of those sections whose value is a list at one frequency.
+#: Keys of these sections whose value is already a list for one frequency.
 _LISTS = ("pixel_pitch", "exposure")
 _WHOLE = ("minimum_amplitude", "covariance")
 
 
 def documents(document: Document) -> tuple[Document, ...]:
-    """Return the document of each frequency; the document itself where there is one.
+    """Return the document of each frequency; the document itself if there is only one.
 
     Raises `InputError` for a list of another length.
     """
@@ -45,7 +45,7 @@ def documents(document: Document) -> tuple[Document, ...]:
 
 
 def _places(data: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return where lists with an entry per frequency may stand."""
+    """Return the places of possible lists with an entry per frequency."""
     groups = (*_SECTIONS, "effects")
     inner = [(group, key) for group in groups if isinstance(data.get(group), Mapping) for key in data[group]]
     return [place for place in inner if place[1] not in _LISTS] + [(one,) for one in _WHOLE if one in data]
@@ -67,7 +67,7 @@ def _of_one(document: Document, lists: Sequence[tuple[str, ...]], index: int) ->
         if holder[key] is None and (group or key == "covariance"):
             del holder[key]
         place = (*group, key)
-        # what is wrong in an entry is found at its own line
+        # errors in an entry are reported with its own line
         own = (*place, index)
         lines.update(
             {
@@ -80,7 +80,7 @@ def _of_one(document: Document, lists: Sequence[tuple[str, ...]], index: int) ->
 
 
 def merged(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return the content of one file of those of the frequencies; the inverse of `documents`."""
+    """Return the content of one file from those of the frequencies; the inverse of `documents`."""
     result = dict(parts[0])
     for section in (*_SECTIONS, "effects"):
         keys = dict.fromkeys(key for part in parts for key in part.get(section, {}))

@@ -1,4 +1,4 @@
-"""Continuous modulation at several frequencies: the file's group ``measurement`` and what follows from it."""
+"""Continuous modulation at several frequencies: the group ``measurement`` of the camera file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ STATED_AT = 10.0
 class SeveralFrequencies:
     """One distance and amplitude per frequency; the wraps are resolved by maximum likelihood.
 
-    ``Camera.channels`` holds the ordinary camera of each frequency, in the order of the file.
+    ``Camera.channels``: the ordinary camera of each frequency, in the order of the file.
     """
 
     type: ClassVar[str] = "several_frequencies"
@@ -77,27 +77,28 @@ class SeveralFrequencies:
             if max(n * channel.sensor.ambiguity for n, channel in zip(row, channels, strict=True)) > high:
                 raise ValueError(f"wraps: {list(row)} lie beyond the range of {high:.4g} m")
         if self.two_paths and len(channels) < 3:
-            raise ValueError("two_paths needs three frequencies: two leave nothing to tell them from noise")
+            raise ValueError("two_paths needs three frequencies: two do not distinguish paths from noise")
         if self.wraps is not None and not self.wraps:
             raise ValueError("wraps is empty: give at least one set")
 
     def span(self, camera: Camera) -> tuple[float, float]:
-        """Return the least and greatest distance in metres that the wraps are resolved to."""
+        """Return the least and greatest distance in metres of resolved wraps."""
         if self.range is not None:
             return self.range
         return 0.0, common_range([channel.sensor.modulation_frequency for channel in camera.channels])
 
     def table(self, camera: Camera) -> WrapTable:
-        """Return the wraps that are possible."""
+        """Return the table of possible wraps."""
         return WrapTable(
             [channel.sensor.ambiguity for channel in camera.channels], self.span(camera), self.wraps
         )
 
     def camera_of(self, channels: tuple[Camera, ...]) -> Camera:
-        """Return the camera that delivers the resolved distance, with those of its frequencies.
+        """Return the camera that delivers the resolved distance, with the cameras of its frequencies.
 
-        It wraps where all phases repeat. Its amplitude is the mean over the frequencies; its noise combines
-        theirs by their weights, term by term; its effects name all of theirs.
+        It wraps where all phases repeat. Its amplitude is the mean over the frequencies. Each term of its
+        noise combines those of the frequencies by their weights. Its effects are all effects of any
+        frequency.
         """
         common = common_range([channel.sensor.modulation_frequency for channel in channels])
         sensor = replace(
@@ -125,9 +126,9 @@ class SeveralFrequencies:
         )
 
     def resolved(self, camera: Camera) -> Camera:
-        """Return the ordinary camera of recordings that hold the resolved distance only.
+        """Return the ordinary camera of recordings with only the resolved distance.
 
-        Of its effects those that are the same at every frequency.
+        It has the effects that are the same at every frequency.
         """
         first = camera.channels[0].effects
         same = {
@@ -160,11 +161,11 @@ class SeveralFrequencies:
         return SeveralCorrections(camera, without=without, minimum_amplitude=minimum_amplitude)
 
     def noise_factors(self, camera: Camera, distance: Any, settings: Settings) -> NoiseFactors | None:
-        """Return None: that of every frequency goes with its amplitude alone."""
+        """Return None, as the noise of every frequency only depends on its amplitude."""
         return None
 
     def camera_of_frame(self, camera: Camera, frame: RawFrame) -> Camera:
-        """Return that of the first frequency, or of the resolved distance."""
+        """Return the camera of the first frequency, or of the resolved distance."""
         return self.resolved(camera) if "distance" in frame.by_role else camera.channels[0]
 
     def parts(self, camera: Camera) -> tuple[Part, ...]:
@@ -192,7 +193,7 @@ class SeveralFrequencies:
         return review(camera, frames, scene)
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
-        """Return frequencies, ranges and how certain the wraps are."""
+        """Return frequencies, ranges and the probability of wrong wraps."""
         frequencies = [channel.sensor.modulation_frequency for channel in camera.channels]
         ranges = [channel.sensor.ambiguity for channel in camera.channels]
         low, high = self.span(camera)

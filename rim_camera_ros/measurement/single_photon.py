@@ -21,14 +21,14 @@ from rim_camera_ros.single_photon.estimation import PulseEstimator, fisher_sigma
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-#: Signals [photons] at which the noise is fitted to the bound: the least that it describes to 10 %, and how
-#: many of them up to saturation.
+#: Signals [photons] at which the noise is fitted to the bound: the least one, which it describes to 10 %, and
+#: their number up to saturation.
 _FEWEST, _SIGNALS = 50.0, 30
 #: Relative step of dark counts for which the bound is computed anew.
 _ALIKE = 0.02
-#: Cycles in which no photon hides another.
+#: So many cycles that no photon hides another (no pile-up).
 _MANY = 10**9
-#: Standard deviations of the pulse that a period must have room for.
+#: Least length of a period in standard deviations of the pulse.
 _ROOM = 16.0
 
 
@@ -92,19 +92,20 @@ class SinglePhoton(PulseAndDiode, OneFrequency):
     def coincident(self, camera: Camera) -> float:
         """Return the share of a period that is the pulse's effective width, 4 sqrt(pi) sigma_t / T.
 
-        With that of the other light, sigma^2 = (c sigma_t / 2)^2 b / S^2 is the bound under much other light.
+        If b is the other light within it, the bound under much other light is sigma^2 = (c sigma_t / 2)^2 b /
+        S^2.
         """
         detector = self.detector(camera)
         return 4.0 * math.sqrt(math.pi) * detector.time_sigma / detector.period
 
     def unmodulated(self, camera: Camera) -> float:
-        """Return the photons of unmodulated light in an exposure, at whatever time in the period."""
+        """Return the photons of unmodulated light in an exposure, over the whole period."""
         return camera.background / self.coincident(camera)
 
     def noise(self, camera: Camera) -> Noise:
-        """Return the noise of a distance without a histogram: the form nearest to the Cramer-Rao bound.
+        """Return the noise of a distance without a histogram: the model nearest to the Cramer-Rao bound.
 
-        Of the integration time and the temperature that the file states.
+        It is for the integration time and the temperature that the file states.
         """
         dark = self._dark_counts(camera, camera.sensor.integration_time or 0.0, None)
         shot, amplitude = _nearest(self.detector(camera), dark, camera.sensor.saturation)
@@ -113,7 +114,7 @@ class SinglePhoton(PulseAndDiode, OneFrequency):
     def noise_factors(
         self, camera: Camera, distance: NDArray[Any], settings: Settings
     ) -> NoiseFactors | None:
-        """Return how many more dark counts settings make than those that the file states."""
+        """Return the factors by which dark counts at these settings exceed those stated by the file."""
         time = camera.stated_integration_time(settings)
         if time is None or camera.sensor.integration_time is None:
             return None
@@ -122,7 +123,7 @@ class SinglePhoton(PulseAndDiode, OneFrequency):
         stated = self._dark_counts(camera, camera.sensor.integration_time, None)
         if not given > 0 < stated:
             return None
-        # the bound is computed anew for few numbers of dark counts
+        # rounded, so that the bound is computed for few numbers of dark counts
         near = stated * math.exp(round(math.log(given / stated) / _ALIKE) * _ALIKE)
         (photons, read_out), own = _nearest(detector, near, most), _nearest(detector, stated, most)
         return NoiseFactors((photons / own[0]) ** 2, (read_out / own[1]) ** 2, 1.0)
@@ -132,7 +133,7 @@ class SinglePhoton(PulseAndDiode, OneFrequency):
         return self.detector(camera).dark_rate(temperature) * camera.sensor.exposure_seconds(time)
 
     def rows(self, camera: Camera) -> list[tuple[str, str]]:
-        """Return what is known of pulse, diode and bins."""
+        """Return the properties of pulse, diode and bins."""
         detector = self.detector(camera)
         return [
             (
@@ -153,8 +154,9 @@ class SinglePhoton(PulseAndDiode, OneFrequency):
 def _nearest(detector: SinglePhotonDetector, dark: float, most: float) -> tuple[float, float]:
     """Return shot [m sqrt(counts)] and amplitude [m counts] of the noise nearest to the Cramer-Rao bound.
 
-    By relative least squares of the variances over the signals [photons] up to ``most``, without pile-up;
-    ``dark`` counts and afterpulses are the other light. The bins make shot greater than c sigma_t / 2.
+    By relative least squares of the variances over the signals [photons] up to ``most``, without pile-up.
+    The other light consists of ``dark`` counts and afterpulses. Because of the bins shot exceeds
+    c sigma_t / 2.
     """
     signals = np.geomspace(_FEWEST, most, _SIGNALS)
     bounds = [
@@ -175,14 +177,14 @@ def _nearest(detector: SinglePhotonDetector, dark: float, most: float) -> tuple[
 
 
 def check_effects(camera: Camera, way: str) -> None:
-    """Raise ValueError where a camera file has effects of demodulation, which a way of measuring has not."""
+    """Raise ValueError for effects of demodulation in the file of a camera that does not demodulate."""
     found = [name for name, effect in camera.effects.items() if effect.demodulates]
     if found:
         raise ValueError(f"effects.{found[0]} does not act on {way}: remove it")
 
 
 def check_waveform(waveform: Waveform | None) -> None:
-    """Raise `InputError` where the samples of a demodulation are asked for."""
+    """Raise `InputError` where samples of a demodulation are requested."""
     from rim_camera_ros.errors import InputError
 
     if waveform is not None:

@@ -1,4 +1,4 @@
-"""Wraps of several modulation frequencies: which are possible, and which are the most likely of a pixel.
+"""Wraps of several modulation frequencies: the possible ones, and the most likely ones of a pixel.
 
 A phase at the frequency f_i states the distance modulo L_i = c / (2 f_i): d = d_i + n_i L_i (Kahlmann 2007,
 eq. 2.4). Phases at several frequencies state it modulo the least common multiple of the L_i. Of independent
@@ -9,7 +9,7 @@ distances with the standard deviations sigma_i,
 with w_i = 1 / sigma_i^2 and e_i the misclosure against the frequency of the shortest range, is minus twice
 the logarithm of the likelihood of the wraps n. Hypotheses of wraps are ranked in this way by F. Jaremo Lawin,
 P.-E. Forssen, H. Ovren, *Efficient Multi-Frequency Phase Unwrapping using Kernel Density Estimation*, ECCV
-2016; their weights are constants, these are those of the pixel's own noise.
+2016, with constant weights; here the weights are those by the pixel's own noise.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ Image = NDArray[np.float32]
 
 #: Share of an ambiguity range by which noise may carry a distance across its end: 0.6 rad of phase.
 _SLACK = 0.1
-#: Growth of J to the next likely wraps below which all others are counted, odds of 3e4.
+#: Difference of J to the second most likely wraps below which all other wraps are included (odds of 3e4).
 _CLOSE = np.float32(20.0)
-#: Pixels that are resolved together, so that what is computed on the way stays in the processor's cache.
+#: Number of pixels that are resolved together, so that intermediate values stay in the processor's cache.
 _BLOCK = 1 << 14
 
 
@@ -43,7 +43,7 @@ def common_range(frequencies: Sequence[float]) -> float:
 class Resolved:
     """Distances (H, W) [m] of the most likely wraps, and twice the log of their odds against all others.
 
-    Of two sets of wraps that is how much J grows to the next likely one.
+    With two sets of wraps this is the difference of J between the two.
     """
 
     distance: Image
@@ -57,9 +57,9 @@ class Resolved:
 
 
 class WrapTable:
-    """The wraps that are possible; ``ambiguities`` L_i and ``span`` (least and greatest distance) in metres.
+    """The possible wraps; ``ambiguities`` L_i and ``span`` (least and greatest distance) in metres.
 
-    ``rows``: sets of wraps, one number per frequency; None: all that the span allows.
+    ``rows``: sets of wraps, one number per frequency; None: all within the span.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class WrapTable:
         self._others = [i for i in range(len(ambiguities)) if i != self._lead]
         groups: dict[object, list[tuple[int, ...]]] = {}
         for row in self.rows:
-            # of all that are possible the nearest are found by rounding; given ones are tried one by one
+            # if all are possible the nearest are found by rounding; given sets are tried one by one
             groups.setdefault(row[self._lead] if rows is None else row, []).append(row)
         #: wraps of the shortest range, and the least and greatest of every other with them
         self._hypotheses = [
@@ -84,9 +84,9 @@ class WrapTable:
         ]
 
     def resolve(self, distances: Sequence[Image], sigmas: Sequence[Image]) -> Resolved:
-        """Return the most likely distances of those modulo L_i, all (H, W) float32 in metres.
+        """Return the most likely distances for distances modulo L_i, all (H, W) float32 in metres.
 
-        NaN where a frequency has none, and where no wraps of the table lie within the span.
+        NaN where a frequency has no distance, and where no wraps of the table lie within the span.
         """
         shape = distances[0].shape
         d = [np.ascontiguousarray(distance, np.float32).ravel() for distance in distances]
@@ -129,13 +129,13 @@ class WrapTable:
             outside = (there < low) | (there > high)
             if outside.any():
                 cost[outside] = np.inf
-            # the next likely is the lesser of those that are not the best
+            # the second most likely has the least cost except for the best
             np.minimum(second, np.maximum(cost, best), out=second)
             np.copyto(found, there, where=cost < best)
             np.minimum(best, cost, out=best)
             costs.append(cost)
         lead = second - best
-        # of few pixels the others beyond the next matter
+        # wraps after the second most likely only matter for few pixels
         close = np.flatnonzero(lead < _CLOSE)
         if close.size:
             nearest = best[close]
@@ -144,10 +144,11 @@ class WrapTable:
         return found, lead
 
     def probability_of_error(self, sigmas: Sequence[float]) -> float:
-        """Return how probable wrong wraps are, at most, with standard deviations [m] of the distances.
+        """Return an upper bound of the probability of wrong wraps, for standard deviations [m] of distances.
 
-        The sum over all differences of two rows of the probability that noise favours the other,
-        Q(sqrt(J) / 2) with J that of the difference, by the share of the span that has a distance for both.
+        It is a sum over all differences of two rows. Each term is the probability that noise favours the
+        other row, Q(sqrt(J) / 2) with J of the difference, times the share of the span with distances of
+        both.
         """
         from scipy.special import ndtr  # takes a good part of a node's start
 
@@ -168,7 +169,7 @@ class WrapTable:
 def possible(ambiguities: Sequence[float], span: tuple[float, float]) -> tuple[tuple[int, ...], ...]:
     """Return all sets of wraps whose ranges have a distance within the span [m] in common.
 
-    Each range has a tenth of itself to spare at both ends, across which noise carries distances.
+    Each range is extended at both ends by a tenth of its length, as noise carries distances across its ends.
     """
     edges = {*span}
     for period in ambiguities:

@@ -1,7 +1,7 @@
-"""A camera in one process: driver, correction and, with the parameter ``people``, who follows people.
+"""A camera in one process: driver, correction and, with the parameter ``people``, the node for people.
 
-The nodes have the names, topics, services and parameters that they have in processes of their own; frames
-go from one to the next in memory, and the raw topics are published only while somebody listens.
+The nodes have the same names, topics, services and parameters as in separate processes. Frames go from one to
+the next in memory, and the raw topics are published only while somebody listens.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rim_camera_ros.nodes.people import parameters as people_parameters
 
 
 def nodes() -> Iterator[Service]:
-    """Make the nodes one after the other, those that receive before those that give."""
+    """Make the nodes one after the other, receivers of frames before their sources."""
     frames, clouds = Handover[Exposure](), Handover[CorrectedCloud]()
     known = {
         spec.name

@@ -47,7 +47,7 @@ _SPREAD_ROUNDS = 10
 #: Corrections of ellipse centres are repeated until none changes by this many px.
 _ELLIPSE_ROUNDS = 10
 _ELLIPSE_SHIFT = 1e-5
-#: Rounds in which errors that targets share and what is known of their places are found in turn.
+#: Rounds in which the errors that targets share, and the covariance of their places, are found in turn.
 _SHARED_ROUNDS = 4
 #: Median of chi-square with two degrees of freedom, by which a median becomes a variance.
 _MEDIAN_CHI2 = 2 * np.log(2)
@@ -56,9 +56,9 @@ _MEDIAN_CHI2 = 2 * np.log(2)
 def adjust(bundle: Bundle, start: State, *, estimated: tuple[str, ...], loss: Loss = "squared") -> Adjusted:
     """Adjust a bundle from approximate values; ``estimated`` names optics parameters, the others stay.
 
-    Without ``fy`` the ratio fy / fx is held. The centres of ellipses are corrected with the result and the
-    adjustment repeated until they stay. Raises `NotDetermined` for a singular system, `RimError` where the
-    iteration finds no minimum.
+    Without ``fy`` the ratio fy / fx is held. The centres of ellipses are corrected with the result, and the
+    adjustment is repeated until the corrections no longer change. Raises `NotDetermined` for a singular
+    system, `RimError` where the iteration finds no minimum.
     """
     if not (bundle.correct_ellipses and bundle.radii.any()):
         return _minimise(replace(bundle, offsets=None), start, estimated, loss)
@@ -123,14 +123,14 @@ def _minimise(bundle: Bundle, start: State, estimated: tuple[str, ...], loss: Lo
             if damping > 1e8:
                 return _result(bundle, state, datum, estimated, weights, loss)
         gain = float(np.linalg.norm(step * scale)) / np.sqrt(max(cost, 1e-30))
-        # residuals of nothing are no scale to compare with
+        # residuals near zero give no scale for the change of their sum of squares: look at the step itself
         small = float(np.linalg.norm(step * scale)) < _NO_STEP
         state, residual, damping = trial, there, max(damping / 10, 1e-14)
         if gain < enough or small:
             return _result(bundle, state, datum, estimated, weights, loss)
     result = _result(bundle, state, datum, estimated, weights, loss)
     if loss == "huber":
-        # it only has to be near enough to tell gross errors
+        # a robust solution only has to be near enough to distinguish gross errors
         return result
     raise RimError(
         f"the bundle adjustment does not converge in {_ITERATIONS[loss]} steps",
@@ -141,8 +141,9 @@ def _minimise(bundle: Bundle, start: State, estimated: tuple[str, ...], loss: Lo
 def outliers(adjusted: Adjusted, bundle: Bundle, *, limit: float) -> NDArray[np.bool_]:
     """Return which points (n,) are gross errors, at most one at each station (data snooping, Baarda 1968).
 
-    It is the one whose residual exceeds its own sigma most, if by more than ``limit``; it pulls at its
-    neighbours, which therefore have to wait for another adjustment.
+    At each station it is the point with the largest residual over its own sigma, if that exceeds ``limit``.
+    A gross error also enlarges the residuals of its neighbours, which are therefore judged only after
+    another adjustment.
     """
     size = np.linalg.norm(adjusted.residuals, axis=1) / bundle.whole_sigma
     reach = np.sqrt(np.maximum(adjusted.point_redundancy, 0.05))
@@ -313,7 +314,7 @@ def _result(
     redundancy = len(residual) - normal.shape[0]
     n = len(bundle.sigma)
     rows = weighted[: 2 * n].toarray()
-    # what observations err by for themselves, in units of their sigmas
+    # variances of the independent errors of observations, in units of their whole variances
     own = np.ones(len(residual))
     own[: 2 * n] = np.repeat((bundle.sigma / bundle.whole_sigma) ** 2, 2)
     alone = inverse @ (weighted.multiply(own[:, None]).T @ weighted).toarray() @ inverse
@@ -341,12 +342,12 @@ def _result(
 def _by_shared_errors(
     bundle: Bundle, state: State, rows: Array, inverse: Array, alone: Array
 ) -> tuple[Array, tuple[Array, ...], float]:
-    """Return the covariance of the unknowns by what the targets of each station err by together.
+    """Return the covariance of the unknowns by the errors that the targets of a station share.
 
-    ``rows`` (2 n, unknowns): derivatives over sigmas; ``alone``: covariance by all other errors. Where
-    targets stand to each other, which decides how alike they err, is known as well as the unknowns are: both
-    are found in turn, beginning with errors that are all independent. With the covariances of the targets
-    (px^2) of each station, and the sum of their diagonals over the squares of the sigmas.
+    Also the covariances (px^2) of these errors for each station, and the sum of their diagonals over the
+    squared sigmas. ``rows`` (2 n, unknowns): derivatives over sigmas; ``alone``: covariance by all other
+    errors. The correlation of these errors depends on the places of the targets, which are only known as
+    well as the unknowns. Both are therefore found in turn, beginning with independent errors.
     """
     assert bundle.shifts is not None
     places, unknown = predicted(bundle, state), inverse

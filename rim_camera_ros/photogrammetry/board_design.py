@@ -56,8 +56,8 @@ class Shape:
 class BoardDesign:
     """A printable board.
 
-    ``cell`` [m]: side of the squares of the texture; ``levels`` (rows, columns): mean level of each of them,
-    0 ink to 1 paper, row by row from the upper left. ``shapes`` are drawn one after the other on paper.
+    ``cell`` [m]: side of a tile of the texture. ``levels`` (rows, columns): mean level of each tile, 0 ink to
+    1 paper, row by row from the upper left. ``shapes`` are drawn on paper, one after the other.
     """
 
     kind: Kind
@@ -164,7 +164,7 @@ def _checkerboard(columns: int, rows: int, square: float, greys: int) -> BoardDe
 
 
 def _squares(canvas: _Canvas, columns: int, rows: int, *, side: int, margin: int) -> None:
-    """Draw the black squares, of which the upper left is one (OpenCV's since 4.6)."""
+    """Draw the black squares; the upper left one is black (as in OpenCV since 4.6)."""
     for row in range(rows):
         for column in range(row % 2, columns, 2):
             canvas.rectangle(margin + column * side, margin + row * side, side, side)

@@ -1,4 +1,4 @@
-"""A board in one amplitude image: OpenCV's detectors say where, the texture says which way round."""
+"""A board in one amplitude image: OpenCV's detectors find it, its texture shows which way round it is."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _LARGEST = 1600
 _LEAST_POINTS = 4
 #: Points to the side of the board at which its texture is compared with the image.
 _COMPARED = 60
-#: Least correlation of texture and image of a board that is believed.
+#: Least correlation of texture and image with which a detected board is accepted.
 LEAST_CORRELATION = 0.4
-#: ... and of one that is taken without looking whether another look at the image shows it better: a detector
-#: may find one marker of many, or blobs that are not the circles.
+#: ... and with which it is accepted without a search in other versions of the image (enlarged, other grey
+#: values): a detector may find one marker of many, or blobs that are not the circles.
 _SURE = 0.8
-#: Two ways to lay the board whose correlations differ by less cannot be told apart.
+#: Two orientations of the board whose correlations differ by less are not distinguishable.
 _SAME = 0.1
 
 
@@ -41,8 +41,8 @@ _SAME = 0.1
 class FoundBoard:
     """A board in an image.
 
-    ``pose`` of its surface in the optical frame, approximate; ``points`` (n, 2) px, as detected;
-    ``correlation`` of its texture with the image there; ``ambiguous``: turned by half a turn it looks alike.
+    ``pose``: approximate, of its surface in the optical frame; ``points`` (n, 2) px, as detected;
+    ``correlation`` of its texture with the image there; ``ambiguous``: turned by 180 degrees it looks alike.
     """
 
     pose: Pose
@@ -61,8 +61,8 @@ def find_board(
 ) -> FoundBoard | None:
     """Find a board in an amplitude image (H, W); None where it is not seen.
 
-    ``optics`` of the camera, approximately. ``near``: a pose that decides where the board looks alike turned
-    by half a turn. Raises `InputError` for markers without cv2.aruco.
+    ``optics``: those of the camera, approximately. ``near``: of a board that looks alike when turned by 180
+    degrees, the orientation nearer to this pose is taken. Raises `InputError` for markers without cv2.aruco.
     """
     image = np.nan_to_num(np.asarray(amplitude, np.float32))
     greys = list(_greys(image))
@@ -101,7 +101,7 @@ def _greys(image: NDArray[np.float32]) -> Iterator[Grey]:
 
 
 def _laid(grey: Grey, targets: TextureTargets, scale: int) -> Iterator[tuple[Array, Array]]:
-    """Yield what the detector found: points (n, 2) of the board [m] and of the image [px], each way round."""
+    """Yield points (n, 2) of the board [m] and of the image [px] as detected, for each orientation."""
     if targets.dictionary:
         require_aruco()
         seen = detect_markers(grey, targets.dictionary)
@@ -131,7 +131,7 @@ def _laid(grey: Grey, targets: TextureTargets, scale: int) -> Iterator[tuple[Arr
 
 
 def _same_sense(board: Array, image: Array) -> bool:
-    """Whether both grids turn the same way: a board is seen from its front."""
+    """Whether both grids have the same handedness: a board is seen from its front, never mirrored."""
 
     def turn(grid: Array) -> float:
         down, across = grid[-1, 0] - grid[0, 0], grid[0, -1] - grid[0, 0]
@@ -200,7 +200,7 @@ def _turned(pose: Pose, near: Pose | None) -> float:
 
 
 def resection(on_board: Array, points: Array, optics: Optics) -> Pose | None:
-    """Return the pose of a plane from its points (n, 2) m and their images (n, 2) px; None without one.
+    """Return the pose of a plane from its points (n, 2) m and images (n, 2) px; None where none is found.
 
     cv2.solvePnP for planes (Collins and Bartoli 2014), then its iteration to the least squares.
     """

@@ -20,13 +20,14 @@ from rim_camera_ros.scene import TRUTH, Scene, Surface
 
 Array = NDArray[np.float64]
 
-#: The board rests as long as its points move by less than this, RMS of what they have in common [px].
+#: The board rests as long as the RMS of the common (affine) motion of its points is less than this [px].
 _REST = 0.12
 _WINDOW = 3
-#: ... and as long as the image there stays alike: where a board has left, corners are found nowhere near, and
-#: what does not move is where they were looked for. Noise takes little of the correlation of such contrasts.
+#: ... and as long as the correlation of the images there is above this: where a board has left, no corners
+#: are found nearby, and the points stay where they were looked for, as if at rest. Noise lowers the
+#: correlation of such contrasts little.
 _ALIKE = 0.8
-#: Frames without the board that are looked at again for another one, at most.
+#: Most frames without the board in which boards of other descriptions are looked for.
 _MOST_MISSED = 8
 
 
@@ -34,8 +35,9 @@ _MOST_MISSED = 8
 class BoardStations:
     """Frames of a recording sorted to stations of a board; filled while `frames` is iterated.
 
-    ``station`` of each frame's stamp; ``first`` stamp of each station; ``unseen`` counts the frames without
-    the board, ``ambiguous`` those in which it looks alike turned by half a turn.
+    ``station``: the station by a frame's stamp; ``first``: the first stamp of each station; ``unseen``:
+    number of frames without the board, ``ambiguous``: of those in which it looks alike when turned by 180
+    degrees.
     """
 
     surface: Surface
@@ -89,9 +91,10 @@ class BoardStations:
             self._missed, self._every = self._missed[::2], 2 * self._every
 
     def described_otherwise(self) -> str | None:
-        """Return as what the board is seen in frames in which it was not found; None: as nothing tried.
+        """Return the other descriptions with which the board is found in frames where it was not; None: none.
 
-        With width and height or bright and dark exchanged, with a row and a column of tiles more or less.
+        Tried are: width and height exchanged, bright and dark exchanged, a row and a column of tiles more or
+        fewer.
         """
         found: dict[str, int] = {}
         for words, surface in _other_descriptions(self.surface):
@@ -121,7 +124,7 @@ class BoardStations:
 
 
 def _other_descriptions(surface: Surface) -> Iterator[tuple[str, Surface]]:
-    """Yield surfaces that a board may be instead, and in words what must be said of it then."""
+    """Yield other surfaces that the board may be, each with the change of the scene file in words."""
     texture, size = surface.texture, surface.size
     if texture is None or size is None:
         return
@@ -162,10 +165,10 @@ def _settled(image: NDArray[np.float32], points: Array) -> Array:
 
 
 def _common_motion(points: Array, shifts: Array) -> float:
-    """Return the RMS [px] of the affine motion that points (n, 2) have in common, less what noise makes."""
+    """Return the RMS [px] of the affine motion that points (n, 2) have in common, less that of noise."""
     centred = (points - points.mean(axis=0)) / float(np.ptp(points) + 1e-9)
     design = np.column_stack([np.ones(len(points)), centred])
-    # the median first: single points that ran away tell nothing of the board
+    # the median first: single points that were lost say nothing about the board
     size = np.linalg.norm(shifts - np.median(shifts, axis=0), axis=1)
     good = size <= 4 * float(np.median(size)) + 1e-6
     if good.sum() < 4:

@@ -1,4 +1,4 @@
-"""What a bundle adjustment adjusts: observations with their covariance, unknowns, and the result."""
+"""Data of a bundle adjustment: observations with their covariance, unknowns, and the result."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ Loss = Literal["huber", "squared"]
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of the optics before: nine parameters ``mean``, and rows ``root`` (k, 9).
+    """Prior knowledge of the optics: ``mean`` of the nine parameters, and ``root`` (k, 9).
 
-    ``root`` times the departures from the mean has independent errors of sigma 1.
+    ``root`` times the departures from the mean has k independent errors of sigma 1.
     """
 
     mean: Array
@@ -30,14 +30,15 @@ class Prior:
 
 @dataclass(frozen=True)
 class Bundle:
-    """What is adjusted.
+    """The observations and fixed values of an adjustment.
 
-    ``image`` (n, 2) px with ``sigma`` (n,) px of what each target errs by for itself, ``station`` and
-    ``target`` (n,) indices. ``shifts`` (n, frequencies, 2) px: what the targets of a station err by together,
-    see `sampling`; None: nothing. ``targets`` (t, 3) m with ``radii`` (t,) and ``normals`` (t, 3);
-    ``distances``: (first, second, length, sigma) with indices of free targets. ``aspect``: fx / fy where the
-    two are not told apart (``estimated`` without ``fy``). ``offsets`` (n, 2) px: centres of the ellipses less
-    images of the circles' centres; None: not known yet. ``prior`` of the optics; None: nothing is known.
+    ``image`` (n, 2) px: observed points; ``sigma`` (n,) px: of their independent errors; ``station`` and
+    ``target`` (n,): indices. ``shifts`` (n, frequencies, 2) px: errors that the targets of a station share,
+    see `sampling`; None: there are none. ``targets`` (t, 3) m with ``radii`` (t,) and ``normals`` (t, 3);
+    ``distances``: (first, second, length, sigma) with indices of free targets. ``aspect``: the ratio fx / fy,
+    held where fy is not estimated (``estimated`` without ``fy``). ``offsets`` (n, 2) px: centres of the
+    ellipses less images of the circles' centres; None: not known yet. ``prior`` of the optics; None: no
+    prior.
     """
 
     image: Array
@@ -57,7 +58,7 @@ class Bundle:
 
     @property
     def whole_sigma(self) -> Array:
-        """1-sigma (n,) px of one coordinate, of its own and shared errors together."""
+        """1-sigma (n,) px of one coordinate, of independent and shared errors together."""
         if self.shifts is None:
             return self.sigma
         result: Array = np.sqrt(self.sigma**2 + np.sum(self.shifts**2, axis=(1, 2)) / 4)
@@ -78,15 +79,16 @@ class State:
 class Adjusted:
     """Result of an adjustment.
 
-    ``own`` and ``together``: covariance of all unknowns by the errors that targets have for themselves and
-    together, as these are stated; the first ``optics_unknowns`` are the estimated optics parameters, then six
-    for each station (rotation [rad] about x y z of the optical frame, translation [m]), then three for each
-    free target. ``inverse``: of the normal equations, in that order, by which unknowns follow observations.
-    ``residuals`` (n, 2) px; ``redundancy``: the degrees of freedom; ``expected``: the sum of squares of
-    residuals over their sigmas that errors as stated leave, which is less where targets err together;
-    ``sigma_zero``: root of the sum over that. ``point_redundancy`` (n,) 0..1: the share of an error of that
-    point which its residual shows. ``shared``: covariance px^2 of what the targets of each station err by
-    together, (2 m, 2 m) in their order.
+    ``own`` and ``together``: covariance of all unknowns by the independent errors of targets and by those
+    that the targets of a station share, both as stated (a priori). Order of the unknowns: the estimated
+    optics parameters (``optics_unknowns`` of them), six for each station (rotation [rad] about x y z of the
+    optical frame, translation [m]), three for each free target. ``inverse``: inverse of the normal matrix, in
+    that order. ``residuals`` (n, 2) px; ``redundancy``: the degrees of freedom.
+
+    ``expected``: expectation of the sum of squared residuals over sigmas for errors as stated, smaller where
+    targets share errors; ``sigma_zero``: root of the sum found over the one expected. ``point_redundancy``
+    (n,) 0..1: the share of an error of a point that its residual shows. ``shared``: for each station the
+    covariance px^2 of the errors that its m targets share, (2 m, 2 m) in their order.
     """
 
     state: State
@@ -104,7 +106,7 @@ class Adjusted:
     def covariance_by(self, factor: float) -> Array:
         """Return the covariance of all unknowns for a variance factor of the observations.
 
-        What targets err by together shows little in residuals: they make it no smaller.
+        Residuals show little of the errors that targets share: a factor below 1 does not reduce that part.
         """
         result: Array = factor * self.own + max(factor, 1.0) * self.together
         return result
@@ -126,7 +128,7 @@ class Adjusted:
 
 
 class NotDetermined(RimError):
-    """The observations do not determine the unknowns. ``unknown``: index of the one that is least so."""
+    """The observations do not determine the unknowns. ``unknown``: index of the least determined one."""
 
     def __init__(self, unknown: int) -> None:
         self.unknown = unknown
@@ -147,7 +149,10 @@ def predicted(bundle: Bundle, state: State) -> Array:
 
 
 def to_optics(fx: float, fy: float, estimated: tuple[str, ...]) -> Array:
-    """Return (9, k): how the nine parameters follow the estimated ones; fy follows fx and departs from it."""
+    """Return the derivatives (9, k) of the nine parameters by the estimated ones.
+
+    fy changes with fx; the parameter ``fy`` itself is its departure from the aspect.
+    """
     matrix = np.eye(len(OPTICS_PARAMETERS))
     matrix[1, 0] = fy / fx
     return matrix[:, [OPTICS_PARAMETERS.index(name) for name in estimated]]

@@ -14,7 +14,7 @@ from rim_camera_ros.yaml_files import Document, read_yaml, write_yaml
 def read_camera_info(path: Path) -> tuple[Optics, tuple[int, int]]:
     """Return optics and (height, width) of a camera_info file with distortion plumb_bob.
 
-    Raises `InputError` naming the key that is missing or wrong; for another distortion model.
+    Raises `InputError`, which names the key that is missing or wrong, also for another distortion model.
     """
     document = read_yaml(path)
     data = document.data if isinstance(document.data, dict) else {}

@@ -18,12 +18,12 @@ Image = NDArray[Any]
 
 #: Enlargement at which OpenCV looks for a board; without it squares of 6 px are not found.
 _ENLARGEMENT = 3
-#: Radius in px of the window that a corner is fitted in, and the least that still says something.
+#: Largest radius in px of the window in which a corner is fitted, and the least that is still usable.
 _LARGEST_WINDOW = 6.0
 _SMALLEST_WINDOW = 2.5
 #: Residuals in units of the step between the squares above which there is no corner.
 _LARGEST_RESIDUAL = 0.25
-#: A pixel is beside an edge up to this distance [px]: half its diagonal, and what is blurred.
+#: Up to this distance [px] a pixel counts as one at an edge: half its diagonal, and some for the blur.
 _BESIDE = 1.0
 
 
@@ -32,7 +32,8 @@ class Corner:
     """A corner at (u, v) in px (column, row) and its ``sigma`` in px (RMS of u and v).
 
     ``normals`` (2, 2): unit normals of the two edges, which are ``length`` px long in the window of the fit;
-    ``jagged``: what they show of the sampling. What they do not show is not in ``sigma``, see `sampling`.
+    ``jagged``: how jagged the edges are by the sampling. Errors by sampling that edges do not show are not in
+    ``sigma``, see `sampling`.
     """
 
     u: float
@@ -82,8 +83,8 @@ def refine_corners(
 
     ``axes`` (n, 2, 2): the vectors in px from each corner to the next along the two edges of the board that
     cross in it. ``bends`` (n, 2) 1/px: curvature of the edges by the lens, positive towards their normal, the
-    edge turned from u to v; None: straight. OpenCV's cornerSubPix leads to the corner, a fit to the grey
-    values gives it its precision: two crossing edges, blurred by the pixel's square and the optics, under a
+    edge turned from u to v; None: straight. OpenCV's cornerSubPix gives an approximate corner. A model is
+    then fitted to the grey values: two crossing edges, blurred by the pixel's square and the optics, under a
     linear illumination.
     """
     image = np.nan_to_num(np.asarray(amplitude, np.float32))
@@ -146,7 +147,7 @@ def _fit_corner(image: Image, start: Array, edges: Array, bend: Array, radius: f
         or np.hypot(p[0] - start[0], p[1] - start[1]) > radius
         or turned.max() > np.deg2rad(30)
         or not abs(p[6]) < 3
-        or not 0 < sigma < 1  # 0: of no contrast, nothing determines it
+        or not 0 < sigma < 1  # 0: without contrast, nothing determines it
     ):
         return None
     normals = np.column_stack([-np.sin(p[2:4]), np.cos(p[2:4])])

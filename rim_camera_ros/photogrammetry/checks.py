@@ -1,4 +1,4 @@
-"""What a bundle adjustment needs of its observations: errors where it cannot work, notes where it is weak."""
+"""Checks of the observations of a bundle adjustment: errors where it cannot work, notes where it is weak."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rim_camera_ros.photogrammetry.targets import Distance, ImagePoint, Observat
 
 Array = NDArray[np.float64]
 
-#: Fewest targets at a station: three give a pose, the fourth tells it from the three others.
+#: Fewest targets at a station: three allow up to four poses, the fourth target decides between them.
 LEAST_TARGETS = 4
 #: A field thinner than this share of its length is a plane.
 _FLAT = 0.02
@@ -22,9 +22,9 @@ _FLAT = 0.02
 #: tilts of 40 deg in different directions alone are up to 40 deg of roll between two stations.
 _LEAST_DIRECTIONS = np.deg2rad(5.0)
 _LEAST_ROLL = np.deg2rad(60.0)
-#: Routine data hold 1 to 10 % of gross errors (Hampel et al. 1986, sec. 1.2c); more are none of chance.
+#: Routine data hold 1 to 10 % of gross errors (Hampel et al. 1986, sec. 1.2c); more have another cause.
 _MOST_GROSS = 0.1
-#: Residuals of more than twice the variance that is stated have most of it from something else.
+#: Where residuals have more than twice the stated variance, most of it has another cause.
 _MOST_VARIANCE = 2.0
 
 
@@ -91,7 +91,7 @@ def usable_points(observations: Observations) -> tuple[list[ImagePoint], list[st
 
 
 def check_field(field: TargetField, *, distances: Sequence[Distance], free: bool) -> None:
-    """Raise `InputError` for distances between unknown targets, without need, or that are no lengths."""
+    """Raise `InputError` for distances between unknown targets, with known coordinates, or not positive."""
     for distance in distances:
         for name in (distance.first, distance.second):
             if name not in field.targets:
@@ -139,8 +139,8 @@ def check_directions(targets: Array, rotations: Array) -> None:
 def geometry_notes(rotations: Array, correlation: Array, names: Sequence[str]) -> list[str]:
     """Return a warning where no station is rolled about the optical axis against another.
 
-    ``rotations`` (s, 3, 3) field to camera; ``correlation`` (k, k) of the optics parameters ``names``, of
-    which the greatest between principal point and decentring is named.
+    ``rotations`` (s, 3, 3) field to camera; ``correlation`` (k, k) of the optics parameters ``names``: the
+    warning states the greatest correlation between principal point and decentring.
     """
     between = np.einsum("aij,bkj->abik", rotations, rotations).reshape(-1, 3, 3)
     quaternions = Rotation.from_matrix(between).as_quat()
@@ -165,13 +165,13 @@ def geometry_notes(rotations: Array, correlation: Array, names: Sequence[str]) -
 
 
 def doubts(rejected: int, kept: int, sigma_zero: float) -> list[str]:
-    """Return a warning where more targets were rejected, or residuals are larger, than chance makes them."""
+    """Return a warning where more targets were rejected, or residuals are larger, than by chance."""
     many = rejected > _MOST_GROSS * (rejected + kept)
     large = sigma_zero**2 > _MOST_VARIANCE
     if not (many or large):
         return []
     words = [f"{rejected} of {rejected + kept} targets were rejected as gross errors"] * many
-    words += [f"residuals are {sigma_zero:.2g} times as large as the images of the targets tell"] * large
+    words += [f"residuals are {sigma_zero:.2g} times as large as the images of the targets imply"] * large
     widened = ", by which the standard deviations are widened" if large else ""
     return [
         f"{' and '.join(words)}{widened}: do not use these optics before the cause is known (a board that is "

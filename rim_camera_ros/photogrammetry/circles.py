@@ -23,7 +23,7 @@ Image = NDArray[Any]
 
 #: Pixels around a target that show its background, in px from the edge.
 MARGIN = 3.0
-#: Number of thresholds that are tried, and at how many a target must appear.
+#: Number of thresholds that are tried, and the least number at which a target must appear.
 _THRESHOLDS = 24
 _PERSISTENCE = 2
 #: Residuals of a fit in units of the contrast between target and background, above which it is no ellipse.
@@ -67,9 +67,9 @@ def homogenise(
 ) -> Array:
     """Return the logarithm of the amplitude (H, W) over the illumination of the background, with median 0.
 
-    ``reference``: an image of the empty background (the thesis' black board) by which to divide; else the
-    background is what is left when everything bright (``dark``: dark) and narrower than ``largest_diameter``
-    px is removed (grey opening). Pixels that are not finite or not positive count as unlit.
+    ``reference``: an image of the empty background (the thesis' black board) by which to divide. Without it
+    the background is estimated by a grey opening, which removes everything bright (``dark``: dark) and
+    narrower than ``largest_diameter`` px. Pixels that are not finite or not positive count as unlit.
     """
     image = np.where(np.isfinite(amplitude) & (amplitude > 0), amplitude, 0).astype(np.float32)
     lit = image[image > 0]
@@ -110,10 +110,10 @@ def find_circles(
 ) -> list[Ellipse]:
     """Return the images of circular targets in an amplitude image (H, W), from top to bottom.
 
-    Bright targets on a darker background (``dark``: the reverse), ellipses whose axes lie between the two
-    diameters in px, whole within the image. ``reference`` as in `homogenise`. A ``sigma`` is that of one
-    image with the noise and the misfit found around that target. Raises ValueError for an image that has
-    not two dimensions.
+    Targets are bright on a darker background (``dark``: the reverse), ellipses whose axes lie between the two
+    diameters in px, and wholly within the image. ``reference`` as in `homogenise`. ``sigma`` of a target is
+    that of one image, by the noise and the misfit found around it. Raises ValueError for an image that does
+    not have two dimensions.
     """
     if amplitude.ndim != 2:
         raise ValueError(f"an amplitude image has two dimensions, not shape {amplitude.shape}")
@@ -143,9 +143,9 @@ def fit_ellipse(
 ) -> Ellipse | None:
     """Fit the image of a circle to the grey values near (u, v) = ``centre``; None where none is there.
 
-    ``shape`` as in `Ellipse`, to begin with; ``others``: (u, v, a_uu, a_uv, a_vv) of neighbours, whose pixels
-    are left out. The model: two levels, an edge blurred by the pixel's square and by the optics, and an
-    illumination that varies linearly.
+    ``shape``: the approximate one, as in `Ellipse`; ``others``: (u, v, a_uu, a_uv, a_vv) of neighbours, whose
+    pixels are excluded. The model has two levels, an edge blurred by the pixel's square and by the optics,
+    and an illumination that varies linearly.
     """
     height, width = amplitude.shape
     lower = _cholesky(shape)
@@ -228,12 +228,12 @@ def _depth(parameters: Array, x: Array, y: Array) -> Array:
 
 
 def _edge(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Distance (k, n) in px from the edge into the ellipse, to first order, and the edge's normal (u, v).
+    """Return the distance (k, n) in px from the edge into the ellipse, and the edge's normal (u, v).
 
-    Exact for a circle.
+    The distance is of first order, exact for a circle.
     """
     u, v, log1, l2, log3 = (parameters[:, i, None] for i in range(5))
-    # trial steps may go astray: no image has axes beyond these
+    # trial steps may diverge: no image has axes beyond these
     l1, l3 = (np.exp(np.clip(value, -_MOST_LOG, _MOST_LOG)) for value in (log1, log3))
     first = (x - u) / l1
     second = (y - v - l2 * first) / l3
@@ -246,10 +246,7 @@ def _edge(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
 
 
 def _candidates(level: Array, *, smallest: float, largest: float) -> list[tuple[float, ...]]:
-    """Search the threshold of each target: blobs that fill an ellipse over some of the thresholds.
-
-    Returns (u, v, a_uu, a_uv, a_vv, area) of each.
-    """
+    """Return the blobs that fill an ellipse at several thresholds, each as (u, v, a_uu, a_uv, a_vv, area)."""
     top = float(np.quantile(level, 0.999))
     lowest = max(0.1 * top, np.log1p(_LEAST_CONTRAST))
     if not top > lowest:
@@ -272,7 +269,7 @@ def _candidates(level: Array, *, smallest: float, largest: float) -> list[tuple[
 
 
 def _blobs(binary: NDArray[np.bool_], *, smallest: float, largest: float) -> list[tuple[float, ...]]:
-    """Return connected blobs as ellipses of the same second moments, those that fill theirs."""
+    """Return connected blobs as ellipses of the same second moments, only those that fill their ellipse."""
     number, labels, stats, centres = cv2.connectedComponentsWithStats(
         binary.astype(np.uint8), connectivity=4, ltype=cv2.CV_32S
     )
@@ -290,7 +287,7 @@ def _blobs(binary: NDArray[np.bool_], *, smallest: float, largest: float) -> lis
         inside = left > 0 and upper > 0 and left + wide < width and upper + high < height
         if not inside or max(wide, high) > 1.2 * largest or max(wide, high) < 0.6 * smallest or area[i] < 5:
             continue
-        # an ellipse has second moments of a quarter of its shape's; a pixel adds its own
+        # the second moments of an ellipse are a quarter of its shape's matrix, and those of a pixel are added
         shape = [4 * (moments[0][i]), 4 * moments[1][i], 4 * (moments[2][i])]
         determinant = shape[0] * shape[2] - shape[1] ** 2
         if determinant <= 0:
@@ -302,7 +299,7 @@ def _blobs(binary: NDArray[np.bool_], *, smallest: float, largest: float) -> lis
 
 
 def _distinct(ellipses: list[Ellipse]) -> list[Ellipse]:
-    """Return the ellipses without those that were found twice; the more precise one stays."""
+    """Return the ellipses without duplicates; of two that overlap the more precise one stays."""
     kept: list[Ellipse] = []
     for ellipse in sorted(ellipses, key=lambda ellipse: ellipse.sigma):
         if all(np.hypot(ellipse.u - other.u, ellipse.v - other.v) > other.axes[1] for other in kept):

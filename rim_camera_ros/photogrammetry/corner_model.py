@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CornerModel:
-    """Grey values at pixels (``x``, ``y``), (n,) in px, around a corner that is sought near ``start``.
+    """Grey values at pixels (``x``, ``y``), (n,) in px, around a corner near ``start``.
 
     ``bend`` (2,) 1/px are the curvatures of the edges. The parameters are u and v of the corner [px], the
     angles of the two edges [rad], mean and half the step of the grey values, sigma of the blur [px], and the

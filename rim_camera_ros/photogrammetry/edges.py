@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 Array = NDArray[np.float64]
 
-#: Edges sharper than this (Gaussian, px) and directions nearer to the pixel's sides are not told apart.
+#: Sigma [px] that is added in quadrature to the blur, and least component of the normal that is used.
 _SHARPEST = 0.02
 _LEAST_SLOPE = 1e-3
 
@@ -48,7 +48,7 @@ def edge_coverage(depth: Array, normal_u: Array, normal_v: Array, blur: Array) -
 
 
 def edge_coverage_slopes(depth: Array, normal_u: Array, normal_v: Array, blur: Array) -> Coverage:
-    """Return what `edge_coverage` does with its derivatives."""
+    """Return the coverage as `edge_coverage` does, with its derivatives."""
     sigma = np.hypot(blur, _SHARPEST)
     wide, high, outer, inner = _sides(normal_u, normal_v)
     area = wide * high

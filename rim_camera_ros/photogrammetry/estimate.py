@@ -51,15 +51,15 @@ def estimate_optics(
     """Estimate a camera's optics from a target field seen from several stations (bundle adjustment).
 
     Brown's model in the parametrisation of plumb_bob (Kahlmann 2007, sec. 3.2). ``start``: approximate
-    optics, which also give the parameters that are not in ``parameters`` (names of fx fy cx cy k1 k2 p1 p2
-    k3; without fy the ratio fy / fx is held). ``targets``: the field's coordinates are ``known``, or
-    ``free``: the datum then comes from inner constraints, the scale from ``distances`` if there are any.
+    optics; parameters that are not in ``parameters`` (names of fx fy cx cy k1 k2 p1 p2 k3) keep their values
+    from there, and without fy the ratio fy / fx is held. ``targets``: the field's coordinates are ``known``,
+    or ``free``: the datum then comes from inner constraints, the scale from ``distances`` if there are any.
     ``significance``: level at which departures from ``start`` are tested; parameters without a significant
     one keep its value, one group after the other, the least significant first (k3, then k2, then k1; p1 with
-    p2; fy apart from fx); None: all are estimated. ``known``: covariance of ``start`` by what was known
-    before; its parameters are estimated with it as a prior, and not tested.
-    ``loss``: ``huber`` bounds the influence of gross errors, which are then rejected; ``squared`` is plain
-    least squares. ``correct_ellipses``: circles are compared with the centres of their ellipses.
+    p2; fy apart from fx); None: all are estimated. ``known``: prior covariance of ``start``; its parameters
+    are estimated with it as a prior, and not tested. ``loss``: ``huber`` bounds the influence of gross
+    errors, which are then rejected; ``squared`` is plain least squares. ``correct_ellipses``: circles are
+    compared with the centres of their ellipses.
 
     Returns the optics, the covariance of what was estimated, and a report. Raises `InputError` for too few
     targets, a single station, a plane seen from one direction, ids that the field does not have, or geometry
@@ -90,13 +90,13 @@ def estimate_optics(
         points, few = usable_points(replace(observations, points=kept))
         notes += [f"after rejecting gross errors {note}" for note in few]
         block = block_of(points)
-        # a pose that a gross error led astray starts anew
+        # a pose that a gross error has spoilt starts anew
         adjusted = _adjusted(block, state_from(block, poses, adjusted.state.optics), estimated, loss)
     if loss == "huber":
         adjusted = _adjusted(block, adjusted.state, estimated, "squared")
 
     if prior is not None:
-        # its weight beside observations that err by sigma zero times what they state
+        # keeps its weight relative to observations whose errors are sigma zero times as large as stated
         scaled = replace(prior, root=adjusted.sigma_zero * prior.root)
         block = replace(block, bundle=replace(block.bundle, prior=scaled))
         adjusted = _adjusted(block, adjusted.state, estimated, "squared")
@@ -145,7 +145,7 @@ def _check_names(parameters: Sequence[str]) -> None:
 
 @dataclass(frozen=True)
 class Block:
-    """A bundle with what its indices stand for: points, stations, target ids."""
+    """A bundle with the points, stations and target ids that its indices stand for."""
 
     bundle: Bundle
     points: tuple[ImagePoint, ...]
@@ -200,7 +200,7 @@ def state_from(block: Block, poses: Mapping[int, tuple[Array, Array]], optics: A
 
 
 def start_poses(observations: Observations, block: Block, start: Optics) -> dict[int, tuple[Array, Array]]:
-    """Return rotation (3, 3) and translation (3,) by station: given, else by resection (cv2.solvePnP)."""
+    """Return rotation (3, 3) and translation (3,) by station: as given, or else by cv2.solvePnP."""
     poses: dict[int, tuple[Array, Array]] = {}
     bundle = block.bundle
     rays = rays_through(start, bundle.image)

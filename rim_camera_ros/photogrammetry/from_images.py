@@ -1,4 +1,4 @@
-"""From a recorded board to truth poses: found, adjusted, written with their covariance."""
+"""Truth poses from a recorded board: it is found in the images, its poses are adjusted and written."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from rim_camera_ros.photogrammetry.report import OpticsCovariance, OpticsReport
 from rim_camera_ros.photogrammetry.targets import Observations
 from rim_camera_ros.scene import Scene, Surface
 
-#: What is taken of optics whose camera file states no covariance: focal length (relative), centre [px].
+#: 1-sigmas assumed where the camera file states no covariance: focal length (relative), centre [px].
 DEFAULT_FOCAL_SIGMA = 0.002
 DEFAULT_CENTRE_SIGMA = 0.5
 #: ... and of the size of a printed board: 0.1 mm in 200 mm.
@@ -36,9 +36,9 @@ Wrapped = Callable[[Iterable[RawFrame]], Iterable[RawFrame]]
 
 @dataclass(frozen=True)
 class Known:
-    """What is declared known: relative 1-sigma of focal length and board size, of the principal point in px.
+    """Declared 1-sigmas: of focal length and board size (relative), of the principal point in px.
 
-    None: as the camera file's covariance says, else the defaults.
+    None: by the covariance of the camera file, or else the default.
     """
 
     focal_sigma: float | None = None
@@ -47,12 +47,12 @@ class Known:
 
     @property
     def focal(self) -> float:
-        """Relative 1-sigma of a focal length that nothing else tells."""
+        """Relative 1-sigma of a focal length of which the camera file states no covariance."""
         return DEFAULT_FOCAL_SIGMA if self.focal_sigma is None else self.focal_sigma
 
     @property
     def centre(self) -> float:
-        """1-sigma [px] of a principal point that nothing else tells."""
+        """1-sigma [px] of a principal point of which the camera file states no covariance."""
         return DEFAULT_CENTRE_SIGMA if self.centre_sigma is None else self.centre_sigma
 
 
@@ -60,7 +60,7 @@ class Known:
 class ImagePoses:
     """Poses of a board by the stamps of the frames that show it.
 
-    ``optics`` with ``covariance`` as they were used; ``report`` of their estimation, None: they were held.
+    ``optics`` and ``covariance`` as they were used; ``report`` of their estimation, None if they were held.
     """
 
     surface: Surface
@@ -119,9 +119,10 @@ class ImagePoses:
         return lines
 
     def scene_of(self, board: Scene, *, share: float, scale: float) -> Scene:
-        """Return the scene with what the board's poses err by in common.
+        """Return the scene with the common errors of the board's poses.
 
-        A ``share`` of their variance that is the same in all, and the relative 1-sigma of their ``scale``.
+        ``share``: the share of their variance that is the same in all; ``scale``: the relative 1-sigma of
+        their scale.
         """
         surfaces = [
             replace(surface, pose_common=share, pose_scale_sigma=scale)
@@ -132,12 +133,12 @@ class ImagePoses:
         return replace(board, surfaces=tuple(surfaces))
 
     def scale_words(self, board_sigma: float) -> str:
-        """Return what cannot be told apart: scale of distances, focal length, size of the board."""
+        """Return in words how well the scale of distances is known; images do not separate it from others."""
         return (
             "distance scale, focal length and size of the board are not separable from images: all distances "
             f"to the board are known to {100 * self.poses.scale_sigma:.2g} % together (focal length and "
             "principal point, size of the board "
-            f"{100 * board_sigma:.2g} %): a distance_scale within that tells nothing of the camera; "
+            f"{100 * board_sigma:.2g} %): a distance_scale within that says nothing about the camera; "
             f"{100 * self.poses.common_share:.0f} % of the variance of the poses is the same at all stations "
             f"(pose_common: {self.poses.common_share:.2f}, pose_scale_sigma: {self.poses.scale_sigma:.2g} of "
             "the scene file)"
@@ -156,11 +157,11 @@ def poses_of_recording(
 ) -> ImagePoses:
     """Find the board of a scene in a recording and return its poses.
 
-    ``estimate`` names parameters of the optics (fx fy cx cy k1 k2 p1 p2 k3) that are adjusted together with
-    the poses, and with them those of which the camera file states a covariance, which is a prior; none: the
-    optics of ``camera`` are held. ``known`` says how well they, and the size of the
-    board, are known. Raises `InputError` where the scene has no board or no frame shows it, `RimError`
-    where no pose is determined.
+    ``estimate`` names parameters of the optics (fx fy cx cy k1 k2 p1 p2 k3) that are adjusted jointly with
+    the poses. Parameters with a covariance in the camera file are then adjusted as well, with it as a prior.
+    Without names the optics of ``camera`` are held. ``known``: how well the optics and the size of the board
+    are known. Raises `InputError` where the scene has no board or no frame shows it, `RimError` where no
+    pose is determined.
     """
     known = known or Known()
     surface = board_of(scene)
@@ -191,8 +192,8 @@ def poses_of_recording(
         notes.append(f"{path}: excluded: {stations.unseen} frames in which the board was not found")
     if stations.ambiguous:
         notes.append(
-            f"turned by half a turn the board '{surface.name}' looks alike: which end is which is taken from "
-            "the frame before (grey fields, markers, or an even by an odd number of squares would tell)"
+            f"turned by 180 degrees the board '{surface.name}' looks alike: which end is which is taken from "
+            "the frame before (grey fields, markers, or an even by an odd number of squares would show it)"
         )
     if report is None and stated_optics(camera) is None:
         notes.append(
@@ -215,7 +216,7 @@ def poses_of_recording(
 def write_poses(
     source: Path, found: ImagePoses, out: Path, *, topics: Topics | None = None, force: bool = False
 ) -> None:
-    """Write the frames of a recording that have a pose with it and its covariance."""
+    """Write the frames of a recording that have a pose, with the pose and its covariance."""
     with Recording(source, topics=topics) as bag, RecordingWriter(out, force=force) as writer:
         for frame in found.placed(bag.frames()):
             writer.write_raw(frame)

@@ -1,4 +1,4 @@
-"""Least squares of a target's model to the grey values of an image, with a covariance from what is left."""
+"""Least squares fit of a model of a target to the grey values of an image, with a covariance by residuals."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class WithDifferences:
 class GreyFit:
     """Parameters (p,), their covariance (p, p) and the RMS of the residuals in grey values.
 
-    ``squares`` (n,): squared residuals, without what each grey value has taken of its own by the fit.
+    ``squares`` (n,): squared residuals, corrected for the pull (leverage) of each grey value on the fit.
     """
 
     parameters: Array
@@ -62,9 +62,8 @@ class GreyFit:
 def fit_grey_values(model: GreyModel, start: Array, grey: Array) -> GreyFit | None:
     """Fit ``model`` to the grey values (n,) from ``start`` (p,); None where it does not converge.
 
-    The covariance is the heteroscedasticity-consistent one (MacKinnon & White 1985, HC3): what the model
-    misses sits at the edges of a target, where the position comes from, and one variance for all pixels would
-    hide it.
+    The covariance is the heteroscedasticity-consistent one (MacKinnon & White 1985, HC3). The model fits
+    worst at the edges of a target, which determine its position; one variance for all pixels would hide that.
     """
     count, unknowns = len(grey), len(start)
     if count <= unknowns + 2:
@@ -77,7 +76,7 @@ def fit_grey_values(model: GreyModel, start: Array, grey: Array) -> GreyFit | No
     if found.status <= 0 or not np.isfinite(found.x).all():
         return None
     scale = np.linalg.norm(found.jac, axis=0)
-    # a parameter without effect, such as a blur of nothing, stays as it is
+    # a parameter without effect, such as a blur of zero, stays as it is
     moving = scale > 1e-9 * scale.max()
     q, r = np.linalg.qr(found.jac[:, moving] / scale[moving])
     if np.abs(np.diag(r)).min() < 1e-7:

@@ -1,4 +1,4 @@
-"""What a camera file states of its optics: what an adjustment begins with, and what becomes of it."""
+"""Optics and covariance of a camera file: as the prior of an adjustment, and replaced by its result."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from rim_camera_ros.photogrammetry.report import OpticsCovariance
 
 Array = NDArray[np.float64]
 
-#: Directions of the stated covariance are known at most a thousand times better than the worst of them.
+#: Least eigenvalue of the stated correlation, over the largest: no direction counts as known more than a
+#: thousand times better than the worst.
 _FLATTEST = 1e-6
-#: A departure from what is stated is said where chance makes it this seldom.
+#: Departures from the stated optics are noted where their probability by chance is below this.
 _SURPRISE = 1e-3
-#: Share of the variance that observations take from a direction at least, of which they tell something.
+#: Directions count in that test if the observations reduce their prior variance at least by this share.
 _LEAST_TOLD = 1e-3
 
 
@@ -41,8 +42,8 @@ def stated_optics(camera: Camera) -> OpticsCovariance | None:
 def prior_of(start: Optics, known: OpticsCovariance) -> tuple[Prior, tuple[str, ...]]:
     """Return the optics ``start`` with a covariance as a prior, and the names of the parameters in it.
 
-    Without those that are stated exactly. An fy that follows fx, or has none beside it, is left to the ratio
-    of the two.
+    Parameters that are stated exactly are not in it, nor is fy where it follows fx or where fx is not in it:
+    then the ratio of the two is held.
     """
     index = [OPTICS_PATHS.index(path) for path in known.parameters]
     sigma = np.sqrt(np.diag(known.matrix))
@@ -60,17 +61,18 @@ def prior_of(start: Optics, known: OpticsCovariance) -> tuple[Prior, tuple[str, 
 
 
 def departure_note(optics: Array, covariance: OpticsCovariance, prior: Prior) -> list[str]:
-    """Return a note where nine parameters are further from a prior than it and the observations allow.
+    """Return a note where the nine parameters depart from the prior by more than their errors allow.
 
-    ``covariance`` of the result, which holds the prior: departures have that of the prior less that of the
-    result (Hausman 1978). Directions of which the observations tell nearly nothing do not count.
+    ``covariance``: that of the result, prior included. The covariance of the departures is that of the prior
+    less that of the result (Hausman 1978). Directions in which the observations add nearly nothing to the
+    prior do not count.
     """
     at = [OPTICS_PATHS.index(path) for path in covariance.parameters]
     root = prior.root[:, at]
     left, directions = np.linalg.eigh(root @ covariance.matrix @ root.T)
-    told = left < 1 - _LEAST_TOLD
+    informed = left < 1 - _LEAST_TOLD
     departures = directions.T @ prior.root @ (optics - prior.mean)
-    square, count = float(np.sum(departures[told] ** 2 / (1 - left[told]))), int(told.sum())
+    square, count = float(np.sum(departures[informed] ** 2 / (1 - left[informed]))), int(informed.sum())
     if not count or square <= chi2.isf(_SURPRISE, count):
         return []
     return [
@@ -81,10 +83,10 @@ def departure_note(optics: Array, covariance: OpticsCovariance, prior: Prior) ->
 
 
 def with_optics(camera: Camera, optics: Optics, covariance: OpticsCovariance) -> Camera:
-    """Return a camera with optics that were estimated, their covariance in the place of the old one.
+    """Return a camera with estimated optics, their covariance in place of the old one.
 
-    What the file states of other parameters stays. They err with the optics as they did, as far as the new
-    optics follow the old: Cov(e, new) = C_e,old C_old^-1 C_new.
+    The covariance of other parameters stays. They stay correlated with the optics as far as the new optics
+    depend on the old: Cov(e, new) = C_e,old C_old^-1 C_new.
     """
     new = list(covariance.parameters)
     old = camera.covariance

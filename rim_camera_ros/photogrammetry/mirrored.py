@@ -1,8 +1,8 @@
 """The two poses that fit the image of a small plane, mirrored at the line of sight.
 
-Schweighofer and Pinz (2006): the image of a plane that is seen small, or in front, hardly changes when its
-normal is mirrored at the line of sight. Residuals tell the two apart, or they do not: then both are possible,
-and what is known of the pose is a mixture.
+Schweighofer and Pinz (2006): the image of a plane that appears small, or is seen from in front, hardly
+changes when its normal is mirrored at the line of sight. Where residuals do not distinguish the two poses,
+both are possible, and the pose is described by a mixture of the two.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Fitted:
-    """The pose of one station that was adjusted to its targets; ``rejected`` of them were gross errors."""
+    """The pose of one station, adjusted to its targets; ``rejected``: number of gross errors among them."""
 
     adjusted: Adjusted
     bundle: Bundle
     rejected: int
 
     def cost(self, variance: float) -> float:
-        """Return the sum of squares of residuals over their sigmas and a variance factor.
+        """Return the sum of squared residuals over their variances, times a variance factor.
 
-        Beside wrong residuals no target looks like a gross error: those rejected count at their limit.
+        Rejected targets count with a residual at the limit of rejection: a wrong pose with large residuals
+        everywhere rejects none, and would otherwise be compared over other targets.
         """
         squares = self.adjusted.expected * self.adjusted.sigma_zero**2
         return squares / max(variance, 1e-300) + self.rejected * GROSS**2
@@ -40,8 +41,8 @@ class Fitted:
 class PlacedPose:
     """A pose: ``rotation`` (3, 3), ``shift`` (3,) m, and the two parts of its covariance.
 
-    ``own`` and ``common`` (6, 6): by its image, and by what is common to all stations; x y z [m], rotations
-    about the axes of the optical frame [rad].
+    ``own`` (6, 6): by the noise of its image; ``common`` (6, 6): by errors common to all stations. In the
+    order x y z [m], rotations about the axes of the optical frame [rad].
     """
 
     rotation: Array
@@ -63,16 +64,17 @@ def mirrored(rotation: Array, shift: Array, centre: Array) -> tuple[Array, Array
 
 
 def log_odds(first: Fitted, second: Fitted, variance: float) -> float:
-    """Return the logarithm of the probability of one pose over that of another, by their residuals.
+    """Return the logarithm of the odds of one pose against another, by their residuals.
 
-    ``variance``: factor of the targets' own variances. Of residuals with a covariance C the squares of two
-    poses differ by what they have along d, the difference of the two images: half of it, over the variance
-    d'C d / d'd that errors have there. Errors that targets share may look as one of the poses. The volume of
-    each pose's covariance is the part of all poses that fit alike.
+    ``variance``: factor on the variances of independent errors. The sums of squared residuals of the two
+    poses differ only by components along d, the difference of the two images. Half their difference is
+    therefore divided by the variance of errors along d, d'C d / d'd with the covariance C of the residuals:
+    errors that targets share may look like one of the poses. The volume of the covariance of each pose
+    accounts for all poses near it that fit as well.
     """
     bundle = first.bundle
     sigma = bundle.whole_sigma[:, None]
-    # targets that either of the two rejected are no part of its state
+    # states without the targets that one of the two rejected
     states = [replace(fit.adjusted.state, targets=bundle.targets) for fit in (first, second)]
     images = [predicted(bundle, state) / sigma for state in states]
     apart = (images[1] - images[0]).ravel()
@@ -89,7 +91,7 @@ def log_odds(first: Fitted, second: Fitted, variance: float) -> float:
 
 
 def mixture(first: PlacedPose, second: PlacedPose, probability: float) -> PlacedPose:
-    """Return mean and covariance of two poses, the first of that ``probability``."""
+    """Return mean and covariance of a mixture of two poses, of which the first has that ``probability``."""
     other = 1 - probability
     turn = Rotation.from_matrix(second.rotation @ first.rotation.T).as_rotvec()
     apart = np.concatenate([second.shift - first.shift, turn])

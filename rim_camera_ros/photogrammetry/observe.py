@@ -1,4 +1,4 @@
-"""Observations of a target field from recorded frames: what the scene says is there, found in the images."""
+"""Observations of a target field from recorded frames: targets of the scene file, found in the images."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _SIZE_FACTOR = 1.6
 _SMALLEST = 4.0
 #: Largest departure in m of the recorded poses from one rigid field.
 _RIGID = 0.02
-#: Where a target's surroundings are looked at, in radii or in edges of a square.
+#: Number of points on the rim of a circle at which it is looked whether it is in view.
 _RIM = 8
 
 
@@ -54,14 +54,14 @@ def observe(
 ) -> Observations:
     """Find the targets of a scene in recorded frames.
 
-    ``frames`` such as `Recording.frames` gives them; consecutive frames with the same truth poses are one
-    station, whose amplitudes are averaged. ``scene`` describes the field, see `FieldOnSurfaces.from_scene`.
-    Targets are identified by prediction from the recorded poses and the optics of ``camera``: the nearest
-    within ``gate`` px. ``reference``: amplitude image (H, W) of the empty background, see
-    `circles.homogenise`. The stations' poses are handed on as approximate values only.
+    ``frames``: as of `Recording.frames`. Consecutive frames with the same truth poses are one station, and
+    their amplitudes are averaged. ``scene`` describes the field, see `FieldOnSurfaces.from_scene`. Places of
+    targets are predicted from the recorded poses and the optics of ``camera``; a target is the nearest that
+    is found within ``gate`` px. ``reference``: amplitude image (H, W) of the empty background, see
+    `circles.homogenise`. The recorded poses only serve as approximate values.
 
     Raises `InputError` where the scene has no targets, no frame has a pose of them, their poses do not
-    belong to one rigid field, or the frames have another size than the camera.
+    belong to one rigid field, or the frames do not have the size of the camera's images.
     """
     if not gate > 0:
         raise InputError(f"gate is {gate:g} px", place="gate", remedy="it must be positive")
@@ -116,7 +116,7 @@ def observe(
 
 @dataclass(frozen=True)
 class _View:
-    """One station: recorded poses, mean amplitude (H, W), NaN where none, and which pixels saturated."""
+    """One station: recorded poses, mean amplitude (H, W), NaN where there is none, and saturated pixels."""
 
     truth: Mapping[str, Pose]
     amplitude: Array
@@ -161,9 +161,10 @@ def _near_saturated(view: _View, found: _Found) -> bool:
 
 
 def _with_sampling(seen: Sequence[tuple[str, int, _Found]]) -> tuple[list[ImagePoint], list[str]]:
-    """Return the points with the errors by sampling that their edges hide, as far as others show them.
+    """Return the points with their errors by sampling, and notes.
 
-    A note where these are more than half of the variance of most corners.
+    The size of these errors is estimated from edges that are seen jagged. There is a note where they are more
+    than half of the variance of most corners.
     """
     variance = sampling_variance(
         [target.place.jagged for _, _, target in seen if isinstance(target.place, Corner)]
@@ -194,7 +195,7 @@ def _with_sampling(seen: Sequence[tuple[str, int, _Found]]) -> tuple[list[ImageP
 class _Expected:
     """Targets in view: ids, image points (n, 2), distances to the nearest of the others (n,), all px.
 
-    Circles: ``axes`` (n, 2) long and short semi-axis in px, ``dark`` (n,) against what surrounds them; NaN
+    Circles: ``axes`` (n, 2) long and short semi-axis in px, ``dark`` (n,): darker than the surroundings; NaN
     for corners. Corners: ``edges`` (n, 2, 2) px to the next corners, ``bends`` (n, 2) 1/px their curvature by
     the lens; NaN for circles.
     """
@@ -294,7 +295,7 @@ def _rim(normal: Array, radius: float) -> Array:
 
 @dataclass(frozen=True)
 class _Found:
-    """A target where it was measured, and how far it reaches from there along u and v [px]."""
+    """A target where it was measured, and its half extent along u and v [px]."""
 
     place: Ellipse | Corner
     reach: tuple[float, float]
@@ -346,7 +347,7 @@ def _corners(expected: _Expected, view: _View, gate: float) -> dict[str, _Found]
         if corner is None:
             continue
         away = np.hypot(corner.u - expected.image[i, 0], corner.v - expected.image[i, 1])
-        # an edge that is short, between markers, has others next to it
+        # short edges, between markers, have other edges nearby
         short = float(np.linalg.norm(expected.edges[i], axis=1).min())
         if away <= min(gate, _GATE_SHARE * expected.spacing[i], _GATE_SHARE * short):
             reach = np.abs(expected.edges[i]).max(axis=0)

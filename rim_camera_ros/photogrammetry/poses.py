@@ -30,11 +30,11 @@ from rim_camera_ros.rotations import quaternion, rotation_matrix
 
 Array = NDArray[np.float64]
 
-#: Degrees of freedom that all stations together count for in the variance of one station: an image tells
+#: Degrees of freedom with which the variance of all stations enters that of one: a single image determines
 #: its own variance poorly.
 _COMMON_FREEDOM = 20.0
-#: Rounds in which the error that all targets have beside their own sigmas is found, and the change of it
-#: (relative) that ends them.
+#: Most rounds in which the error that all targets have in addition to their own sigmas is found, and the
+#: relative change of it that ends them.
 _ROUNDS = 5
 _SETTLED = 0.02
 
@@ -43,9 +43,9 @@ _SETTLED = 0.02
 class StationPose:
     """The pose of a board at one station, with its covariance.
 
-    ``own`` and ``common`` (6, 6): the parts of the covariance by the noise of its image, and by optics and
-    scale of the board, which err alike at all stations; x y z [m], rotations about the axes of the optical
-    frame [rad]. ``residual`` px RMS of one coordinate, of ``points`` targets.
+    ``own`` (6, 6): the part of the covariance by the noise of its image; ``common`` (6, 6): the part by the
+    errors of optics and board size, which are the same at all stations. In the order x y z [m], rotations
+    about the axes of the optical frame [rad]. ``residual``: RMS px of one coordinate of ``points`` targets.
     """
 
     pose: Pose
@@ -71,10 +71,10 @@ class StationPose:
 class BoardPoses:
     """Poses by station.
 
-    ``scale_sigma``: relative 1-sigma of what all distances have in common, by focal length and size of the
+    ``scale_sigma``: relative 1-sigma of the scale error of all distances, by focal length and size of the
     board; ``common_share``: the share of the variance along the normal that is the same at all stations, for
-    ``pose_common`` of a scene file. ``sigma_zero``: RMS of residuals over the sigmas of the targets, which
-    hold ``common_error`` [px], what every coordinate errs by beside the sigma that its own image gives.
+    ``pose_common`` of a scene file. ``sigma_zero``: RMS of residuals over the sigmas of the targets, in which
+    ``common_error`` is included: an error [px] of every coordinate in addition to the sigma by its own image.
     """
 
     stations: Mapping[int, StationPose]
@@ -98,12 +98,12 @@ def estimate_poses(
     the board, go into the covariance of every pose, C = s^2 (A'A)^-1 + G C_optics G' + sigma^2 t t', with
     G = -(A'A)^-1 A'B of the derivatives A by the pose and B by the optics. s^2 is the variance of the
     residuals of the station, drawn towards that of all stations. Gross errors are rejected (Baarda 1968).
-    The sigma of a target is what its own grey values say: of some they are fitted by luck, and neither the
-    board's print nor the lens model is in them. A variance that all targets have in common is added to
-    theirs, such that residuals are as large as they should be (Mandel & Paule 1970). What the sampling of the
-    image moves all targets of a station by is part of the covariance of its targets, and so of the pose.
-    Where residuals do not decide between two poses that are mirrored at the line of sight, pose and
-    covariance are those of their mixture.
+    The sigma of a target comes from the fit to its own grey values. It does not contain errors of the board's
+    print or of the lens model, and is too small where the fit is good by chance. A variance common to all
+    targets is therefore added, such that residuals are as large as they should be (Mandel & Paule 1970).
+    Errors by the sampling of the image, which the targets of a station share, are part of the covariance of
+    its targets, and so of the pose. Where residuals do not decide between two poses that are mirrored at the
+    line of sight, pose and covariance are those of their mixture.
 
     Raises `RimError` where no station has a pose.
     """
@@ -155,7 +155,7 @@ def estimate_poses(
     )
 
 
-#: The pose with the smallest residuals, and the other one where there are two.
+#: The pose with the smallest residuals, then the mirrored one where both are possible.
 _Found = tuple[Fitted, ...]
 
 
@@ -178,7 +178,7 @@ def _station_pose(placed: PlacedPose, fit: Fitted) -> StationPose:
 
 
 def _undecided(station: int, made: Sequence[PlacedPose], placed: PlacedPose, first: float) -> list[str]:
-    """Return a note where most of what is not known of the tilt is which of two poses it is."""
+    """Return a note where most of the variance of the tilt is that between two possible poses."""
     tilts = [float(np.trace(pose.own[3:, 3:])) for pose in made]
     if np.trace(placed.own[3:, 3:]) < 2 * (first * tilts[0] + (1 - first) * tilts[1]):
         return []
@@ -194,7 +194,7 @@ def _undecided(station: int, made: Sequence[PlacedPose], placed: PlacedPose, fir
 def _all_adjusted(
     observations: Observations, optics: Optics, common_error: float
 ) -> tuple[dict[int, _Found], list[str]]:
-    """Adjust every station, targets with an error [px] in common; those without a pose are said in words."""
+    """Adjust every station, with an error [px] of all targets; also return notes on those without a pose."""
     by_station: dict[int, list[ImagePoint]] = {}
     for point in observations.points:
         sigma = float(np.hypot(point.sigma, common_error))
@@ -210,10 +210,10 @@ def _all_adjusted(
 
 
 def _common_error(found: Iterable[_Found], now: float) -> float:
-    """Return the error [px] that explains the residuals beside the sigmas of the targets, which hold ``now``.
+    """Return the error [px] of all targets that explains the residuals in addition to their own sigmas.
 
-    The one with which squares of residuals over their variances add up to what is expected, 0 where they are
-    smaller than that without it.
+    With it the sum of squared residuals over their variances is as expected. It is 0 where the sum is smaller
+    than expected without it. The sigmas as they are contain the error ``now`` [px].
     """
     parts = [
         (fit.adjusted.residuals, fit.bundle.whole_sigma**2 - now**2, fit.adjusted.expected)
@@ -270,7 +270,7 @@ def _require_targets(points: Sequence[ImagePoint]) -> None:
 def _adjusted_from(
     observations: Observations, optics: Optics, start: Mapping[int, tuple[Array, Array]]
 ) -> Fitted:
-    """Adjust one station from approximate poses, without gross errors."""
+    """Adjust one station from approximate poses, and reject gross errors."""
     points, rejected = observations.points, 0
     while True:
         _require_targets(points)
@@ -290,7 +290,7 @@ def _adjusted_from(
 
 
 def _by_optics(adjusted: Adjusted, bundle: Bundle) -> Array:
-    """Return how the pose (6: rotation, shift) follows the nine parameters of the optics."""
+    """Return the derivatives (6, 9) of the pose (rotation, shift) by the nine parameters of the optics."""
     points = in_camera(bundle, adjusted.state)
     by_optics, by_point = projection_derivatives(optics_of(adjusted.state.optics), points)
     weight = 1 / bundle.whole_sigma[:, None, None]

@@ -1,7 +1,7 @@
 """Projection into the image with its derivatives, and the images of circles.
 
-The model is that of `rim_camera_ros.optics` (Brown 1971 as plumb_bob); its projection is used, its
-derivatives are here.
+The model is that of `rim_camera_ros.optics` (Brown 1971 as plumb_bob), whose projection is used. The
+derivatives are computed here.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def optics_of(vector: Array) -> Optics:
 def projection_derivatives(optics: Optics, points: Array) -> tuple[Array, Array]:
     """Return the derivatives of the image points of object points (n, 3) [m] in the optical frame.
 
-    (n, 2, 9) by the optics' parameters in the order of `OPTICS_PARAMETERS`, and (n, 2, 3) by the points
-    [px/m].
+    The first, (n, 2, 9), are by the optics' parameters in the order of `OPTICS_PARAMETERS`, the second,
+    (n, 2, 3) [px/m], by the points.
     """
     k1, k2, p1, p2, k3 = optics.d
     z = points[:, 2]
@@ -73,8 +73,9 @@ def ellipse_centre_offset(optics: Optics, centres: Array, normals: Array, radii:
     """Return (n, 2) px: the centre of the image of a circle less the image of the circle's centre.
 
     ``centres`` (n, 3) m and ``normals`` (n, 3) in the optical frame, ``radii`` (n,) m. Kahlmann 2007,
-    sec. 3.2.2, leaves this shift uncorrected. Without distortion it is exact, with distortion it is the
-    centre of the ellipse that fits the circle's edge best. NaN for a circle that reaches behind the camera.
+    sec. 3.2.2, leaves this shift uncorrected. The result is exact without distortion; with distortion the
+    centre is that of the ellipse that fits the circle's edge best. NaN for a circle that reaches behind the
+    camera.
     """
     angles = 2 * np.pi * np.arange(_EDGE_POINTS) / _EDGE_POINTS
     helper = np.where(np.abs(normals[:, :1]) < 0.6 * np.linalg.norm(normals, axis=1)[:, None], 1.0, 0.0)

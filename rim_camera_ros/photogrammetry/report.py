@@ -1,4 +1,4 @@
-"""What an estimation of the optics found, for people and for files."""
+"""Results of an estimation of the optics, as a report for people and as data for files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LISTED = 10
 class OpticsCovariance:
     """Covariance of the estimated optics: dotted paths of the camera file and the matrix in their units.
 
-    Parameters that were left out or held are not in it. Where fy was tied to fx both are in it, fully
+    Parameters that were not significant or held are not in it. Where fy was tied to fx both are in it, fully
     correlated.
     """
 
@@ -36,7 +36,7 @@ class OpticsCovariance:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Parameters whose departure from the start was tested and found not significant: F, its probability."""
+    """Parameters without a significant departure from the start, with F of the test and its probability."""
 
     parameters: tuple[str, ...]
     statistic: float
@@ -45,7 +45,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class RejectedPoint:
-    """An observation that was taken for a gross error, with its residual (u, v) in px."""
+    """An observation that was rejected as a gross error, with its residual (u, v) in px."""
 
     target: str
     station: int
@@ -57,14 +57,14 @@ class OpticsReport:
     """How an estimation of the optics went.
 
     ``values`` and ``sigmas`` by name (fx fy cx cy k1 k2 p1 p2 k3), sigmas of the estimated ones only.
-    ``sigma_zero``: RMS of the residuals over the sigmas given with the observations, for the degrees of
-    freedom ``redundancy``; the covariance contains it. ``residual_rms`` px, of one coordinate;
-    ``station_rms`` px by station.
-    ``correlations``: pairs of optics parameters beyond 0.9; ``pose_correlations``: the strongest one beyond
-    0.9 of each parameter with a pose. ``poses`` of the field's frame in the optical frame by station.
-    ``doubts``: why the result should not be used as it is, in words.
-    ``targets``: coordinates [m] by id, as adjusted. ``region``: u0 v0 u1 v1 [px] that the observations cover,
-    beyond which the distortion is extrapolated. ``residuals``: (u, v) px by (station, target).
+    ``sigma_zero``: root of the sum of squared residuals over the sigmas given with the observations, per
+    degree of freedom (``redundancy``); the covariance contains it. ``residual_rms`` px, of one coordinate;
+    ``station_rms`` px by station. ``correlations``: pairs of optics parameters with correlations beyond 0.9;
+    ``pose_correlations``: of each parameter the strongest correlation beyond 0.9 with a pose. ``poses`` of
+    the field's frame in the optical frame by station. ``doubts``: why the result should not be used as it is,
+    in words. ``targets``: coordinates [m] by id, as adjusted. ``region``: u0 v0 u1 v1 [px] that the
+    observations cover, beyond which the distortion is extrapolated. ``residuals``: (u, v) px by (station,
+    target).
     """
 
     values: Mapping[str, float]

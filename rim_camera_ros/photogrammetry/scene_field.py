@@ -1,4 +1,4 @@
-"""Target fields that a scene file describes: discs, and what textures of rectangles show."""
+"""Target fields that a scene file describes: discs, and corners and circles in textures of rectangles."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _ARM = 0.1
 class FieldOnSurfaces:
     """A target field whose targets lie on surfaces of a scene.
 
-    ``surfaces``: their poses in the field's frame, which is that of the first of them. ``of``: the surface
-    of each target; ``edges``: for corners the vectors [m] to the next corners along both edges (2, 3), in
-    the field's frame.
+    ``surfaces``: poses of the surfaces in the field's frame, which is the frame of the first surface.
+    ``of``: the surface of each target; ``edges``: for corners the vectors [m] to the next corners along both
+    edges (2, 3), in the field's frame.
     """
 
     field: TargetField
@@ -40,8 +40,8 @@ class FieldOnSurfaces:
         """Return the field of a scene's discs (circles) and checkerboards (textured rectangles).
 
         A disc's id is its surface's name; a corner's is ``board/row/column``, rows and columns of the
-        texture's grid, 0 at the board's centre. The surfaces' poses to each other are those of the scene
-        file, of surfaces with ``pose: truth`` those in ``truth``. Raises `InputError` without a target.
+        texture's grid, 0 at the board's centre. Relative poses of the surfaces are those of the scene file,
+        or for surfaces with ``pose: truth`` those in ``truth``. Raises `InputError` without a target.
         """
         boards = {
             surface.name: found for surface in scene.surfaces if (found := targets_of(surface)) is not None
@@ -87,8 +87,8 @@ class FieldOnSurfaces:
     def pose(self, poses: Mapping[str, Pose]) -> tuple[Array, Array, float]:
         """Return rotation (3, 3) and translation (3,) m of the field in the optical frame, and the misfit.
 
-        ``poses`` of surfaces in the optical frame; the least-squares rigid motion (Kabsch 1976) of the
-        points 0.1 m along the axes of each surface.
+        ``poses``: those of the surfaces in the optical frame. The result is the least-squares rigid motion
+        (Kabsch 1976) of the origin and of points 0.1 m along the axes of each surface.
         """
         known = [name for name in self.surfaces if name in poses]
         source = np.concatenate([_frame_points(self.surfaces[name]) for name in known])

@@ -14,9 +14,9 @@ from rim_camera_ros.photogrammetry.report import LeftOut
 
 
 def _groups(estimated: Sequence[str]) -> list[tuple[str, ...]]:
-    """Groups that may be left out next: the highest radial order, the decentring, the aspect.
+    """Return the groups that may be dropped next: the highest radial order, the decentring, the aspect.
 
-    p1 and p2 are components of one vector and change into each other when the axes are turned.
+    p1 and p2 are one group: they are components of one vector and mix when the axes are turned.
     """
     groups: list[tuple[str, ...]] = []
     for name in ("k3", "k2", "k1"):
@@ -34,7 +34,9 @@ def _groups(estimated: Sequence[str]) -> list[tuple[str, ...]]:
 def least_significant(
     adjusted: Adjusted, start: Optics, significance: float, known: Sequence[str] = ()
 ) -> LeftOut | None:
-    """Return the group with the greatest probability of being as in ``start`` if it exceeds ``significance``.
+    """Return the group whose departure from ``start`` is least significant; None if all are significant.
+
+    Its probability by chance exceeds ``significance``.
 
     ``known``: parameters that have a prior, which need no test.
     """
@@ -61,7 +63,7 @@ def least_significant(
 
 
 def returned(state: State, names: Sequence[str], start: Optics) -> State:
-    """Return the state with these parameters as in ``start``; of fy the adjustment holds the ratio itself."""
+    """Return the state with these parameters as in ``start``; the adjustment itself holds the ratio of fy."""
     optics, before = state.optics.copy(), optics_vector(start)
     for name in names:
         if name != "fy":

@@ -104,7 +104,7 @@ def report_on(
 def _strong_pairs(
     covariance: OpticsCovariance, by_path: dict[str, str], *, tied: bool
 ) -> tuple[tuple[str, str, float], ...]:
-    """Correlated pairs of optics parameters; a tied fy says the same as fx."""
+    """Return strongly correlated pairs of optics parameters, without a tied fy, which is the same as fx."""
     keep = [i for i, path in enumerate(covariance.parameters) if not (tied and by_path[path] == "fy")]
     names = [by_path[covariance.parameters[i]] for i in keep]
     correlation = correlation_of(covariance.matrix[np.ix_(keep, keep)])

@@ -45,7 +45,7 @@ class ImagePoint:
 
     For a circle this is the centre of the ellipse that is its image, which is not the image of its centre.
     ``shifts`` (frequencies, 2) px: errors by the sampling of the image, see `sampling`, which the targets of
-    a station share, beside the ``sigma`` of its own. None: each target errs for itself.
+    a station share, in addition to their own ``sigma``. None: errors of the targets are independent.
     """
 
     target: str
@@ -68,10 +68,10 @@ class Distance:
 
 @dataclass(frozen=True)
 class Observations:
-    """What was seen of a target field.
+    """Observations of a target field.
 
-    ``poses``: approximate poses of the field's frame in the optical frame by station; stations without one
-    get theirs by resection. ``notes``: what was left out while reading, and why.
+    ``poses``: approximate poses of the field's frame in the optical frame by station; the pose of a station
+    without one is found by resection. ``notes``: what was excluded while reading, and why.
     """
 
     field: TargetField

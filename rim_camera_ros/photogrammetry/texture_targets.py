@@ -1,7 +1,7 @@
 """Targets in the texture of a scene's rectangle: crossings of edges, circles, and the markers between them.
 
-What the scene file says of a board is all that is needed to find it: the texture is looked at once, with the
-detectors that look at the images.
+The scene file's description of a board is enough to find it: its texture is analysed once, with the
+detectors that are used for the images.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 #: Step between the tiles of a crossing, as a share of that between the darkest and the brightest tile.
 _CONTRAST = 0.5
-#: Dictionaries of markers; those of OpenCV's own begin with the markers of the smaller ones.
+#: Dictionaries of markers. OpenCV's own larger ones begin with the markers of the smaller ones.
 _DICTIONARIES = (
     "DICT_APRILTAG_16h5",
     "DICT_APRILTAG_25h9",
@@ -39,9 +39,9 @@ _SMALLER = (50, 100, 250)
 _LEAST_MARKERS = 2
 _LEAST_CIRCLES = 4
 _LEAST_CROSSINGS = 2
-#: A blob is a circle where it fills its circle to this share, both ways.
+#: A blob is a circle where its area differs from that of its circle by less than this share.
 _ROUND = 0.12
-#: Largest number of tiles of a texture that is looked at.
+#: Largest number of tiles of a texture that is searched for targets.
 _MOST_TILES = 1_000_000
 
 
@@ -90,7 +90,7 @@ def _targets(
     tiles = np.frombuffer(values).reshape(shape)
     if np.ptp(tiles) == 0:
         return None
-    # of tiles that the rim cuts the inner parts count
+    # tiles cut by the rim count, with their inner parts
     half_columns, half_rows = (math.ceil(size[k] / 2 / cell[k] - 1e-6) for k in (0, 1))
     if 4 * half_columns * half_rows > _MOST_TILES:
         return None
@@ -141,8 +141,8 @@ def _crossings(
 ) -> tuple[dict[tuple[int, int], None], dict[tuple[int, int], tuple[float, float]]]:
     """Return the corners (i, j) between tiles where two edges cross, and their arms (x, y) in tiles.
 
-    With markers of ``modules`` tiles, those from which an edge as long as a marker leads off along both axes:
-    inside of markers edges are shorter.
+    With markers of ``modules`` tiles only corners count from which edges along both axes are as long as a
+    marker: inside of markers edges are shorter.
     """
     step = _CONTRAST * float(np.ptp(grid))
     a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]
@@ -155,7 +155,7 @@ def _crossings(
         if modules and min(max(right, left), max(down, up)) < modules:
             continue
         reach = _uniform(grid, int(i), int(j), most=min(right, left, down, up))
-        # of what lies off the edges only the diagonal of the uniform squares counts
+        # off the edges an arm is undisturbed within the uniform squares, up to their diagonal
         arms[int(i), int(j)] = tuple(
             min(float(one), 1.4 * reach) for one in (min(right, left), min(down, up))
         )  # type: ignore[assignment]
@@ -164,13 +164,13 @@ def _crossings(
 
 
 def _edge(pair: Array) -> int:
-    """Return over how many tiles the two lines (2, n) stay as they begin."""
+    """Return over how many tiles the two lines (2, n) keep their first values."""
     changed = np.flatnonzero((pair != pair[:, :1]).any(axis=0))
     return int(changed[0]) if changed.size else pair.shape[1]
 
 
 def _uniform(grid: Array, i: int, j: int, *, most: int) -> int:
-    """Return the side in tiles of the largest four squares around a corner that are of one value each."""
+    """Return the side in tiles of the largest four squares around a corner that have one value each."""
     for n in range(most, 1, -1):
         quarters = (
             grid[i - n : i, j - n : j],
@@ -237,9 +237,9 @@ def _table(dictionary: str) -> dict[bytes, tuple[int, int]]:
 
 
 def detect_markers(image: NDArray[np.uint8], dictionary: str) -> dict[int, Array]:
-    """Return the corners (4, 2) px of the markers in a grey image by id; those seen twice are left out.
+    """Return the corners (4, 2) px of the markers in a grey image by id, without ids that are seen twice.
 
-    cv2.aruco, whose classes came with OpenCV 4.7.
+    By cv2.aruco, whose classes came with OpenCV 4.7.
     """
     aruco: Any = cv2.aruco
     table = aruco.getPredefinedDictionary(getattr(aruco, dictionary))

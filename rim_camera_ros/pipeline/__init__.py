@@ -1,1 +1,1 @@
-"""The chain of effects at work: forward in `simulate`, backward and folded into tables in `correct`."""
+"""The chain of effects: applied in `simulate`, undone by tables in `correct`."""

@@ -1,4 +1,4 @@
-"""What the published amplitude alone says of a pixel: a term, sigma, flags; tabulated for counts."""
+"""Term, sigma and flags of a pixel as functions of its published amplitude alone; tabulated for counts."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _STEP = 1e-4
 class ByAmplitude:
     """All that depends on the published amplitude alone.
 
-    ``amplitude`` after undoing the compression, ``term`` [m] (NaN where nothing can be measured),
-    ``sigma`` [m] of a distance including what the term adds, ``flags``.
+    ``amplitude`` after undoing the compression; ``term`` [m], NaN where nothing can be measured; ``sigma``
+    [m] of a distance, including the noise of the term; ``flags``.
     """
 
     amplitude: Image
@@ -36,7 +36,7 @@ class ByAmplitude:
     flags: NDArray[np.uint8]
 
     def astype(self, dtype: Any) -> ByAmplitude:
-        """Return the same in another precision."""
+        """Return a copy in another precision."""
         amplitude, term, sigma = (
             one.astype(dtype, copy=False) for one in (self.amplitude, self.term, self.sigma)
         )
@@ -85,7 +85,7 @@ class AmplitudeModel:
         return float(amplitude[noisy[-1]]) if noisy.size else 0.0
 
     def evaluate(self, published: Image) -> ByAmplitude:
-        """Return everything for published amplitudes in counts (float64 of any shape)."""
+        """Return all values for published amplitudes in counts (float64 of any shape)."""
         camera = self._camera
         amplitude = published if self._response is None else self._response.expanded(published)
         lit = amplitude > 0
@@ -108,7 +108,7 @@ class AmplitudeModel:
         return ByAmplitude(amplitude, term, sigma, flags)
 
     def reading(self, raw: Image, dtype: Any) -> AmplitudeReading:
-        """Return what published amplitudes (H, W) say: by table for counts and float32, else evaluated."""
+        """Return the values for amplitudes (H, W): by table for counts and float32, else evaluated."""
         saturated = raw >= self._saturation(raw)
         marked = saturated if saturated.any() else None
         if raw.dtype == np.uint16 and dtype == np.float32:
@@ -122,7 +122,7 @@ class AmplitudeModel:
         return AmplitudeReading(exact.amplitude, marked, exact, None)
 
     def _saturation(self, raw: Image) -> float | int:
-        # a whole number: else counts would be compared as float64
+        # a whole number, so that counts are not compared as float64
         level = self._camera.sensor.saturation
         return level if raw.dtype.kind == "f" else int(np.ceil(level))
 
@@ -137,15 +137,15 @@ class AmplitudeModel:
 
     @cached_property
     def table(self) -> ByAmplitude:
-        """Everything for each of the 65,536 counts, in float32."""
+        """The values for each of the 65,536 counts, in float32."""
         return self.evaluate(np.arange(FULL_SCALE, dtype=float)).astype(np.float32)
 
 
 class AmplitudeReading:
-    """What the published amplitudes (H, W) of one frame say, new arrays.
+    """The values for the published amplitudes (H, W) of one frame, in new arrays.
 
-    ``amplitude`` [counts] as in `ByAmplitude`; ``saturated`` (H, W) bool, None where no pixel is; the rest
-    is looked up on first use.
+    ``amplitude`` [counts] as in `ByAmplitude`; ``saturated`` (H, W) bool, None if no pixel is saturated; the
+    rest is looked up on first use.
     """
 
     def __init__(

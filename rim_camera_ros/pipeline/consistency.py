@@ -14,14 +14,14 @@ from rim_camera_ros.camera import FULL_SCALE, Camera
 from rim_camera_ros.frame import NANOSECONDS, RawFrame
 from rim_camera_ros.noise import sigma_amplitude as noise_of_amplitude
 
-#: Frames further apart than this [ns] are not compared: what lies between them may have moved far.
+#: Frames further apart than this [ns] are not compared: the scene may have moved far in between.
 _NEIGHBOURS = NANOSECONDS
-#: Pixel pairs that a comparison needs, and comparisons that a verdict needs and remembers.
+#: Least pixel pairs for a comparison, least comparisons for a verdict, and most that are kept for it.
 _ENOUGH_PIXELS, _ENOUGH, _REMEMBERED = 500, 5, 20
-#: Rows of larger sensors are left out, so that no more pixels than these are compared.
+#: Rows of larger sensors are skipped, so that no more pixels than this are compared.
 _MOST_PIXELS = 40_000
-#: A pixel is at rest where its amplitude changed by less than so many standard deviations; a comparison needs
-#: this share of them. Amplitudes are rounded to counts.
+#: A pixel is at rest where its amplitude changed by less than so many standard deviations; a comparison
+#: requires this share of such pixels. Error of amplitudes by rounding to counts.
 _AT_REST, _SHARE_AT_REST, _ROUNDING = 2.5, 0.3, 0.5
 #: Median of the absolute value of a standard normal variable.
 _NORMAL_MEDIAN = 0.67449
@@ -32,9 +32,9 @@ LEAST, GREATEST = 0.8, 1.25
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Observed over predicted noise of one distance: all pixels, the darker half, the brighter half.
+    """Ratios of observed to predicted noise of one distance: all pixels, the darker and the brighter half.
 
-    The halves lie on either side of ``amplitude`` [counts]. ``matches``: all three are within the limits.
+    The halves are divided at ``amplitude`` [counts]. ``matches``: all three ratios are within the limits.
     """
 
     ratio: float
@@ -49,18 +49,18 @@ class Verdict:
 
     @property
     def departure(self) -> float:
-        """The greatest of the three from 1 [-], as the absolute value of its logarithm."""
+        """The greatest departure of the three ratios from 1, as the absolute value of the logarithm [-]."""
         ratios = (self.ratio, self.dark, self.bright)
         return max(abs(math.log(ratio)) if ratio > 0 else math.inf for ratio in ratios)
 
 
 class NoiseWatch:
-    """Compares raw frames that follow each other with the noise model of a camera file.
+    """Compares consecutive raw frames with the noise model of a camera file.
 
-    Pixels whose amplitude did not change beyond its noise see something at rest. Of their change of distance
-    the second difference along the row is taken, so that what moves slowly and evenly drops out too, and
-    divided by its predicted standard deviation: its median is that of a standard normal variable where the
-    camera matches its file. Nothing is compared while most of the image moves.
+    Pixels whose amplitude did not change beyond its noise see something at rest. The second difference along
+    the row of their change of distance is divided by its predicted standard deviation. The difference also
+    removes slow and even motion. Where the camera matches its file the median of the absolute ratios is that
+    of a standard normal variable. Frames are not compared while most of the image moves.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -110,7 +110,7 @@ class NoiseWatch:
         amplitude = (last.amplitude.astype(np.float32) + frame.amplitude) / 2
         usable = (last.distance > 0) & (frame.distance > 0)
         usable &= np.maximum(last.amplitude, frame.amplitude) < camera.sensor.saturation
-        # where the noise of the amplitude is no longer small, the mean of two does not tell the noise
+        # where the noise of the amplitude is not small, the mean of two does not determine the noise
         light = camera.light_of(amplitude)
         usable &= camera.noise.sigma_distance(light) < camera.sensor.ambiguity / 40
         change = self._metres(frame.distance) - self._metres(last.distance)
@@ -118,7 +118,7 @@ class NoiseWatch:
             span = np.float32(FULL_SCALE * camera.sensor.lsb)
             change -= span * np.rint(change / span)
         sigma = camera.sigma_distance(light)
-        # noise is circular, so this choice leaves the noise of the distance as it is
+        # noise is circular, so this choice does not change the noise of the distance
         brighter = np.abs(last.amplitude.astype(np.float32) - frame.amplitude)
         sigma_amplitude = noise_of_amplitude(sigma, amplitude, ambiguity=camera.noise_range)
         sigma = camera.sigma_distance(light, distance=self._metres(frame.distance), settings=frame.settings)

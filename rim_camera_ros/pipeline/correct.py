@@ -1,4 +1,4 @@
-"""Raw frames -> corrected frames: the effects in reverse, folded into tables per setting."""
+"""Raw frames -> corrected frames: the effects in reverse, as tables for each setting."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ from rim_camera_ros.pipeline.reference import Linearity, ReferenceReader
 
 Image = NDArray[Any]
 
-#: Settings kept folded at a time.
+#: Number of settings whose tables are kept.
 _KEPT = 8
-#: Pixels that are corrected together where no pixel needs another: what is computed on the way, 60 bytes a
-#: pixel, then stays in the cache of a processor's core (1 MB or more).
+#: Number of pixels that are corrected together where no pixel needs others: intermediate values, 60 bytes a
+#: pixel, then stay in the cache of a processor's core (1 MB or more).
 _BAND = 1 << 15
 
 
@@ -48,13 +48,12 @@ class Correction:
 
     ``without``: names of effects that are left uncorrected. ``minimum_amplitude``: None takes the camera
     file's, or where that states none, the amplitude at which the noise of the amplitude term exceeds the
-    range noise. ``exact``: float64 and iterated to 1e-9 m, for work at the desk; else float32 and tables,
-    within 0.01 mm of it, for work in real time. ``reference_linearity``: the cyclic error of the internal
-    reference path itself (Kahlmann 2007, eq. 4.6), where its scale was not estimated from readings that hold
-    it. Not for use from several threads at once: buffers are
-    reused from frame to frame; what is returned is new.
+    range noise. ``exact``: float64, iterated to 1e-9 m, for offline work; else float32 and tables, within
+    0.01 mm of it, for real time. ``reference_linearity``: the cyclic error of the internal reference path
+    itself (Kahlmann 2007, eq. 4.6), if its scale was not estimated from readings that contain this error.
+    Not for use from several threads at once: buffers are reused from frame to frame. Results are new arrays.
 
-    ``notes`` collects what the user should know (a term that is off for lack of data).
+    ``notes`` collects messages for the user (a term that is off for lack of data).
 
     Raises `InputError` for an unknown name in ``without``.
     """
@@ -126,7 +125,7 @@ class Correction:
         )
 
     def correct_distance(self, frame: RawFrame) -> CorrectedDistance:
-        """Return distance and amplitude as `correct` does, sooner: without sigma and flags."""
+        """Return distance and amplitude as `correct` does, but faster, without sigma and flags."""
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             work = self._undo(frame, whole=False)
             distance = work.light.distance
@@ -168,9 +167,9 @@ class Correction:
         return self._fold(settings).amplitude.minimum
 
     def carry_on(self, before: Any) -> None:
-        """Take over what another correction knows of the past: lagging temperature, filtered reference.
+        """Take over the state of another correction: lagging temperature, filtered reference.
 
-        One of another way of measuring knows nothing of use.
+        A correction for another way of measuring has no such state.
         """
         if not isinstance(before, Correction):
             return
@@ -180,7 +179,7 @@ class Correction:
     # --- preparation ----------------------------------------------------------------------------
 
     def _begin(self, frame: RawFrame) -> Folded:
-        """Check the frame and return what its setting folds into, with the frame's context."""
+        """Check the frame and return the tables of its setting, with the frame's context."""
         if frame.distance.shape != self.camera.shape or frame.amplitude.shape != self.camera.shape:
             found, expected = frame.distance.shape, self.camera.shape
             raise InputError(
@@ -224,7 +223,7 @@ class Correction:
     # --- steps ----------------------------------------------------------------------------------
 
     def _undo(self, frame: RawFrame, *, whole: bool) -> Work:
-        """Undo all effects; the distance is NaN where the raw values do not give one.
+        """Undo all effects; the distance is NaN where raw values give none.
 
         ``whole``: sigma and flags are needed, too.
         """
@@ -279,7 +278,7 @@ class Correction:
         return Work(folded, reading, None, Light(done.y, done.amplitude))
 
     def _read(self, frame: RawFrame, folded: Folded, unit: float, offset: float, *, solve: bool) -> Work:
-        """Return distances without the terms that raw values and place tell, and what amplitudes say.
+        """Return distances without the terms of raw values and place, and the values by amplitudes.
 
         ``unit`` [m] of the raw distances, ``offset`` [m]. ``solve``: terms of the distance are undone, too.
         """
@@ -299,9 +298,9 @@ class Correction:
         return Work(folded, reading, missing, Light(y, reading.amplitude))
 
     def _solve_with_incidence(self, work: Work, y: Image) -> None:
-        """Solve where terms of the incidence need the result's own planes.
+        """Solve with terms of the incidence, which need planes fitted to the result.
 
-        The light is undone without them, the angle is estimated, and all is done again with them.
+        The light is undone without these terms, the angle is estimated, and all is done again with them.
         """
         folded, reading = work.folded, work.reading
         amplitude = reading.amplitude

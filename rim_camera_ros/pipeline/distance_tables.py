@@ -1,4 +1,4 @@
-"""Terms of the distance as tables, so that undoing them costs a frame look-ups instead of formulas."""
+"""Terms of the distance as tables, so that a frame is corrected by look-ups instead of formulas."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from rim_camera_ros.pipeline import kernels
 #: Entries of the table of distance per ambiguity range: half a step squared times half the curvature of the
 #: cyclic error stays below 0.003 mm.
 _DISTANCES = 1 << 12
-#: The error in metres that a step of the phase may make; and the greatest step in rad where there are other
-#: terms, whose jump where the distance comes round is smeared by it.
+#: Largest error [m] by a step of the phase, and largest step [rad] where there are other terms: it smears
+#: their jump at the end of the ambiguity range.
 _PHASE_ERROR = 2e-6
 _PHASE_STEP = 0.05
 #: All rows of the sensor.
@@ -29,10 +29,11 @@ WHOLE = slice(None)
 class DistanceSolver:
     """Solves d + sum of terms(d) = y, for terms of the distance and the cyclic error.
 
-    ``exact`` iterates. Else y - d is looked up in a table over y, whose entries hold the value and its
-    slope. Where the cyclic error's phase changes over the array, the table has a row per step of the
-    phase, and the slope along it; its columns are y plus the distance by which the phase shifts the
-    strongest harmonic, so that the phase matters only as far as it shifts the others by other distances.
+    With ``exact`` it iterates. Otherwise y - d is looked up in a table over y, whose entries hold the value
+    and its slope. Where the phase of the cyclic error changes over the array, the table has a row for each
+    step of the phase, and the slope along the phase. Its columns are y plus the distance by which the phase
+    shifts the strongest harmonic: then the phase only matters as far as it shifts other harmonics by other
+    distances.
     """
 
     def __init__(
@@ -43,7 +44,7 @@ class DistanceSolver:
         self._ambiguity = camera.sensor.ambiguity
         self._wraps = camera.sensor.wraps
         self._exact = exact
-        #: where it was compiled, and there are terms to tabulate
+        #: None where functions are not compiled, or there are no terms to tabulate
         self.compiled: kernels.CompiledSolver | None = None
         self._cyclic = next((term for term in self.terms if isinstance(term, HarmonicError)), None)
         if not exact and self.terms:
@@ -56,10 +57,10 @@ class DistanceSolver:
         rows = int(np.ceil(span / step_phase)) + 1
         position = (phase - low) / step_phase
         nearest = np.rint(position)
-        #: entries per metre, and the entries by which each pixel's phase shifts y, with a half to round by
+        #: entries per metre, and the entries by which each pixel's phase shifts y, plus a half for rounding
         self._scale = np.float32(1 / step)
         self._shift = ((phase - low) * (per_rad / step) + 0.5).astype(np.float32)
-        #: of each pixel: its phase beyond its row's, in steps
+        #: for each pixel: its phase less that of its row of the table, in steps
         self._beside = (position - nearest).astype(np.float32) if rows > 1 else None
         length = _DISTANCES
         if not self._wraps:
@@ -78,7 +79,7 @@ class DistanceSolver:
             entries[:, 1] = solved(grid + step / 2, row) - solved(grid - step / 2, row)
             if rows > 1:
                 entries[:, 2] = solved(grid, row + 0.5) - solved(grid, row - 0.5)
-        # by the distance from an entry's lower edge, and what is added to y
+        # slopes apply from the lower edge of an entry, and the correction is added to y
         table[..., 0] -= table[..., 1] / 2
         table *= -1
         # 16 bytes an entry: one access per pixel fetches all of it
@@ -104,7 +105,7 @@ class DistanceSolver:
         self._planes = [others[0], self._slope, *others[1:]]
 
     def _phases(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], float, float]:
-        """Return phases (H, W) [rad], what one shifts the strongest harmonic by [m/rad], their step [rad]."""
+        """Return phases (H, W) [rad], shift of the strongest harmonic by phase [m/rad], and step [rad]."""
         cyclic = self._cyclic
         if cyclic is None or not any(cyclic.gradient):
             return np.zeros(shape), 0.0, 1.0
@@ -148,14 +149,14 @@ class DistanceSolver:
             return _copied(found, out)
         if self.compiled is not None:
             return self.compiled.solve(y, first=self._slope[: rows.start or 0].size, out=out)
-        # what is only needed here lies where the rows before had it, in the processor's cache
+        # buffers are the same for all bands of rows, so that they stay in the processor's cache
         first = slice(len(y))
         at, edge, entry = self._at[first], self._edge[first], self._entry[first]
         index, fetched = self._index[first], self._fetched[first]
         cv2.scaleAdd(y, float(self._scale), self._shift[rows], dst=at)
         np.floor(at, out=edge)
         at -= edge
-        # NaN becomes any entry
+        # NaN becomes an arbitrary entry
         np.copyto(entry, edge, casting="unsafe")
         if self._wraps:
             entry &= _DISTANCES - 1
@@ -174,11 +175,11 @@ class DistanceSolver:
 
     @property
     def slope(self) -> tuple[Image, float] | None:
-        """(H, W) and a factor: their product and 1 are `gain` in real time; None where noise stays."""
+        """Slopes (H, W), and a factor: their product plus 1 is `gain` in real time; None without terms."""
         return (self._slope, float(self._scale)) if self.terms else None
 
     def gain(self, distance: Image) -> Image | None:
-        """Return dd / dy (H, W) where ``distance`` was solved last; None where nothing changes noise."""
+        """Return dd / dy (H, W) at the ``distance`` that was solved last; None without terms."""
         if not self.terms:
             return None
         if not self._exact:
@@ -201,10 +202,10 @@ def _copied(values: Image, out: Image | None) -> Image:
 
 
 class PlaneTable:
-    """Terms of pixel and distance that are linear between knots of the distance, held constant outside.
+    """Terms of pixel and distance that are linear between knots of the distance, and constant outside.
 
-    As base + slope * d + the sum over the inner knots k of bend_k * |d - k|, each by pixel, with d held
-    between the first and the last knot.
+    They are base + slope * d + the sum of bend_k * |d - k| over the inner knots k, with base, slope and bends
+    of each pixel, and d limited to the range from the first to the last knot.
     """
 
     def __init__(self, camera: Camera, terms: Sequence[DistanceTerm], context: Context) -> None:

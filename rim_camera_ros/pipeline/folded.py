@@ -26,13 +26,13 @@ Image = NDArray[Any]
 _ANGLES = 1 << 13
 #: Below this angle in rad a plane is seen nearly perpendicularly.
 _PERPENDICULAR = 0.05
-#: Evaluations of terms of distance and place, and rounds of terms of the incidence, where exact.
+#: Where exact: evaluations of terms of distance and place, and rounds of terms of the incidence.
 _EXACT_PLACED = 8
 _EXACT_ROUNDS = 3
 
 
 class Folded:
-    """What corrects frames of one setting; ``context`` is the effects' view, renewed with each frame."""
+    """Tables that correct frames of one setting; ``context``: that of the effects, renewed for each frame."""
 
     def __init__(
         self,
@@ -119,9 +119,9 @@ class Folded:
         return float(np.asarray(term.term(nothing, nothing, self.context)))
 
     def offset(self) -> float:
-        """Return the terms that are one number per frame, in metres.
+        """Return the sum of the terms that are one number per frame, in metres.
 
-        The reference path replaces the drift terms where it reads.
+        Where there is a reading of the reference path it replaces the drift terms.
         """
         total = self._constant + sum(self._number(scalar) for scalar in self._scalars)
         reading = self.context.settings.reference_distance
@@ -150,9 +150,9 @@ class Folded:
     # --- terms of distance, or of distance and place --------------------------------------------
 
     def refined(self, distance: Image, y: Image, amplitude: Image) -> tuple[Image, Image | None]:
-        """Return the distance with the terms of distance and place in it, and those terms, in metres.
+        """Return the distance that includes the terms of distance and place, and these terms, in metres.
 
-        ``distance`` (H, W) solves y without them, or with nearly them: such terms change slowly with
+        ``distance`` (H, W) solves y without these terms or with approximate ones, as they change slowly with
         distance.
         """
         if not self._placed:
@@ -167,9 +167,9 @@ class Folded:
         return distance, placed
 
     def follow(self, distance: Image, before: Image, after: Image) -> None:
-        """Let a change of the terms of distance and place go straight through to the distance.
+        """Apply a change of the terms of distance and place directly to the distance.
 
-        What that moves the other terms by is beyond the tolerance. ``before`` is overwritten.
+        Its influence on the other terms is below the tolerance. ``before`` is overwritten.
         """
         before -= after
         distance += before
@@ -183,7 +183,7 @@ class Folded:
 
     @property
     def pixel_by_pixel(self) -> bool:
-        """Whether no term needs other pixels, or more of its own than counts and place."""
+        """Whether terms only need the counts and the place of their pixel."""
         return not (self._by_frame or self._placed or self._by_incidence)
 
     @property
@@ -194,9 +194,9 @@ class Folded:
     # --- terms of the incidence -----------------------------------------------------------------
 
     def _fold_incidence(self) -> None:
-        #: how often the terms of the incidence are evaluated
+        #: number of evaluations of the terms of the incidence
         self.incidence_rounds = 0
-        #: RMS over the angles, in metres: what is not known where no plane is found
+        #: RMS over the angles, in metres: 1-sigma of the term where no plane is found
         self.incidence_spread = 0.0
         self._by_angle: NDArray[np.complex64] | None = None
         if not self._by_incidence:
@@ -215,12 +215,12 @@ class Folded:
             self._pair = [np.empty(self.context.camera.shape, np.float32) for _ in range(2)]
 
     def _tabulate_incidence(self, terms: list[IncidenceTerm]) -> NDArray[np.complex64]:
-        """Return t and b over sqrt(1 - cosine), of the angle that is seen in distances with the term in them.
+        """Return t and b over sqrt(1 - cosine), for the angle estimated from distances that contain the term.
 
-        A plane r = d / cos(angle) is seen as r + t(angle), whose angle has the tangent
-        tan(angle) + (t' - t tan(angle)) / d, to first order in t / d. So the term is t + b / d at the angle
-        that is seen, with b = -t' cos^2(angle) (t' - t tan(angle)). Where the plane is seen perpendicularly,
-        t has an edge that a window smoothes, and b goes to 0.
+        A plane r = d / cos(angle) appears as r + t(angle). To first order in t / d the tangent of its
+        apparent angle is tan(angle) + (t' - t tan(angle)) / d. At the apparent angle the term is therefore t
+        + b / d, with b = -t' cos^2(angle) (t' - t tan(angle)). Where the plane is seen perpendicularly, t has
+        an edge, which the window of the estimate smoothes, and b goes to 0.
         """
         angle = np.arccos(1.0 - np.linspace(0.0, 1.0, _ANGLES) ** 2)
 
@@ -241,12 +241,12 @@ class Folded:
     def incidence_term(self, cosine: Image, amplitude: Image, distance: Image) -> Image:
         """Return the terms of the incidence in metres (H, W); 0 where no plane was found. A new array.
 
-        ``distance`` [m] is what the angle was estimated from.
+        ``distance`` [m]: that from which the angle was estimated.
         """
         if self._by_angle is not None and kernels.LIBRARY is not None:
             return kernels.incidence_term(cosine, distance, table=self._by_angle)
         if self._by_angle is not None:
-            # NaN becomes a negative entry, which is taken for the first
+            # NaN becomes a negative entry, which counts as the first
             entry = np.sqrt(np.float32(1.0) - cosine)
             entry *= np.float32(_ANGLES - 1)
             entry += np.float32(1.5)

@@ -1,4 +1,4 @@
-"""Sigma and flags of a corrected frame: which of its distances hold, and how well."""
+"""Sigma and flags of a corrected frame: which of its distances are valid, and how precise they are."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ Image = NDArray[Any]
 
 @dataclass
 class Work:
-    """One frame on its way: what its setting folds into, what its amplitudes say, and the light so far."""
+    """A frame during its correction: tables of its setting, values by its amplitudes, the light so far."""
 
     folded: Folded
     reading: AmplitudeReading
     #: pixels without a raw distance, None where all have one
     missing: NDArray[np.bool_] | None
     light: Light
-    #: of the angle of incidence, NaN where no plane was found; None where no term needs it
+    #: cosine of the angle of incidence, NaN where no plane was found; None where no term needs it
     cosine: Image | None = None
 
     @property
     def noise(self) -> Image:
-        """1-sigma in metres of one distance (H, W), by its amplitude and what undoing the optics changed."""
+        """1-sigma in metres of one distance (H, W), by its amplitude and the gain of undoing the optics."""
         gain = self.light.gain
         sigma: Image = self.reading.sigma if gain is None else self.reading.sigma * gain
         return sigma
@@ -64,7 +64,7 @@ class Judgement:
         self._compiled = compiled
 
     def judge(self, work: Work, settings: Settings) -> tuple[Image, NDArray[np.uint8]]:
-        """Return sigma [m] and flags (H, W); the distance is NaN, and sigma, where they are not valid."""
+        """Return sigma [m] and flags (H, W); distance and sigma become NaN where they are not valid."""
         if not self._compiled:
             sigma = self._sigma(work)
             flags = self._flags(work, sigma, settings)
@@ -94,11 +94,11 @@ class Judgement:
         return reading.sigma, reading.flags
 
     def _sigma(self, work: Work) -> Image:
-        """Return the 1-sigma in metres (H, W) with what is not known of the incidence; a new array."""
+        """Return the 1-sigma in metres (H, W), including the uncertainty by the incidence; a new array."""
         sigma = work.noise
         gain = work.folded.distance.gain(work.light.distance)
         if gain is not None:
-            # where the cyclic error compresses distances, undoing it spreads their noise
+            # where the cyclic error compresses distances, undoing it increases their noise
             sigma *= gain
         if work.cosine is not None:
             at = np.flatnonzero(np.isnan(work.cosine))
@@ -109,9 +109,9 @@ class Judgement:
         folded, distance = work.folded, work.light.distance
         flags = work.reading.flags
         if self._spreads:
-            # light that stray light had lent an amplitude above the minimum
+            # pixels whose amplitude was above the minimum only by stray light
             _mark(flags, work.light.amplitude < self._dtype(folded.amplitude.minimum), Flag.LOW_AMPLITUDE)
-        # a value that only the amplitude's flags explain is not a missing measurement as well
+        # a value that is missing because of its amplitude is not flagged as a missing measurement, too
         nowhere = np.isnan(distance)
         if nowhere.any():
             nowhere &= (flags & np.uint8(INVALID.value)) == 0

@@ -1,7 +1,7 @@
 """The compiled functions of the correction (kernels.c), where they were compiled at the installation.
 
-Without them numpy computes the same: the classes that use these say what. `LIBRARY` is None then, and
-`PROBLEM` says why. Those of planes are called in `rim_camera_ros.pipeline.plane_kernels`.
+Without them the classes that use them compute the same by numpy; `LIBRARY` is then None, and `PROBLEM` states
+the reason. Functions for planes are called in `rim_camera_ros.pipeline.plane_kernels`.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 Image = NDArray[np.float32]
 
 POINTER, WHOLE, NUMBER = ctypes.c_void_p, ctypes.c_int64, ctypes.c_float
-#: Where the data of an array begin, for a call; TypeError where they are not contiguous or are read-only.
-#: Half the time that `numpy.ndarray.ctypes` takes, which a frame would spend on 60 arrays.
+#: Address of the data of an array, for a call; TypeError where they are not contiguous or are read-only. It
+#: takes half the time of `numpy.ndarray.ctypes`, which matters for the 60 arrays of a frame.
 address = (ctypes.c_char * 0).from_buffer
-#: Arguments, and what is returned.
+#: Types of the arguments and of the result, by function.
 _FUNCTIONS: dict[str, tuple[list[Any], Any]] = {
     "rim_planes": ([*[POINTER] * 5, *[WHOLE] * 2, *[NUMBER] * 4, POINTER], WHOLE),
     "rim_widen": ([*[POINTER] * 4, *[NUMBER] * 4], None),
@@ -50,7 +50,7 @@ _FUNCTIONS: dict[str, tuple[list[Any], Any]] = {
 
 
 def load(folder: Path) -> tuple[Any, str]:
-    """Return the compiled functions in a folder; None, and why, where this system can load none."""
+    """Return the compiled functions in a folder; or None and the reason where they cannot be loaded."""
     for suffix in EXTENSION_SUFFIXES:
         path = folder / f"_kernels{suffix}"
         if path.is_file():
@@ -59,7 +59,7 @@ def load(folder: Path) -> tuple[Any, str]:
                 for name, (arguments, result) in _FUNCTIONS.items():
                     function = getattr(library, name)
                     function.argtypes, function.restype = arguments, result
-            except (OSError, AttributeError) as error:  # of another system, or of another version
+            except (OSError, AttributeError) as error:  # built for another system, or another version
                 return None, f"{' '.join(str(error).split())} (build the package again)"
             return library, ""
     remedy = "sudo apt install build-essential, and build the package again"
@@ -86,9 +86,9 @@ class _Solver(ctypes.Structure):
 
 
 class CompiledSolver:
-    """What `rim_camera_ros.pipeline.distance_tables.DistanceSolver` computes of a frame, from its arrays.
+    """The computation of `rim_camera_ros.pipeline.distance_tables.DistanceSolver`, with its arrays.
 
-    ``slope`` (H, W) is written with each pixel that is solved.
+    ``slope`` (H, W) is written for each pixel that is solved.
     """
 
     def __init__(
@@ -134,9 +134,9 @@ class CompiledTable:
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """What counts (H, W) say: distances ``y`` and ``sigma`` [m], ``amplitude`` [counts], ``flags``.
+    """Values read from counts (H, W): distances ``y`` and ``sigma`` [m], ``amplitude`` [counts], ``flags``.
 
-    ``sigma`` and ``flags`` are empty unless ``whole`` was set; ``found``: flags that are set somewhere.
+    ``sigma`` and ``flags`` are empty unless ``whole`` was set; ``found``: all flags that are set anywhere.
     """
 
     y: Image
@@ -159,8 +159,8 @@ def read(
 ) -> Counts:
     """Read counts (H, W), into new arrays.
 
-    Distances are without what the amplitude, a map and an offset [m] add, and solved where a solver is given;
-    ``whole``: with sigma and flags.
+    The terms of amplitude, a map and an offset [m] are subtracted from distances, and terms of the distance
+    are undone where a solver is given. ``whole``: with sigma and flags.
     """
     raw, published = (np.ascontiguousarray(one, np.uint16) for one in (distance, amplitude))
     y, light = (np.empty(raw.shape, np.float32) for _ in range(2))
@@ -168,7 +168,7 @@ def read(
     sigma, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
     found = LIBRARY.rim_read(
         raw.size,
-        raw.ctypes.data,  # perhaps not to be written
+        raw.ctypes.data,  # may be read-only
         published.ctypes.data,
         ctypes.byref(table.structure),
         unit,
@@ -215,8 +215,9 @@ def judge(
 ) -> None:
     """Finish sigma [m] and flags (H, W), and make distances and sigmas NaN where they are not valid.
 
-    In place, as `rim_camera_ros.pipeline.correct.Correction` does, from what the amplitudes say. ``mixed``:
-    least step [m], in sigmas, share, of `rim_camera_ros.pipeline.mixed`.
+    In place, as `rim_camera_ros.pipeline.judgement.Judgement` does. Sigma and flags are at first those by the
+    amplitudes. ``mixed``: least step [m], least step in sigmas, and least share, of
+    `rim_camera_ros.pipeline.mixed`.
     """
     held = amplitude, gain, None if slope is None else slope[0], cosine, always
     addresses = [None if one is None else ctypes.addressof(address(one)) for one in held]
@@ -287,7 +288,7 @@ def from_image(
 ) -> tuple[Image, Image]:
     """Overwrite the delivered distances (H, W) [m] by those of an image; return its amplitudes and the gains.
 
-    As `rim_camera_ros.pipeline.optics.OpticsUndo` does; ``before`` are the amplitudes before.
+    As `rim_camera_ros.pipeline.optics.OpticsUndo` does; ``before``: amplitudes before stray light is undone.
     """
     image, before = (np.ascontiguousarray(one, np.float32) for one in (image, before))
     amplitude, gain = np.empty_like(before), np.empty_like(before)

@@ -18,9 +18,9 @@ LEAST_SHARE = 0.15
 def mixed_pixels(distance: NDArray[Any], sigma: NDArray[Any] | float = 0.0) -> NDArray[np.bool_]:
     """Return (H, W) bool: pixels between two surfaces along their row or their column.
 
-    A pixel is mixed if the pixels two before and two behind it differ by a step that neither side's
-    own slope explains, while the pixel itself lies between them, off both. So up to three mixed pixels
-    in a row are found; surfaces narrower than two pixels cannot be distinguished from mixed pixels.
+    A pixel is mixed if the pixels two before and two behind it differ by a step that the slope of neither
+    side explains, and its own distance lies between theirs and apart from both. This finds up to three mixed
+    pixels in a row. Surfaces narrower than two pixels are not distinguishable from mixed pixels.
     ``distance`` [m] with NaN where invalid; ``sigma`` [m] of one distance.
     """
     result = np.zeros(distance.shape, bool)

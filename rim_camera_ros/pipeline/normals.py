@@ -1,8 +1,8 @@
 """Angle of incidence from a frame's own distances, by planes fitted over windows.
 
-A pixel beside a step takes the plane of a window near it that passes through it (Kahlmann 2007, sec. 3.3.6:
-the surface is smooth in parts). The thesis fits over 5 x 5 pixels; where noise would tilt so small a plane
-too much, wider ones take its place (`rim_camera_ros.pipeline.planes`).
+For a pixel next to a step the plane of a nearby window is used that passes through the pixel (Kahlmann 2007,
+sec. 3.3.6: the surface is smooth in parts). The thesis fits over 5 x 5 pixels. Where noise would tilt so
+small a plane too much, wider windows are used (`rim_camera_ros.pipeline.planes`).
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from rim_camera_ros.pipeline import kernels, plane_kernels
 from rim_camera_ros.pipeline.planes import STRIDE, WINDOW, PlaneWindows
 
-#: The plane of a window beside it serves a pixel if it passes within this many metres of it, or three
-#: standard deviations of its distance; the nearest one without a search within SURE, or as many of them.
+#: The plane of a nearby window is used for a pixel if it passes within this many metres of it, or within
+#: three standard deviations of its distance. That of the nearest window is used without a search of others if
+#: it passes within SURE, or within as many standard deviations.
 NEAR = 0.03
 SURE = 0.004
 SIGMAS = 3.0
@@ -42,7 +43,7 @@ class IncidenceEstimator:
         self._planes = planes = PlaneWindows(x, y, rays[..., 2])
         rows, columns, stride = planes.rows, planes.columns, planes.stride
         half = WINDOW // 2
-        # the window of each pixel: the one whose centre is nearest
+        # the window of each pixel is the one with the nearest centre
         row = np.clip((np.arange(height) - half + STRIDE // 2) // STRIDE, 0, rows - 1)
         column = np.clip((np.arange(width) - half + STRIDE // 2) // STRIDE, 0, columns - 1)
         self._window = (row[:, None] * stride + column).astype(np.intp)
@@ -52,7 +53,7 @@ class IncidenceEstimator:
             np.clip(v + dv, 0, rows - 1) * stride + np.clip(u + du, 0, columns - 1) + 1
             for dv, du in _DIRECTIONS
         ]
-        # entry 0 of the windows is none
+        # entry 0 of the windows stands for no window
         self._neighbours = np.zeros((len(_DIRECTIONS), rows * stride + 1), np.intp)
         self._neighbours[:, 1:] = around
         self._fetched = np.empty(self.shape, np.complex128)
@@ -61,12 +62,12 @@ class IncidenceEstimator:
     def cosine(self, distance: NDArray[Any], sigma: NDArray[Any] | float = 0.0) -> NDArray[np.float32]:
         """Return |ray . normal| (H, W) for distances in metres; NaN where no plane is found.
 
-        ``sigma`` [m] of one distance, (H, W) or one number: noise is not taken for a step.
+        ``sigma`` [m] of one distance, (H, W) or one number, by which noise is distinguished from a step.
         """
         if not self._usable:
             return np.full(self.shape, np.nan, np.float32)
         distance = distance.astype(np.float32, copy=False)
-        # a pixel without distance makes everything of its windows NaN
+        # a pixel without distance makes all values of its windows NaN
         inverse = distance * self._rays[2]
         np.divide(np.float32(1.0), inverse, out=inverse)
         missing = ~(distance > 0)
@@ -120,8 +121,8 @@ class IncidenceEstimator:
     ) -> NDArray[np.float32]:
         """Return the cosines of pixels whose nearest good window may lie on the other side of a step.
 
-        The best plane of it and of the good windows six pixels away along the diagonals; NaN where none
-        fits. ``cosine`` and ``miss`` [m] are those of the nearest.
+        The plane that fits best is used, of this window and of the good windows six pixels away along the
+        diagonals; NaN where none fits. ``cosine`` and ``miss`` [m] are those of the nearest window.
         """
         if at.size == 0:
             return np.empty(0, np.float32)
@@ -135,7 +136,7 @@ class IncidenceEstimator:
         z += x
         z += y
         scale *= z
-        with np.errstate(divide="ignore"):  # a ray within the plane meets it nowhere
+        with np.errstate(divide="ignore"):  # a ray parallel to the plane never meets it
             error = np.divide(np.float32(1.0), z, out=z)
         error -= distance
         np.abs(error, out=error)

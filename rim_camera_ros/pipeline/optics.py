@@ -1,4 +1,4 @@
-"""Undoing what the optics did to the light: stray light, wrapping, the emitter beside the lens."""
+"""Undoing the effects of the optics on the light: stray light, wrapping, the emitter beside the lens."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ Image = NDArray[Any]
 class Light:
     """Light as it came through the lens: distance [m], amplitude [counts], all (H, W).
 
-    ``gain``: amplitude before over after undoing stray light, by which the noise of a distance grows;
-    ``image``: the complex image (H, 2, W). Both None where there is no stray light.
+    ``gain``: ratio of the amplitudes before and after stray light is undone, by which the noise of a distance
+    grows; ``image``: the complex image (H, 2, W). Both are None without stray light.
     """
 
     distance: Image
@@ -76,9 +76,9 @@ class OpticsUndo:
     ) -> Light:
         """Return the light for the delivered distance [m], which is overwritten, and amplitude [counts].
 
-        Effects on the light without a fast way of their own (those of other packages) correct it first.
+        Effects on the light without a fast method here (those of other packages) are undone first.
 
-        ``guess``: a complex image near the result. ``quick`` leaves narrow halos and ghosts alone.
+        ``guess``: a complex image near the result. With ``quick`` narrow halos and ghosts are not undone.
         """
         for other in self._others:
             found = other.correct(Signal(delivered, amplitude), context)
@@ -103,7 +103,7 @@ class OpticsUndo:
         if outside.any():
             beyond = distance[outside]
             beyond -= np.floor(beyond * (1 / self._ambiguity)) * self._ambiguity
-            # what rounding left at the end of the period
+            # values that rounding moved to the end of the period
             beyond[(beyond >= self._ambiguity) | (beyond < 0)] = 0
             distance[outside] = beyond
 
@@ -139,7 +139,7 @@ class OpticsUndo:
         dark = ~np.isfinite(phase)
         any_dark = bool(dark.any())
         if any_dark:
-            # no light where nothing was measured
+            # no light where there is no measurement
             phase[dark] = 0
             amplitude = amplitude.copy()
             amplitude[dark] = 0
@@ -148,7 +148,7 @@ class OpticsUndo:
         real, imaginary = solved[:, 0], solved[:, 1]
         direct = np.arctan2(imaginary, real)
         if self._wraps:
-            # into [0, L) comes later
+            # the distance is taken into [0, L) later
             np.multiply(direct, 1 / self._wave, out=light.distance)
         else:
             direct -= phase
@@ -160,7 +160,7 @@ class OpticsUndo:
         square = np.multiply(solved, solved, out=self._image)
         light.amplitude = np.add(square[:, 0], square[:, 1], out=direct)
         np.sqrt(light.amplitude, out=light.amplitude)
-        # noise stays where it is, but is the greater against what is left of the light
+        # the noise does not change, but grows relative to the remaining light
         light.gain = cv2.divide(amplitude, light.amplitude, scale=1.0 / self._spreading.direct)
 
     def _undo_emitter(self, half_path: Image) -> None:

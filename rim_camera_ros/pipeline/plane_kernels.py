@@ -37,9 +37,9 @@ class _Windows(ctypes.Structure):
 
 
 class CompiledWindows:
-    """What `rim_camera_ros.pipeline.planes.PlaneWindows` computes of a frame, from its arrays.
+    """The computation of `rim_camera_ros.pipeline.planes.PlaneWindows`, with its arrays.
 
-    Those are (rows, stride) and are kept here; ``over`` is None where there are no wider windows.
+    The arrays are (rows, stride) and are kept here; ``over`` is None where there are no wider windows.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class CompiledWindows:
         slope_sigmas: float,
         slope: float,
     ) -> None:
-        """Put wider planes, by their entries, in the place of noisy ones where they agree."""
+        """Replace noisy planes by wider ones, given by their entries, where the two agree."""
         kernels.LIBRARY.rim_widen(
             self._grid,
             self._geometry,
@@ -130,7 +130,7 @@ class CompiledWindows:
         )
 
     def entries(self) -> NDArray[np.complex128]:
-        """Return the entries of all windows, bad ones replaced by a good one within reach."""
+        """Return the entries of all windows, bad ones replaced by a good one nearby."""
         kernels.LIBRARY.rim_entries(self._grid, self._windows, kernels.address(self._entries))
         return self._entries
 

@@ -1,14 +1,14 @@
 """Planes fitted to the inverse depth over windows of 5 x 5 pixels, wider where noise is high.
 
-On a plane n . X = p the inverse depth W = 1 / z is linear in the ray's ideal image coordinates,
-W = m . (x, y, 1) with m = n / p. Mean and slopes of W over a window are linear in W, so that m follows
-from them with the mean and the slopes of x and y over the same window, exactly, also for a distorted
-lens. Windows stand at every third pixel. One whose residuals exceed the noise holds a step and is not used.
+On a plane n . X = p the inverse depth W = 1 / z is linear in the ray's ideal image coordinates, W = m . (x,
+y, 1) with m = n / p. Mean and slopes of W over a window are linear in W, so that m follows from them with the
+mean and the slopes of x and y over the same window, exactly, also for a distorted lens. Windows are placed at
+every third pixel. One whose residuals exceed the noise contains a step and is not used.
 
-Over few pixels noise tilts a plane by many degrees, and an angle of incidence, which is never negative,
-comes out too large on average. So the same is done with means of 3 x 3 and 9 x 9 pixels, whose windows are 15
-and 45 pixels wide: a plane that is too uncertain takes the next wider one, where that is consistent with the
-noise, with the plane's own mean, and with its slopes.
+Over few pixels noise tilts a plane by many degrees, and an angle of incidence, which is never negative, is
+too large on average. Planes are therefore also fitted to means of 3 x 3 and 9 x 9 pixels, over windows that
+are 15 and 45 pixels wide. A plane that is too uncertain is replaced by the next wider one, if that is
+consistent with the noise, and with the mean and the slopes of the narrower window.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.pipeline import kernels, plane_kernels
 
-#: Side of the window in pixels, and the step from window to window; so many pixels are one of the next scale.
+#: Side of the window in pixels, and the step from window to window, which is also the step between scales.
 WINDOW = 5
 STRIDE = 3
-#: A window holds a step if its residuals are above this many metres RMS (a third at each wider scale) ...
+#: A window contains a step if its residuals are above this many metres RMS (a third at each wider scale) ...
 RESIDUAL = 0.006
 #: ... and above this many times the noise.
 EXCESS = 1.15
@@ -32,18 +32,18 @@ EXCESS = 1.15
 SCALES = 3
 #: 1-sigma of a plane's tilt [rad] above which the next wider window is used.
 TILT = 0.02
-#: It is taken where it passes within so many metres or standard deviations of the window's mean, ...
+#: It is used where it passes within so many metres or standard deviations of the window's mean, ...
 NEAR = 0.004
 SIGMAS = 3.0
 #: ... and its slopes agree within this many metres per pixel plus so many standard deviations.
 SLOPE = 0.0008
 SLOPE_SIGMAS = 4.0
-#: Rows and columns of the window whose noise stands for all.
+#: Rows and columns of the pixels in a window from which its noise is computed.
 _SAMPLES = ((0, 4), (2, 2), (4, 0))
 _SQUARE_3, _SQUARE_5 = (np.ones((n, n), np.uint8) for n in (3, 5))
 _TINY = np.float32(1e-20)
 _PIXELS = WINDOW**2
-#: Sum over the window of the squares of a pixel's column (or row) from the centre.
+#: Sum over the window of the squared distance of the pixels' columns (or rows) from the centre.
 _SPREAD = 50.0
 _Plane = NDArray[np.float32]
 
@@ -51,8 +51,8 @@ _Plane = NDArray[np.float32]
 class PlaneWindows:
     """Planes over the windows of an image; ``x``, ``y`` (H, W) ideal image coordinates, ``z`` of unit rays.
 
-    ``entries`` (rows * stride + 1) hold m and 1 / |m| of each window as four float32; entry 0 is none. The
-    image must be 5 x 5 pixels at least.
+    ``entries`` (rows * stride + 1) hold m and 1 / |m| of each window as four float32; entry 0 stands for no
+    window. The image must have at least 5 x 5 pixels.
     """
 
     def __init__(
@@ -106,8 +106,8 @@ class PlaneWindows:
     def planes(self, inverse: _Plane, sigma: NDArray[Any] | float) -> NDArray[np.complex128]:
         """Return `entries` of the inverse depth W (H, W), bad ones replaced as `_nearest_good` says.
 
-        ``sigma`` [m] of one distance, (H, W) or one number. W is NaN without a distance, which makes all of
-        its windows bad.
+        ``sigma`` [m] of one distance, (H, W) or one number. W is NaN without a distance, which makes all
+        windows of the pixel bad.
         """
         if self._compiled is not None:
             return self._compiled_planes(self._compiled, inverse, sigma)
@@ -117,7 +117,7 @@ class PlaneWindows:
         m_y = c * fit.along_row + d * fit.along_column
         m_z = fit.mean - m_x * self._mean[0]
         m_z -= m_y * self._mean[1]
-        # a change of W by W^2 z is a metre along a ray of that z
+        # along a ray with that z, a change of W by W^2 z is one metre
         metre = fit.mean * fit.mean
         metre *= self._centre_z
         variance = self._variance(sigma)
@@ -149,7 +149,7 @@ class PlaneWindows:
         inverse: _Plane,
         sigma: NDArray[Any] | float,
     ) -> None:
-        """Put wider planes in the place of noisy ones, where they agree with what the window itself shows."""
+        """Replace noisy planes by wider ones, where these agree with mean and slopes of the window itself."""
         assert self._wider is not None
         entries = self._wider.planes(_means(inverse), self._sparse(sigma))
         found = np.take(entries, self._over).view(np.float32).reshape(*self._over.shape, 4)
@@ -160,7 +160,7 @@ class PlaneWindows:
         agrees = away <= metre * np.maximum(
             noise * np.float32(SIGMAS / WINDOW), np.float32(NEAR / self._factor)
         )
-        # not so wide a tolerance that the slopes of any other surface would do
+        # the tolerance is not so wide that the slopes of any other surface would pass
         most = metre * (
             noise * np.float32(SLOPE_SIGMAS / np.sqrt(_SPREAD)) + np.float32(SLOPE / self._factor)
         )
@@ -198,7 +198,7 @@ class PlaneWindows:
         shrunk = np.float32(1.0) / (self._factor * self._factor)
         if not np.ndim(sigma):
             return np.float32(sigma) ** 2 * shrunk
-        # its mean over a few of the window's pixels: the centre would do but for a texture
+        # the mean over a few pixels of the window: on a texture the centre alone does not suffice
         height, width = self.shape
         sigma = np.asarray(sigma)
         mean = np.zeros((self.rows, self.stride), np.float32)
@@ -209,15 +209,15 @@ class PlaneWindows:
         return mean
 
     def _nearest_good(self, good: NDArray[np.bool_]) -> NDArray[np.complex128]:
-        """Return the windows with bad ones replaced by a good one within reach, 1 / |m| negative in those.
+        """Return the windows, bad ones replaced by a good one nearby, with a negative 1 / |m|.
 
-        Without a good one within reach a window is NaN. By maximum filters instead of a distance
-        transform: those need no branches, which nobody could predict here.
+        Without a good one nearby a window is NaN. This uses maximum filters instead of a distance transform,
+        as they need no branches, which would be unpredictable here.
         """
         if good[:, : self.columns].all():
             return self.entries
         level = np.float32(self._level)
-        # numbers of windows from 1, bad ones far below 0; near ones one level above those farther off
+        # numbers of windows from 1, bad ones far below 0; near ones one level above those farther away
         number: _Plane = np.where(good, self._numbers, np.float32(-10.0) * level)
         nearest: Any = cv2.dilate(number, _SQUARE_5)
         next_: Any = cv2.dilate(number, _SQUARE_3)
@@ -225,7 +225,7 @@ class PlaneWindows:
         np.maximum(nearest, next_, out=nearest)
         number += level + level
         np.maximum(nearest, number, out=nearest)
-        # none within reach: entry 0
+        # none nearby: entry 0
         nearest *= nearest > 0
         source = np.zeros(good.size + 1, np.int32)
         source[1:] = nearest.ravel()
@@ -237,7 +237,7 @@ class PlaneWindows:
 
 
 def _means(image: NDArray[Any]) -> NDArray[Any]:
-    """Return the means of blocks of 3 x 3 pixels; NaN where one is."""
+    """Return the means of blocks of 3 x 3 pixels; NaN where one of them is NaN."""
     height, width = (n // STRIDE for n in image.shape)
     part = np.ascontiguousarray(image[: STRIDE * height, : STRIDE * width])
     return np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA))
@@ -246,8 +246,8 @@ def _means(image: NDArray[Any]) -> NDArray[Any]:
 class _Fits:
     """Planes through an image of W over all windows: mean, slopes per pixel, sum of squares about the plane.
 
-    Relative to the window's centre, so that float32 suffices. The grid of windows is (rows, stride):
-    all sums run over flat arrays, in which the last columns of the grid mix rows; they are no windows.
+    Coordinates are relative to the window's centre, so that float32 suffices. The grid of windows is
+    (rows, stride). All sums run over flat arrays; the last columns of the grid mix rows and are no windows.
     """
 
     def __init__(self, shape: tuple[int, int], dtype: Any) -> None:
@@ -256,10 +256,10 @@ class _Fits:
         self.stride = -(-width // STRIDE)
         self._shape = shape
         self._size = self.rows * self.stride
-        # every STRIDE-th row, so that a window's rows are slices; columns and rows more that shifts run into
+        # every STRIDE-th row, so that a window's rows are slices; spare columns and rows for the shifts
         spare = (WINDOW - 1) // STRIDE
         self._apart = np.zeros((STRIDE, self.rows + spare, STRIDE * self.stride), dtype)
-        # of the five rows of a window, by column: middle, sum, slope, sum of squares
+        # by column, over the five rows of a window: middle, sum, slope, sum of squares
         self._down = np.zeros((4, self.rows, STRIDE * self.stride), dtype)
         self._columns = np.zeros((STRIDE, 4 * self._size + spare), dtype)
 
@@ -288,7 +288,7 @@ class _Fits:
         return self
 
     def _along_rows(self) -> None:
-        """Sum what the columns hold over the five columns of a window."""
+        """Sum the values of the columns over the five columns of a window."""
         # every STRIDE-th column, so that a window's columns are slices
         size = self._size
         apart = [part[: 4 * size].reshape(-1, self.stride) for part in self._columns]

@@ -1,9 +1,9 @@
 """Simulation of cameras whose light comes in pulses: the light of a pixel over the time since the pulse.
 
 The effects of the optics act on the complex image of light at one modulation frequency. Light that arrives
-at several times is known by its Fourier series over the period of the pulses, and each of its harmonics
-k f is such an image: the same effects, computed for every harmonic, deliver what a pixel receives when, with
-as many returns as there are surfaces, bounces and stray light in it.
+at several times is described by its Fourier series over the period of the pulses, and each of its harmonics
+k f is such an image. The same effects, computed for every harmonic, thus give the light of a pixel over time,
+with all returns by surfaces, bounces and stray light.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rim_camera_ros.pipeline.simulate import Exposure, Simulation
 
 Array = NDArray[Any]
 
-#: For the sum of the light: so small a share of the pulse rate that its phase over a period is nothing.
+#: Frequency for the sum of the light, as a share of the pulse rate: its phase over a period is negligible.
 _SUM = 1e-6
 
 
@@ -34,7 +34,7 @@ class _Kept:
 
 @dataclass
 class PulsedSimulation(Simulation):
-    """A camera with pulses at the sensor's modulation frequency; subclasses say what they measure of them."""
+    """A camera with pulses at the sensor's modulation frequency; subclasses define what is measured."""
 
     _at: dict[int, Simulation] = field(default_factory=dict, repr=False)
     _spectrum: _Kept | None = field(default=None, repr=False)
@@ -42,8 +42,8 @@ class PulsedSimulation(Simulation):
     def arrivals(self, signal: Signal, exposure: Exposure, *, harmonics: int) -> Array:
         """Return the Fourier series (harmonics + 1, H, W) of the light over the time of its arrival, complex.
 
-        In counts of the amplitude, for exp(+ i 2 pi k t f); index 0 is the sum of the light. The terms in
-        metres of ``signal`` delay all the light of a pixel alike; where they are NaN, so is the result.
+        In counts of the amplitude, for exp(+ i 2 pi k t f); index 0 is the sum of the light. The terms [m] of
+        ``signal`` delay all light of a pixel alike; where they are NaN the result is NaN.
         """
         kept = self._spectrum
         if (
@@ -74,7 +74,7 @@ class PulsedSimulation(Simulation):
             simulation = Simulation(
                 replace(self.camera, sensor=sensor), self.scene, seed=self.seed, noise=False
             )
-            # what the pixels see is the same
+            # the pixels see the same surfaces
             simulation._seen = self._seen
             self._at[k] = simulation
         return self._at[k]

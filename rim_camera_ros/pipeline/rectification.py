@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.frame import Intrinsics
 
-#: Relative difference of a pixel from what is interpolated there beyond which an edge lies between pixels.
+#: Relative difference of a pixel from the interpolated value beyond which an edge lies between pixels.
 _EDGE = 0.02
 
 
 class Rectifier:
     """Resamples depth images of one camera from the distorted grid to that of its pinhole model.
 
-    The grid is that of the camera matrix K, which camera_info repeats in P: depth_image_proc and nav2 take
-    the result with the same camera_info. Between pixels the inverse depth is interpolated, which is linear on
-    a plane; at edges, where that would invent points more than 2 % off, the nearest pixel holds. Pixels
-    whose ray the camera did not see are NaN.
+    The grid is that of the camera matrix K, which camera_info repeats in P, so that depth_image_proc and nav2
+    can use the result with the same camera_info. Between pixels the inverse depth is interpolated, which is
+    linear on a plane. At edges, where interpolated points would be more than 2 % away from any pixel, the
+    nearest pixel is used. Pixels whose ray lies outside the camera's image are NaN.
     """
 
     def __init__(self, intrinsics: Intrinsics) -> None:
@@ -42,7 +42,7 @@ class Rectifier:
             inverse = np.reciprocal(np.asarray(image, np.float32))
             nearest = self._resampled(inverse, cv2.INTER_NEAREST)
             between = self._resampled(inverse, cv2.INTER_LINEAR)
-            smooth = np.abs(between - nearest) <= _EDGE * nearest  # False beside NaN
+            smooth = np.abs(between - nearest) <= _EDGE * nearest  # False next to NaN
             result: NDArray[np.float32] = np.reciprocal(np.where(smooth, between, nearest))
         return result
 
@@ -55,5 +55,5 @@ class Rectifier:
 
 @lru_cache(maxsize=2)
 def rectifier(intrinsics: Intrinsics) -> Rectifier:
-    """Return the rectifier of a camera; those used last are kept."""
+    """Return the rectifier of a camera; the last ones are cached."""
     return Rectifier(intrinsics)

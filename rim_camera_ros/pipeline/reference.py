@@ -1,8 +1,8 @@
-"""The internal reference path over time: its faults in a simulation, its filter and linearity.
+"""The internal reference path over time: its errors in a simulation, its filter and linearity.
 
 Kahlmann 2007, chapter 4. D_corr = D_ext + D_int_corr - D_int (eq. 4.4); with a scale (eq. 4.5); with the
-linearity of both paths (eq. 4.6, whose correction of the reference is printed as a factor; it is added, as
-that of the external path).
+linearity of both paths (eq. 4.6). There the correction of the reference is printed as a factor; here it is
+added, as that of the external path is.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from rim_camera_ros.frame import NANOSECONDS, Settings
 
 @dataclass(frozen=True)
 class Linearity:
-    """The cyclic error of the reference path: sinusoids over the ambiguity range [m] of what it measures.
+    """The cyclic error of the reference path: sinusoids over the ambiguity range [m].
 
-    Without harmonics it measures what is there.
+    Without harmonics there is no error.
     """
 
     harmonics: tuple[Harmonic, ...] = ()
@@ -35,9 +35,9 @@ class Linearity:
 
     @classmethod
     def of_camera(cls, camera: Camera) -> Linearity:
-        """Return the camera's own cyclic error at its reference pixels: both paths share the modulation.
+        """Return the camera's own cyclic error at its reference pixels, as both paths share the modulation.
 
-        For a reference on the topic, whose pixels are not known, the phase is that of the principal point.
+        For a reference that comes on the topic, without pixels, the phase is that of the principal point.
         """
         cyclic, reference = effect_of(camera, HarmonicError), effect_of(camera, InternalReference)
         if cyclic is None:
@@ -51,14 +51,14 @@ class Linearity:
         return cls(harmonics, camera.sensor.ambiguity)
 
     def measured(self, distance: float) -> float:
-        """Return what is measured in metres at a distance in metres."""
+        """Return the measured distance [m] at a true distance [m]."""
         wave = 2 * math.pi / self.ambiguity
         return distance + sum(
             h.amplitude * math.sin(h.order * wave * distance + h.phase) for h in self.harmonics
         )
 
     def distance(self, measured: float) -> float:
-        """Return the distance in metres at which so much is measured, by Newton's method to 1e-12 m."""
+        """Return the true distance [m] of a measured one [m], by Newton's method to 1e-12 m."""
         if not self.harmonics:
             return measured
         wave = 2 * math.pi / self.ambiguity
@@ -80,7 +80,7 @@ class Linearity:
 
 @dataclass(frozen=True)
 class SimulatedReference:
-    """How a simulated reference path departs from nominal + drift / scale; by default not at all.
+    """Departures of a simulated reference path from nominal + drift / scale; by default none.
 
     ``lag``: the reference follows the drift with this time constant [s] (sec. 4.3.1: inertia of the fibre).
     ``linearity``: its own cyclic error, evaluated at the drifted distance (sec. 4.4); the reading without
@@ -109,7 +109,7 @@ class SimulatedReference:
         return self.linearity.measured(start + effect.reading(drift) - effect.nominal)
 
     def _lagged(self, drift: float, stamp: int, memory: MutableMapping[str, Any]) -> float:
-        """First-order lag, starting at the first drift; between frames the drift is linear in time."""
+        """Return the drift with a first-order lag that starts at the first drift; linear between frames."""
         if self.lag == 0:
             return drift
         state: tuple[int, float, float] | None = memory.get(f"{InternalReference.name}:lag")
@@ -126,31 +126,32 @@ class SimulatedReference:
 
 # --- filter -------------------------------------------------------------------------------------
 
-#: Drift rates in m/s from a camera that is warm in a room at rest (4 mm/h) to the first seconds after
-#: power-on (secs. 4.3.1: 7 cm of the reference in 30 s, most of it in the first 10 s).
+#: Drift rates in m/s, from that of a warm camera in a room of constant temperature (4 mm/h) to that in the
+#: first seconds after power-on (sec. 4.3.1: 7 cm of the reference in 30 s, most of it in the first 10 s).
 RATES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
-#: Logarithm of how plausible each rate is where readings do not tell: fast drift is rare.
+#: Logarithm of the prior probability of each rate, up to a constant: fast drift is rare.
 _PRIOR = (0.0, -2.0, -4.0, -6.0, -8.0)
-#: How long what the readings tell of the rate is remembered: in readings, and in seconds.
+#: For how long the evidence of readings on the rate is kept: in readings, and in seconds.
 _READINGS = 200.0
 _SECONDS = 200.0
-#: The observed noise is the stated one's until about so many readings differ from it, and their running mean
-#: over the second number of readings later. Readings farther apart in seconds tell of drift as well.
+#: The variance of a reading begins as the stated one, with the weight of the first number of readings, and
+#: later is a running mean over the second number of readings. Readings more than the third number [s] apart
+#: are not used for it, as they contain drift as well.
 _STATED, _OBSERVED, _NEAR = 20.0, 500.0, 1.0
-#: An observation of the variance counts at most so many times the present one: jumps are no noise.
+#: An observation of the variance counts at most as so many times the present one: jumps are not noise.
 _OUTLIER = 9.0
 _LEAST_NOISE = 1e-4
-#: After so many seconds without a reading, or so many of uptime, the filter starts anew.
+#: After so many seconds without a reading, of stamps or of uptime, the filter starts anew.
 GAP = 300.0
 
 
 @dataclass(frozen=True, slots=True)
 class FilterState:
-    """What the readings up to ``stamp`` [ns] say; ``level`` [m] and ``sigma`` [m] are the result.
+    """State of the filter after the readings up to ``stamp`` [ns]; the result is ``level`` and ``sigma`` [m].
 
-    For each of `RATES`: its level, the sigma of that, and the logarithm of its plausibility. ``slope`` [m/s]
-    and ``interval`` [s] of the last two readings, and from ``count`` such the variance of a reading over the
-    stated one.
+    For each of `RATES`: its level, the sigma of the level, and the logarithm of the probability of the rate.
+    ``slope`` [m/s] and ``interval`` [s] are those of the last two readings. From ``count`` such pairs follows
+    the variance of a reading, over the stated one.
     """
 
     stamp: int
@@ -169,7 +170,7 @@ class FilterState:
 
 def start_filter(reading: float, *, stamp: int, uptime: float | None, sigma: float) -> FilterState:
     """Return the state after a first reading in metres of 1-sigma ``sigma`` [m]."""
-    # all rates alike: a camera that was just switched on drifts fast
+    # all rates are equally probable: a camera that was just switched on drifts fast
     n = len(RATES)
     return FilterState(
         stamp, uptime, reading, reading, sigma, (reading,) * n, (sigma,) * n, (-math.log(n),) * n
@@ -181,19 +182,20 @@ def advance_filter(
 ) -> FilterState:
     """Return the state after a further reading in metres of 1-sigma ``sigma`` [m] at a stamp in ns.
 
-    Exponential filters, one for each drift rate r of `RATES`, weighted by how well each has predicted the
-    readings of late. The uncertainty of a level grows by r dt between readings; the gain that follows has,
-    in the steady state, the time constant (sigma^2 dt / (4 r^2))^(1/3), which minimises the sum of squared
-    noise and lag, sigma^2 dt / (2 tau) + (r tau)^2. As dt is the time that really passed, frame rates may
-    vary and frames be missing. sigma^2 is the stated one times what successive readings show.
+    There is an exponential filter for each drift rate r of `RATES`; filters are weighted by how well they
+    have predicted recent readings. The uncertainty of a level grows by r dt between readings. In the steady
+    state the gain then has the time constant (sigma^2 dt / (4 r^2))^(1/3), which minimises the sum of squared
+    noise and lag, sigma^2 dt / (2 tau) + (r tau)^2. As dt is the true interval, frame rates may vary and
+    frames may be missing. sigma^2 is the stated variance times a factor from the differences of successive
+    readings.
 
-    A repeated reading is the same message of a slower topic and tells nothing new. The filter starts anew
-    after `GAP`, when time or uptime goes back (the camera was switched off), never across.
+    A repeated reading is the same message of a slower topic and adds nothing. The filter starts anew after
+    `GAP`, and when time or uptime goes back (the camera was switched off).
     """
     elapsed = (stamp - state.stamp) / NANOSECONDS
     later = 0.0
     if uptime is not None and state.uptime is not None:
-        # stations of a schedule may follow each other sooner than their uptimes say
+        # stamps of stations in a schedule may be closer together than their uptimes
         later = uptime - state.uptime
     if elapsed < 0 or later < 0 or max(elapsed, later) > GAP:
         return start_filter(reading, stamp=stamp, uptime=uptime, sigma=sigma)
@@ -247,9 +249,9 @@ def advance_filter(
 class ReferenceReader:
     """Takes the reading of each frame, filters it, and corrects its linearity.
 
-    ``linearity``: the reference's own cyclic error (eq. 4.6); without one the reading is taken as it is,
-    and a scale that was estimated from such readings holds the slope of that error (eq. 4.5). The noise of
-    a reading is stated by the floor of the camera's noise model, over the root of the number of pixels.
+    ``linearity``: the reference's own cyclic error (eq. 4.6). Without it readings are used as they are, and a
+    scale that was estimated from such readings includes the slope of that error (eq. 4.5). The stated noise
+    of a reading is the floor of the camera's noise model, over the root of the number of pixels.
     """
 
     def __init__(
@@ -257,7 +259,7 @@ class ReferenceReader:
     ) -> None:
         self._effect = effect
         self._linearity = linearity if linearity is not None and linearity.harmonics else None
-        # not below the rounding to counts, so that a noise-free camera has a gain as well
+        # at least the rounding to counts, so that the gain is defined for a noise-free camera, too
         self._noise = max(camera.noise.floor, camera.sensor.lsb / math.sqrt(12))
         if self._linearity is not None:
             self._start = self._linearity.distance(effect.nominal)
@@ -266,7 +268,7 @@ class ReferenceReader:
     def take(
         self, pixels: NDArray[Any] | None, settings: Settings, *, stamp: int, memory: MutableMapping[str, Any]
     ) -> Settings:
-        """Return the settings with the filtered reading in the place of the frame's own.
+        """Return the settings with the filtered reading in place of the frame's own.
 
         ``pixels``: measured distances [m], or NaN, of the reference pixels; None where there are none.
         ``memory`` keeps the filter from frame to frame.

@@ -22,11 +22,11 @@ Resolve = Callable[[Image, Settings], tuple[Image, Image, Image]]
 
 
 class ResolvedCorrection(Correction):
-    """Evaluates distance, amplitude and sigma anew where a frame holds what they are made of.
+    """Evaluates distance, amplitude and sigma anew where a frame contains the images they come from.
 
-    ``role``: of the images (H, W, ``count``) that are linear in the light; ``resolve`` evaluates them.
-    Stray light is undone in them, image by image; in distance and amplitude alone it cannot be, because
-    light of another distance may be separable or not. ``black_level`` [counts] is taken off first.
+    ``role``: that of the images (H, W, ``count``), which are linear in the light; ``resolve`` evaluates them.
+    Stray light is undone in each of these images. It cannot be undone in distance and amplitude alone, as
+    light of another distance may be separable or not. ``black_level`` [counts] is subtracted first.
     ``responds``: the images are compressed as ``amplitude_nonlinearity`` says. Otherwise as `Correction`.
     """
 
@@ -46,7 +46,7 @@ class ResolvedCorrection(Correction):
         stray = effect_of(camera, StrayLight)
         apart = frozenset() if stray is None else frozenset({StrayLight.name})
         rest = {name: effect for name, effect in camera.effects.items() if name not in apart}
-        # a name that is in no file is refused as for every camera
+        # unknown names are refused, as for every camera
         super().__init__(
             replace(camera, effects=rest), without=given - apart, minimum_amplitude=minimum_amplitude
         )
@@ -82,14 +82,14 @@ class ResolvedCorrection(Correction):
         if self._black_level:
             planes = planes.astype(np.float32) - np.float32(self._black_level)
         if self._response is not None:
-            # below the black level there is noise only
+            # below the black level there is only noise
             lit = self._response.expanded(np.maximum(planes, 0).astype(np.float32))
             planes = np.where(planes > 0, lit, planes)
         if self._stray is not None:
             planes = _without_stray_light(planes.astype(np.float32), self._stray)
         distance, amplitude, sigma = self._resolve(planes, frame.settings)
         published = amplitude if self._published is None else self._published.compressed(amplitude)
-        # what the device marked as missing or saturated stays so
+        # pixels that the device marked as missing or saturated stay marked
         published = np.where(frame.amplitude >= self.camera.sensor.saturation, frame.amplitude, published)
         return replace(
             frame,
@@ -99,7 +99,7 @@ class ResolvedCorrection(Correction):
         )
 
     def _with_sigma(self, frame: RawFrame) -> RawFrame:
-        """Return the frame with the noise of its distances, where that goes with more than the light."""
+        """Return the frame with the noise of its distances, where it depends on more than the light."""
         metres = frame.distance.astype(np.float32)
         if frame.distance.dtype.kind != "f":
             metres *= np.float32(self.camera.sensor.lsb)

@@ -1,4 +1,4 @@
-"""Several modulation frequencies: the chain for each, and the wraps that their distances agree on."""
+"""Several modulation frequencies: the chain of effects for each, and the wraps with which they agree."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ _TUNED = 1e-3
 class SeveralSimulations:
     """Simulates one distance and amplitude image for each frequency of a camera.
 
-    Emitted power and scene are the same for all, the noise of each is its own. All frequencies are exposed at
-    the frame's stamp. ``options`` as of `Simulation`.
+    Emitted power and scene are the same for all frequencies, their noise is independent. All are exposed at
+    the frame's stamp. ``options``: those of `Simulation`.
     """
 
     def __init__(self, camera: Camera, scene: Scene, **options: Any) -> None:
@@ -67,7 +67,7 @@ class SeveralSimulations:
         return replace(frames[0], settings=settings, images=images)
 
     def geometry(self, poses: Mapping[str, Pose]) -> Geometry:
-        """Return what the pixels see."""
+        """Return the geometry that the pixels see."""
         return self.channels[0].geometry(poses)
 
     def true_distance(self, exposure: Exposure) -> NDArray[np.float64]:
@@ -79,8 +79,8 @@ class SeveralSimulations:
 class ResolvedFrame(CorrectedFrame):
     """A corrected frame of several frequencies.
 
-    ``wrong_wrap`` (H, W) float32: probability that the next likely wraps are the true ones, NaN where a
-    frequency has no distance. ``two_paths`` (H, W) bool: where the distance is that of the first of two.
+    ``wrong_wrap`` (H, W) float32: probability of the second most likely wraps, NaN where a frequency has no
+    distance. ``two_paths`` (H, W) bool: where the distance is that of the first of two paths.
     """
 
     wrong_wrap: NDArray[np.float32]
@@ -88,13 +88,13 @@ class ResolvedFrame(CorrectedFrame):
 
 
 class SeveralCorrections:
-    """Corrects each frequency with its own camera, and resolves the wraps of what comes out.
+    """Corrects each frequency with its own camera, and resolves the wraps of the results.
 
-    Terms that need the distance itself are undone once the wraps are known; the others before, as the phases
-    that are compared must be free of them. ``distance`` is then the mean of the frequencies' distances by
-    their weights, NaN where any of them has none, and with the flag `Flag.AMBIGUOUS` where the next likely
-    wraps are within the odds that the camera file states. Recordings that hold the resolved distance alone
-    are corrected as an ordinary camera's.
+    Terms that need the distance itself are undone once the wraps are known. Other terms are undone before, as
+    the phases that are compared must be free of them. ``distance`` is the weighted mean of the distances of
+    the frequencies, NaN where any of them has none. It has the flag `Flag.AMBIGUOUS` where the second most
+    likely wraps are within the odds that the camera file states. Recordings with only the resolved distance
+    are corrected as those of an ordinary camera.
 
     Raises `InputError` for an unknown name in ``without``.
     """
@@ -187,7 +187,7 @@ class SeveralCorrections:
         )
 
     def correct_distance(self, frame: RawFrame) -> CorrectedDistance:
-        """Return what `correct` does: the wraps need the noise of every pixel."""
+        """Return the frame of `correct`: resolving wraps needs the noise of every pixel anyway."""
         return self.correct(frame)
 
     def cloud(
@@ -201,11 +201,11 @@ class SeveralCorrections:
         return self._ordinary.depth(frame)
 
     def minimum_for(self, settings: Settings) -> float:
-        """Return the minimum amplitude in counts that holds at these settings, the greatest of all."""
+        """Return the minimum amplitude [counts] at these settings, the greatest of all frequencies."""
         return max(correction.minimum_for(settings) for correction in self._first)
 
     def carry_on(self, before: Any) -> None:
-        """Take over what another correction of this camera knows of the past."""
+        """Take over the state of another correction of this camera."""
         if isinstance(before, SeveralCorrections) and len(before._first) == len(self._first):
             mine = [*self._first, *(self._second or ())]
             for one, other in zip(mine, [*before._first, *(before._second or before._first)], strict=False):
@@ -270,7 +270,7 @@ class SeveralCorrections:
     def _again(
         self, frames: list[RawFrame], parts: list[CorrectedFrame], distance: Image
     ) -> list[CorrectedFrame]:
-        """Correct once more with the wraps known, so that terms see the distance itself."""
+        """Correct once more with known wraps, so that terms are evaluated at the distance itself."""
         assert self._second is not None
         result: list[CorrectedFrame] = []
         for correction, frame, part in zip(self._second, frames, parts, strict=True):
@@ -297,6 +297,6 @@ def _mean(parts: list[CorrectedFrame]) -> Image:
 
 
 def _beyond(camera: Camera, farthest: float) -> Camera:
-    """Return the camera with distances that do not wrap within ``farthest`` [m]."""
+    """Return the camera with an ambiguity range so large that no distance up to ``farthest`` [m] wraps."""
     lsb = max(farthest + 1.0, 1.01 * camera.sensor.ambiguity) / FULL_SCALE
     return replace(camera, sensor=replace(camera.sensor, distance_lsb=lsb))

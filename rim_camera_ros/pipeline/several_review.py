@@ -1,4 +1,4 @@
-"""Several frequencies against true poses: offsets between them, and wraps that are not those of the scene."""
+"""Several frequencies compared with true poses: offsets between frequencies, and wrong wraps."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from rim_camera_ros.scene import Scene
 
 Image = NDArray[Any]
 
-#: Poses that are looked at, at most.
+#: Most poses that are used.
 _POSES = 40
-#: Standard deviations by which chance may move what is found.
+#: Standard deviations up to which a result may be due to chance.
 _CHANCE = 5.0
 #: Offset [m] of a frequency below which nothing is changed.
 _LEAST = 0.001
-#: Share of wrong wraps that may stay where a key is dropped.
+#: A key is dropped only if the share of wrong wraps falls at least to this fraction.
 _FEWER = 0.1
 
 
@@ -40,12 +40,12 @@ class _Seen:
 
 
 def review(camera: Camera, frames: Iterable[RawFrame], scene: Scene) -> tuple[Camera, list[Change]]:
-    """Return the camera without what true poses deny, and the changes.
+    """Return the camera without statements that true poses contradict, and the changes.
 
-    An offset that is the same at all poses and not that of the other frequencies cannot come from the set-up,
-    which they share: it is taken into the file's own offsets of that frequency. ``wraps`` and ``range`` are
-    dropped, so that the frequencies alone say what is possible, where more wraps are wrong than their
-    probabilities allow and those of the frequencies are not.
+    An offset that is the same at all poses but differs from that of other frequencies cannot come from the
+    set-up, which all share. It is added to the offsets of that frequency in the camera file. ``wraps`` and
+    ``range`` are dropped where more wraps are wrong than their probabilities allow, and fewer are wrong
+    without these keys, by the frequencies alone.
     """
     seen: dict[Any, _Seen] = {}
     for frame in frames:
@@ -70,17 +70,17 @@ def _without_offsets(camera: Camera, seen: Sequence[_Seen], scene: Scene) -> tup
         parts = correction.phases(correction.frames(view.frame) or [])
         for i, (part, period) in enumerate(zip(parts, periods, strict=True)):
             apart = wrap_residual(part.distance - view.truth, period)
-            # around the direction of the mean: an offset may be near half the range
+            # around the mean direction, as an offset may be near half the range
             turn = np.exp(2j * np.pi / period * apart[np.isfinite(apart)])
             row[i] = np.angle(turn.mean()) * period / (2 * np.pi) if turn.size else np.nan
     mean = np.nanmean(found, axis=0)
     spread = np.nanstd(found, axis=0, ddof=1) / np.sqrt(len(seen)) if len(seen) > 2 else np.inf
     poses = max(surface.pose_sigma[0] for surface in scene.surfaces)
-    beside = mean - np.array([np.median(np.delete(mean, i)) for i in range(len(mean))])
+    apart = mean - np.array([np.median(np.delete(mean, i)) for i in range(len(mean))])
     far = np.maximum(_LEAST, _CHANCE * np.hypot(spread, poses))
     channels, changes = list(camera.channels), list[Change]()
     for i, part in enumerate(camera.measurement.parts(camera)):
-        if abs(mean[i]) > far[i] and abs(beside[i]) > far[i]:
+        if abs(mean[i]) > far[i] and abs(apart[i]) > far[i]:
             moved = _with_offset(channels[i], float(mean[i]), part.name)
             if moved is not None:
                 channels[i], name, before = moved
@@ -126,11 +126,11 @@ def _without_wrong_wraps(camera: Camera, seen: Sequence[_Seen]) -> tuple[Camera,
 
 
 def _wrong_wraps(camera: Camera, seen: Iterable[_Seen]) -> tuple[int, float]:
-    """Return the number of pixels with wrong wraps, or none, and how many chance makes so at most."""
+    """Return the number of pixels with wrong or no wraps, and the greatest number that chance explains."""
     correction = SeveralCorrections(camera)
     least = min(channel.sensor.ambiguity for channel in camera.channels)
     wrong, expected = 0, 0.0
-    # no wraps within the span are no measurement either; whether there was one the raw images say
+    # pixels without wraps in the span are flagged as not measured; raw images show which were measured
     dark = np.uint8((INVALID & ~Flag.AMBIGUOUS & ~Flag.NO_MEASUREMENT).value)
     for view in seen:
         found = correction.correct(view.frame)

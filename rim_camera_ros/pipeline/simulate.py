@@ -30,7 +30,7 @@ Image = NDArray[Any]
 
 @dataclass(frozen=True)
 class Exposure:
-    """What is exposed: stamp [ns], settings, the pose of every surface, and the station it belongs to."""
+    """An exposure: stamp [ns], settings, the pose of every surface, and the station it belongs to."""
 
     stamp: int
     settings: Settings
@@ -41,7 +41,7 @@ class Exposure:
 
 @dataclass(frozen=True)
 class _Kept:
-    """The light that the steady effects deliver, and what it was computed from."""
+    """The light after the steady effects, and the inputs from which it was computed."""
 
     geometry: Geometry
     amplitude: NDArray[Any]
@@ -52,11 +52,10 @@ class _Kept:
 class Simulation:
     """A camera that simulates frames of one scene.
 
-    ``waveform``: None evaluates the effects' closed forms on the demodulated signal; a `Waveform` works
-    at the level of the four samples, of which the cyclic error then emerges. ``seed`` makes noise,
-    interference and the emitted power reproducible. ``noise`` and ``quantised`` off give what the
-    effects alone do. ``reference``: how an internal reference path departs from the drift that it should
-    show, for the laboratory.
+    ``waveform``: None evaluates the closed forms of effects on the demodulated signal; with a `Waveform` the
+    four samples are computed, from which the cyclic error results. ``seed`` makes noise, interference and the
+    emitted power reproducible. Without ``noise`` and ``quantised`` only the effects act. ``reference``:
+    errors of an internal reference path, for the laboratory.
 
     Raises `InputError` where no ray of the camera meets any surface.
     """
@@ -87,9 +86,9 @@ class Simulation:
         self._around: tuple[Geometry, FootprintLight] | None = None
 
     def beside(self, camera: Camera, stream: int) -> Simulation:
-        """Return a simulation of another camera in the same place, of the same power and with its own noise.
+        """Return a simulation of another camera in the same place, with the same power but its own noise.
 
-        ``stream``: another number for each. What the pixels see is computed once for both.
+        ``stream``: a different number for each. The geometry of the pixels is computed once for both.
         """
         other = replace(self, camera=camera)
         other._rng = np.random.Generator(np.random.SFC64([self.seed, stream]))
@@ -99,7 +98,7 @@ class Simulation:
     # --- scene ----------------------------------------------------------------------------------
 
     def geometry(self, poses: Mapping[str, Pose]) -> Geometry:
-        """Return what the pixels see; the last few sets of poses are kept."""
+        """Return the geometry that the pixels see; that of the last few sets of poses is kept."""
         key = tuple(poses[surface.name] for surface in self.scene.surfaces)
         found = self._seen.get(key)
         if found is None:
@@ -123,7 +122,7 @@ class Simulation:
         """Return the context in which the effects see this exposure."""
         settings = exposure.settings
         if settings.modulation_frequency is not None:
-            # poses may be those of a camera that was modulated otherwise
+            # poses may be those of a camera with another modulation frequency
             own = self.camera.sensor.modulation_frequency
             settings = replace(settings, modulation_frequency=own)
         if settings.integration_time is None:
@@ -176,8 +175,8 @@ class Simulation:
     def light(self, exposure: Exposure) -> Image:
         """Return the complex image (H, W) of the light that the optics deliver, in counts.
 
-        After the effects that stay as they are while the scene does: emission, multipath, mixed pixels,
-        scattering; before motion and whatever comes behind the pixels.
+        It is the light after the effects that are steady while the scene is at rest (emission, multipath,
+        mixed pixels, scattering), and before motion and the effects behind the pixels.
         """
         steady = list(takewhile(lambda effect: effect.steady, self._chain.light))
         signal = self._steady(steady, self.context(exposure))
@@ -194,7 +193,7 @@ class Simulation:
         return signal if self.waveform is None else self._at_sample_level(signal, context)
 
     def _steady(self, steady: list[Effect], context: Context) -> Signal:
-        """Return the light after the first effects, which stay as they are while the scene does."""
+        """Return the light after the first effects, which are steady while the scene is at rest."""
         if context.geometry is None or context.geometry_at is None:
             raise ValueError("the context of a simulation has a geometry")
         _, amplitude = context.geometry_at(0.0)
@@ -210,17 +209,17 @@ class Simulation:
         return signal
 
     def _full(self, published: Any) -> NDArray[np.bool_]:
-        """Return where amplitude [counts] and what unmodulated light leaves reach the saturation."""
+        """Return where amplitude [counts], with the room that unmodulated light leaves, is saturated."""
         sensor = self.camera.sensor
         result: NDArray[np.bool_] = published + sensor.remaining(self.camera.background) >= sensor.saturation
         return result
 
     def _saturating(self, published: Any) -> Any:
-        """Return amplitudes [counts] as they are delivered: a full pixel delivers the saturation."""
+        """Return amplitudes [counts] as they are delivered: a full pixel has the saturation value."""
         return np.where(self._full(published), self.camera.sensor.saturation, published)
 
     def _at_sample_level(self, signal: Signal, context: Context) -> Signal:
-        """Add what demodulating the four samples of the waveform makes of the phase."""
+        """Add the error of the phase that demodulating the four samples of the waveform causes."""
         assert self.waveform is not None
         wave = 2 * np.pi / context.ambiguity
         error = self.waveform.phase_error(np.nan_to_num(signal.distance) * wave) / wave
@@ -256,15 +255,15 @@ class Simulation:
     def measured(
         self, signal: Signal, context: Context, exposure: Exposure
     ) -> tuple[Image, Image, Mapping[str, Image]]:
-        """Return distance [m] (NaN: none), amplitude [counts] before clipping, and what else is measured.
+        """Return distance [m] (NaN: none), amplitude [counts] before clipping, and further images.
 
-        The last by role (`RawFrame.images`); none here. Ways of measuring that do not demodulate a phase
-        differ in this alone.
+        Further images are by role (`RawFrame.images`); here there are none. Ways of measuring that do not
+        demodulate a phase override only this method.
         """
         return (*self._with_noise(signal, context), {})
 
     def _with_noise(self, signal: Signal, context: Context) -> tuple[Any, Any]:
-        """Noise at the delivered amplitude, circular in the complex plane; amplitude after the read-out."""
+        """Return distance and amplitude with noise, circular in the complex plane, after the read-out."""
         distance, amplitude = np.array(signal.measured), signal.published_amplitude
         if self.noise:
             shape = distance.shape
@@ -280,7 +279,7 @@ class Simulation:
         return distance, amplitude
 
     def _reference(self, distance: Any, context: Context) -> tuple[Settings, Any]:
-        """Lay the reference path's reading into its pixels, or into the settings where it has none."""
+        """Put the reading of the reference path into its pixels, or into the settings if it has none."""
         effect = effect_of(self.camera, InternalReference)
         settings = context.settings
         if effect is None:
@@ -321,7 +320,7 @@ class Simulation:
 
 
 def drift_of(camera: Camera, context: Context) -> float:
-    """Return the sum of the drifts that an internal reference shows as well, in metres for this frame."""
+    """Return the sum [m] of the drifts in this frame that an internal reference shows, too."""
     empty = np.empty((0,))
     terms = [
         effect for effect in camera.effects.values() if isinstance(effect, DistanceTerm) and effect.drifts

@@ -1,9 +1,9 @@
 """Light by two paths in one pixel, separated by several modulation frequencies.
 
 The complex image at the frequency f_i is S_i / g_i = a exp(i k_i d) + b exp(i k_i (d + s)) with the wave
-number k_i = 4 pi f_i / c: a direct path of the distance d and one that is longer by s, with amplitudes
-a >= b >= 0 and the frequencies' relative gains g_i. At one frequency the two are one phasor with a wrong
-phase; n frequencies are 2 n equations for the four unknowns. A. A. Dorrington et al., *Separating true range
+number k_i = 4 pi f_i / c: a direct path of the distance d and one that is longer by s, with amplitudes a >= b
+>= 0 and the frequencies' relative gains g_i. At one frequency the two paths give one phasor with a wrong
+phase; n frequencies give 2 n equations for the four unknowns. A. A. Dorrington et al., *Separating true range
 measurements from multi-path and scattering interference in commercial range cameras*, Proc. SPIE 7864 (2011);
 A. Bhandari et al., *Resolving multipath interference in time-of-flight imaging via modulation frequency
 diversity and sparse regularization*, Optics Letters 39 (2014) 1705-1708.
@@ -21,9 +21,9 @@ from rim_camera_ros.frame import CorrectedFrame
 
 Image = NDArray[Any]
 
-#: Probability with which noise alone makes a pixel of one path look like two.
+#: Probability with which noise alone makes a pixel with one path look like one with two.
 _FALSE_ALARM = 1e-4
-#: Starting values [m]: the first path against the distance of one path, the second against the first.
+#: Starting values [m]: the first path relative to the distance of a single path, the second to the first.
 _SHIFTS = np.arange(-0.40, 0.121, 0.02)
 _DETOURS = np.concatenate([np.arange(0.10, 1.5, 0.05), np.arange(1.5, 4.01, 0.1)])
 _ROUNDS = 12
@@ -35,20 +35,22 @@ class TwoPaths:
     """Fits two paths to the pixels of a camera that one path does not explain; ``span``: distances [m]."""
 
     def __init__(self, camera: Camera, span: tuple[float, float]) -> None:
-        from scipy.stats import chi2  # takes a good part of a node's start
+        from scipy.stats import chi2  # imported here, as it would slow down the start of nodes
 
         self._waves = np.array([2 * np.pi / channel.sensor.ambiguity for channel in camera.channels])
         gains = np.array([channel.radiometry.gain for channel in camera.channels])
         self._gains = gains / gains.mean()
         self._span = span
-        #: misfit of one path that noise exceeds so often, and what two unknowns more take of noise alone
+        #: misfit of one path that noise exceeds with `_FALSE_ALARM`, and its gain by two more unknowns
         self._limit = float(chi2.isf(_FALSE_ALARM, 2 * len(gains) - 2))
         self._gain = float(chi2.isf(_FALSE_ALARM, 2))
 
     def correct(
         self, parts: list[CorrectedFrame], distance: Image, sigma: Image, usable: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
-        """Replace distances and sigmas (H, W) [m], where two paths explain what one does not; return where.
+        """Replace distances and sigmas (H, W) [m] where two paths explain the light and one does not.
+
+        Returns where (H, W).
 
         ``parts``: distances modulo each ambiguity range, amplitudes and sigmas of the frequencies. The new
         sigma is that of d in the fit of all four unknowns.

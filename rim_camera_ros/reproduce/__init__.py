@@ -1,1 +1,1 @@
-"""The thesis' experiments simulated and reduced, beside the numbers that the thesis prints."""
+"""The thesis' experiments simulated and reduced, and compared with the numbers that the thesis prints."""

@@ -32,7 +32,7 @@ _REACH = 2
 
 @dataclass(frozen=True)
 class Phases:
-    """Cyclic errors at the pixels of table 3.6: fits, and their phases unwrapped [rad] with the plane."""
+    """Cyclic errors at the pixels of table 3.6: fits, and their unwrapped phases [rad] with a plane."""
 
     error: Array
     fits: tuple[CyclicFit, ...]
@@ -154,7 +154,7 @@ def _pictures(found: Phases) -> tuple[Picture, ...]:
 
 
 def fixed_pattern(laboratory: Laboratory) -> Outcome:
-    """Fig. 3.57: what is left of a white wall at 1.366 m after everything else that was calibrated."""
+    """Fig. 3.57: remaining errors on a white wall at 1.366 m, with all other calibrated effects undone."""
     camera = laboratory.camera("sr3000")
     seen = wall(laboratory, "sr3000", distance=1.366, frames=50)
     z = camera.rays[..., 2]

@@ -27,7 +27,7 @@ _SENSORS = (
 
 
 def sensors(laboratory: Laboratory) -> Outcome:
-    """Size of the arrays, counted in simulated frames; the pixel pitch cannot be measured by a frame."""
+    """Size of the arrays, counted in simulated frames; frames do not determine the pixel pitch."""
     rows = []
     for name, columns, lines, source in _SENSORS:
         camera = laboratory.camera(name)
@@ -44,8 +44,7 @@ def sensors(laboratory: Laboratory) -> Outcome:
     pitch = Printed.number(40.0, "39.2 x 54.8 / 40 / 100")
     how = (
         "frames give angles per pixel only: the pitch scales with the camera constant in mm, which nothing "
-        "in "
-        "the pictures tells; it is taken from the data sheet, as in the thesis, also below"
+        "in the pictures determines; it is taken from the data sheet, as in the thesis, also below"
     )
     rows.append(Row("pixel pitch SR-2 / SR-3000 / 3k-S", "tables 2.2, 2.3, app. C", pitch, None, "um", how))
     return Outcome(tuple(rows))
@@ -53,7 +52,7 @@ def sensors(laboratory: Laboratory) -> Outcome:
 
 @dataclass(frozen=True)
 class _Printed:
-    """Of table 3.1 or 3.2: c, x_P, y_P with standard deviation in mm, and K1 K2 K3 in mm^-2, ^-4, ^-6."""
+    """Values of table 3.1 or 3.2: c, x_P, y_P with 1-sigma in mm, and K1 K2 K3 in mm^-2, ^-4, ^-6."""
 
     c: tuple[float, float]
     x_p: tuple[float, float]
@@ -143,7 +142,7 @@ def _optics_rows(laboratory: Laboratory, name: str) -> list[Row]:
 def _radial(optics: Optics, covariance: OpticsCovariance, c: float) -> tuple[float, float]:
     """Return the radial correction in mm of a point measured at `_RADIUS`, and its 1-sigma.
 
-    plumb_bob distorts: the ideal radius is that which is imaged at the measured one (c in mm).
+    plumb_bob maps ideal to distorted radii, so the ideal radius is found by inversion (c in mm).
     """
     order = [covariance.parameters.index(f"optics.d.{i}") for i in (0, 1, 4)]
     matrix = covariance.matrix[np.ix_(order, order)]

@@ -98,7 +98,7 @@ def incidence(laboratory: Laboratory) -> Outcome:
 
 
 def turned_plate(laboratory: Laboratory) -> Mapping[int, Turned]:
-    """Return what a uniform plate shows that is turned about the vertical, by integration time."""
+    """Return the deviations of a uniform plate that is turned about the vertical, by integration time."""
     return laboratory.once("turned plate", lambda: _turned(laboratory, hyperbolas(laboratory)))
 
 
@@ -112,7 +112,7 @@ def _turned(laboratory: Laboratory, fitted: Mapping[int, HyperbolaFit]) -> dict[
     for setting in SETTINGS:
         mine = [row for row in there if row.setting == setting]
         angle = np.array([_gon(row.poses["plate"].orientation) for row in mine])
-        # each pixel against its nominal distance, which changes with the angle beside the axis
+        # each pixel relative to its nominal distance, which changes with the angle off the axis
         error = np.array([float(np.nanmean(np.nanmedian(row.error, axis=0))) for row in mine])
         amplitude = np.array([float(np.nanmean(np.nanmedian(row.amplitude, axis=0))) for row in mine])
         gon, raw = fold_angles(angle, error)

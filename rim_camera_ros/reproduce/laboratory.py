@@ -1,4 +1,4 @@
-"""The laboratory: simulate a set-up and keep what the pixels of interest measured."""
+"""The laboratory: simulates a set-up and keeps the measurements of the pixels of interest."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from rim_camera_ros.rotations import quaternion
 from rim_camera_ros.scene import Scene, ScenePose, Station, Surface, load_scene
 
 Array = NDArray[np.float64]
-#: Rows and columns of the array that are looked at.
+#: Rows and columns of the array that are used.
 Region = tuple[slice, slice]
-#: Called with what is being done.
+#: Function that is called with a description of the present work.
 Progress = Callable[[str], None]
 T = TypeVar("T")
 
@@ -43,7 +43,7 @@ WARM = {"sr2": 1200.0, "sr3000": 360.0}
 
 @dataclass(frozen=True)
 class Measured:
-    """What the pixels of a region measured at one station, n frames.
+    """Measurements of the pixels of a region at one station, n frames.
 
     ``distance`` (n, h, w) [m], in the ambiguity range nearest the nominal one, and ``amplitude`` (n, h, w)
     [counts]; NaN where there is no measurement or the pixel saturates. ``nominal`` (h, w) [m] is the
@@ -113,16 +113,16 @@ def around(pixel: tuple[int, int], reach: int | tuple[int, int]) -> Region:
 
 @dataclass
 class Laboratory:
-    """Simulates set-ups with the shipped cameras; results that several experiments use are kept.
+    """Simulates set-ups with the shipped cameras; results that several experiments use are cached.
 
-    ``progress`` is told what is being done.
+    ``progress`` is called with a description of the present work.
     """
 
     progress: Progress = lambda words: None
     _kept: dict[str, Any] = field(default_factory=dict)
 
     def camera(self, name: str) -> Camera:
-        """Return a shipped camera by name; `motion` is left out, since nothing moves during an exposure here.
+        """Return a shipped camera by name, without `motion`, as nothing moves during an exposure here.
 
         Without it the simulation keeps the light of a station from frame to frame.
         """
@@ -139,7 +139,7 @@ class Laboratory:
         return self.once(f"scene {name}", lambda: load_scene(find_scene(f"{name}_experiment")))
 
     def once(self, key: str, make: Callable[[], T]) -> T:
-        """Return what ``make`` returned the first time."""
+        """Return the cached result of ``make``, which is only called the first time."""
         if key not in self._kept:
             self._kept[key] = make()
         result: T = self._kept[key]
@@ -163,14 +163,14 @@ class Laboratory:
         words: str,
         reference: SimulatedReference | None = None,
     ) -> list[Measured]:
-        """Simulate a scene's schedule and return what the region measured, station by station."""
+        """Simulate a scene's schedule and return the measurements of the region, station by station."""
         simulation = Simulation(camera, scene, seed=seed, reference=reference or SimulatedReference())
         stations = groupby(self.frames(simulation, words), key=lambda pair: pair[0].station)
         return [measured(simulation, list(pairs), region) for _, pairs in stations]
 
 
 def measured(simulation: Simulation, pairs: Sequence[tuple[Exposure, RawFrame]], region: Region) -> Measured:
-    """Return what a region measured at one station: exposures with their frames."""
+    """Return the measurements of a region at one station, from exposures with their frames."""
     camera, first = simulation.camera, pairs[0][0]
     geometry = simulation.geometry(first.poses)
     nominal = geometry.distance[region]
@@ -216,7 +216,7 @@ def across(ray: Array, distance: float) -> ScenePose:
 
 
 def plate(reflectivity: float = WHITE, *, size: tuple[float, float] | None = (1.0, 1.0)) -> Surface:
-    """Return a plate whose pose stands in the schedule; without ``size`` [m] an endless wall."""
+    """Return a plate whose poses are in the schedule; without ``size`` [m] an endless wall."""
     kind: Any = "plane" if size is None else "rectangle"
     return Surface("plate", kind, "truth", size=size, reflectivity=reflectivity)
 
@@ -229,7 +229,7 @@ def stations(
     uptime: float,
     rate: float = 10.0,
 ) -> Scene:
-    """Return a scene in which one surface stands at one pose after the other, each with its setting.
+    """Return a scene with one surface at one pose after the other, each with its own setting.
 
     ``uptime`` [s] is that of the first frame; the room has 20 degC.
     """

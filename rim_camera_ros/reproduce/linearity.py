@@ -30,9 +30,9 @@ Array = NDArray[np.float64]
 
 _SEED = 3308
 _STEPS = np.round(0.3 + 0.05 * np.arange(141), 3)
-#: Nearest distance in m that the look-up tables of the SR-3000 have (sec. 4.4).
+#: Least distance in m in the look-up tables of the SR-3000 (sec. 4.4).
 _NEAREST = 1.2
-#: A single measurement that spreads by more than this many m is discarded (sec. 3.3.5).
+#: Measurements with a standard deviation of a single distance above this [m] are discarded (sec. 3.3.5).
 _DISCARD = 0.4
 
 

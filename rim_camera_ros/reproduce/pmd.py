@@ -17,13 +17,13 @@ from rim_camera_ros.reproduce.principles import bare
 from rim_camera_ros.reproduce.results import Outcome, Printed, Row
 
 _SEED = 2320
-#: The pixel of which area and dynamic range are scaled to the others: that of the camera in the thesis.
+#: Sensor whose dynamic range is scaled by pixel area to the others: that of the camera in the thesis.
 _REFERENCE = "pmd3ks"
-#: Unmodulated over modulated light that reaches a pixel in spite of the filter (sec. 2.3.1).
+#: Ratio of unmodulated to modulated light that reaches a pixel in spite of the filter (sec. 2.3.1).
 _BACKGROUND_RATIO = 100.0
-#: Integration times in ms between which a pixel begins to saturate, and unmodulated light likewise [counts].
+#: Integration times [ms], and levels of unmodulated light [counts], between which a pixel begins to saturate.
 _TIMES, _LEVELS = (1.0, 1e3), (1e3, 1e9)
-#: Bisections: the place is then known to 2e-6 of its value.
+#: Number of bisections, after which the limit is known to 2e-6 of its value.
 _STEPS = 24
 
 
@@ -46,7 +46,7 @@ _TABLE_2_3 = (
 
 
 def sensors(laboratory: Laboratory) -> Outcome:
-    """Table 2.3, what follows from pixel and light, and the precision under a hundredfold of other light."""
+    """Table 2.3: values that follow from pixel and light, and the precision under 100 times other light."""
     rows: list[Row] = []
     for sensor in _TABLE_2_3:
         rows += _area_rows(laboratory, sensor)
@@ -132,7 +132,7 @@ def _dynamic_range(laboratory: Laboratory, name: str) -> float:
 
 
 def _area_law(laboratory: Laboratory, reference: float) -> list[Row]:
-    """Return the dynamic ranges that the pixels' areas make expected of that of one of them."""
+    """Return the dynamic ranges expected from that of one sensor by the areas of the pixels."""
     how = (
         "the PMD 3k-S's dynamic range of the rows above and the area of the pixels alone: a well holds "
         "electrons in proportion to its area, resetting it leaves a noise of their square root, so that the "
@@ -150,7 +150,7 @@ def _area_law(laboratory: Laboratory, reference: float) -> list[Row]:
 
 
 def _suppression(laboratory: Laboratory, sensor: _Sensor) -> Row:
-    """Return by how much more unmodulated light a pixel takes than without suppression, in dB."""
+    """Return in dB how much more unmodulated light a pixel accepts than without suppression."""
     camera = bare(laboratory.camera(sensor.name))
     without = replace(camera, sensor=replace(camera.sensor, background_suppression=0.0))
     levels = [_saturating_level(laboratory, each) for each in (without, camera)]
@@ -176,9 +176,9 @@ def _saturating_level(laboratory: Laboratory, camera: Camera) -> float:
 
 
 def _under_background(laboratory: Laboratory) -> Row:
-    """Return by how much other light of the stated ratio makes distances less precise."""
+    """Return the factor by which other light of the stated ratio reduces the precision of distances."""
     camera = bare(laboratory.camera(_REFERENCE))
-    # of photons alone, of which eq. 2.8 speaks
+    # only photon noise, as in eq. 2.8
     camera = replace(camera, noise=replace(camera.noise, floor=0.0, amplitude=0.0))
     level = _BACKGROUND_RATIO * _amplitude(laboratory, camera, 5.0)
     lit = with_effects(camera, {"background_light": BackgroundLight(level=level)})

@@ -38,7 +38,7 @@ _PIXELS = {"sr3000": OBSERVED, "sr2": OBSERVED_SR2}
 
 
 def histograms(laboratory: Laboratory) -> Outcome:
-    """Table 3.3: Gaussians fitted to histograms of 8000 distances, and the noise model that they make."""
+    """Table 3.3: Gaussians fitted to histograms of 8000 distances, and the noise model from these."""
     rows: list[Row] = []
     panels: list[Panel] = []
     for name, printed in TABLE_3_3.items():
@@ -49,7 +49,7 @@ def histograms(laboratory: Laboratory) -> Outcome:
         there = laboratory.record(camera, scene, region, seed=_SEED, words=f"histograms, {name}")
         sigmas, amplitudes, curves = [], [], []
         for result, c in zip(there, printed, strict=True):
-            # the pixels have their own offsets: taken as one by their means
+            # pixels have different offsets, which are removed by their means
             values = (result.distance - result.distance.mean(axis=0) + result.distance.mean()).ravel()
             fitted = fit_histogram(values, bin_width=_BIN)
             sigmas.append(fitted.sigma)
@@ -91,7 +91,7 @@ def _histogram(values: Array, label: str) -> Curve:
 
 
 def _floor(camera: Camera, c: tuple[float, ...], amplitude: list[float], sigma: list[float]) -> Row:
-    """Return the row of the noise floor: the same fit for the table, with A as the setting, and for ours."""
+    """Return the row of the noise floor, by the same fit to the table (with the setting as A) and to ours."""
     table = fit_noise(SETTINGS, np.array(c) / np.sqrt(2))
     ours = fit_noise(amplitude, sigma)
     how = (
@@ -116,7 +116,7 @@ class Wall:
 
 
 def wall(laboratory: Laboratory, name: str, *, distance: float, frames: int, setting: int = 100) -> Wall:
-    """Return what the whole array measures of a white wall at a distance in m."""
+    """Return the measurements of the whole array on a white wall at a distance in m."""
 
     def measure() -> Wall:
         camera = laboratory.camera(name)
@@ -126,7 +126,7 @@ def wall(laboratory: Laboratory, name: str, *, distance: float, frames: int, set
         nominal = np.zeros(camera.shape)
         for exposure, frame in laboratory.frames(simulation, f"wall at {distance:g} m, {name}"):
             nominal = simulation.true_distance(exposure)
-            # about the nominal distance, so that the squares keep their digits
+            # relative to the nominal distance, so that squares keep their precision
             error = frame.distance * camera.sensor.lsb - nominal
             number, total, square = number + 1, total + error, square + error**2
             light += frame.amplitude
@@ -182,7 +182,7 @@ def led_power(laboratory: Laboratory) -> Outcome:
         camera = laboratory.camera(name)
         seen = wall(laboratory, name, distance=2.463, frames=100)
         angle = np.sqrt(squared_angle(camera))
-        # what the wall itself does: cos(incidence) / distance^2 with z / cos(angle), and the lens' cos^4
+        # without the wall's cos(incidence) / distance^2, with z / cos(angle), and the lens' cos^4
         emitted = seen.amplitude / np.cos(angle) ** (1 + 2 + 4)
         gon = angle * 200 / np.pi
         edges = np.arange(0.0, 36.0, 1.0)

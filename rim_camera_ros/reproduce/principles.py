@@ -40,7 +40,7 @@ def ambiguity(laboratory: Laboratory) -> Outcome:
     for exposure, frame in laboratory.frames(simulation, "wall through the ambiguity"):
         counts.setdefault(exposure.station, []).append(float(frame.distance[_CENTRE].mean()))
         nominal[exposure.station] = float(simulation.true_distance(exposure)[_CENTRE].mean())
-    # where noise makes a part of the counts wrap their mean says nothing
+    # where noise wraps a part of the counts their mean is meaningless
     whole = [i for i, values in sorted(counts.items()) if np.ptp(values) < np.mean(values) / 10]
     distance = np.array([nominal[i] for i in whole])
     raw = np.array([np.mean(counts[i]) for i in whole])
@@ -59,7 +59,8 @@ def ambiguity(laboratory: Laboratory) -> Outcome:
 def wrapping(distance: np.ndarray, counts: np.ndarray) -> tuple[float, float]:
     """Return ambiguity range and size of a count, both in m, from mean counts at nominal distances [m].
 
-    One line with a step where the counts fall: counts = c0 + slope d - jump [d behind the fall].
+    They follow from a line with a step where the counts fall: counts = c0 + slope d - jump [d beyond the
+    fall].
     """
     fall = int(np.argmin(np.diff(counts)))
     behind = (np.arange(len(counts)) > fall).astype(float)
@@ -74,7 +75,7 @@ def wrapping(distance: np.ndarray, counts: np.ndarray) -> tuple[float, float]:
 def dynamic_range(laboratory: Laboratory) -> Outcome:
     """Ratio of the amplitudes of a bright near and a dark far surface (eq. 2.13)."""
     camera = bare(laboratory.camera("sr3000"))
-    # no sensor reaches over this range at one setting: the light before it saturates
+    # no sensor covers this range at one setting: the light is taken without saturation
     camera = replace(camera, sensor=replace(camera.sensor, saturation=1e9))
     amplitude = []
     for z, reflectivity in ((0.2, 1.0), (7.5, 0.05)):
@@ -95,7 +96,7 @@ def dynamic_range(laboratory: Laboratory) -> Outcome:
 
 
 def two_cameras(laboratory: Laboratory) -> Outcome:
-    """What is left of a second camera at 20.1 MHz after 1 ms (eq. 2.11)."""
+    """Remaining signal of a second camera at 20.1 MHz after 1 ms (eq. 2.11)."""
     camera = bare(laboratory.camera("sr3000"))
     setting = round((1e-3 - camera.sensor.exposure[0]) / camera.sensor.exposure[1])
     offsets = np.array([0.0, 1e3, 3e3, 1e4, 3e4, 1e5])

@@ -35,7 +35,7 @@ class Gaussian:
 def fit_histogram(values: ArrayLike, *, bin_width: float) -> Gaussian:
     """Fit eq. 3.5 to the histogram of distances (N,) in m, with bins of ``bin_width`` m.
 
-    Raises `RimError` where less than five bins are occupied, or the fit does not converge.
+    Raises `RimError` where fewer than five bins are occupied, or the fit does not converge.
     """
     x = np.asarray(values, float)
     low = math.floor(float(x.min()) / bin_width) - 2
@@ -107,7 +107,7 @@ def fit_hyperbola(
     """Fit eq. 3.6 to mean distances [m] at mean amplitudes [counts], both with their 1-sigma.
 
     The errors of the amplitudes enter by the slope of the curve (effective variance, three rounds). The pole
-    stays below the smallest amplitude. The sigmas returned are those of the stated errors.
+    stays below the smallest amplitude. The returned sigmas follow from the stated errors.
     """
     x, y, y_sigma, x_sigma = (
         np.asarray(buffer, float) for buffer in (amplitude, distance, distance_sigma, amplitude_sigma)
@@ -151,7 +151,7 @@ def quartic(gon: ArrayLike, coefficients: ArrayLike) -> Array:
 
 
 def fold_angles(gon: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
-    """Return |angle| (n,) and the mean of the values at +angle and -angle; pairs that are incomplete go."""
+    """Return |angle| (n,) and the mean of the values at +angle and -angle, without incomplete pairs."""
     x, y = np.round(np.asarray(gon, float), 6), np.asarray(values, float)
     angles = np.unique(np.abs(x))
     folded = np.array([y[x == angle].sum() / 2 + y[x == -angle].sum() / 2 for angle in angles])
@@ -168,7 +168,7 @@ def fold_angles(gon: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
 class CyclicFit:
     """offset + slope d + amplitude sin(order 2 pi d / L + phase): m, -, m, rad; 1-sigma of the last two.
 
-    ``chi2``: weighted sum of squares of the residuals, ``rms`` [m] theirs without weights.
+    ``chi2``: weighted sum of squared residuals; ``rms`` [m]: root mean square of the residuals, unweighted.
     """
 
     offset: float
@@ -189,10 +189,10 @@ class CyclicFit:
 def fit_cyclic(
     distance: ArrayLike, error: ArrayLike, *, ambiguity: float, order: int = 4, sigma: ArrayLike | None = None
 ) -> CyclicFit:
-    """Least squares of the errors [m] over nominal distances [m]; NaN are left out.
+    """Least squares of the errors [m] over nominal distances [m]; NaN are excluded.
 
-    ``sigma`` (N,) [m] weights; the sigmas returned are scaled by the residuals. Raises `RimError` for less
-    than eight points.
+    ``sigma`` (N,) [m] gives weights; the returned sigmas are scaled by the residuals. Raises `RimError` for
+    fewer than eight points.
     """
     d, y = np.asarray(distance, float), np.asarray(error, float)
     s = np.ones_like(d) if sigma is None else np.asarray(sigma, float)
@@ -229,7 +229,8 @@ def strongest_order(
 ) -> int:
     """Return the number of periods in the ambiguity range whose sinusoid leaves the smallest residuals.
 
-    Offset and slope are fitted with each; not the size decides, since a long wave is nearly a line.
+    Offset and slope are fitted with each. Residuals decide and not amplitudes, as a long wave is nearly a
+    line.
     """
     left = {
         order: fit_cyclic(distance, error, ambiguity=ambiguity, order=order, sigma=sigma).chi2
@@ -240,7 +241,7 @@ def strongest_order(
 
 @dataclass(frozen=True)
 class Plane:
-    """value = constant + by_row row + by_column column, with the RMS of what is left."""
+    """value = constant + by_row row + by_column column, with the RMS of the residuals."""
 
     constant: float
     by_row: float
@@ -270,8 +271,8 @@ def fit_plane(row: ArrayLike, column: ArrayLike, values: ArrayLike, sigma: Array
 def settled_after(time: ArrayLike, values: ArrayLike, *, final: float, tolerance: float) -> float:
     """Return the time from which on the values stay within ``tolerance`` of ``final``, interpolated.
 
-    ``time`` (N,) increasing, ``values`` (N,). Returns the first time where they never leave, NaN where they
-    never settle.
+    ``time`` (N,) increasing, ``values`` (N,). Returns the first time if they never leave the tolerance, NaN
+    if they never settle.
     """
     t, away = np.asarray(time, float), np.abs(np.asarray(values, float) - final)
     outside = np.flatnonzero(away > tolerance)
@@ -293,7 +294,7 @@ def moving_mean(values: ArrayLike, width: int) -> Array:
 
 
 def half_range(values: ArrayLike) -> float:
-    """Return half of largest minus smallest, the x of the thesis' "+-x"."""
+    """Return half of the largest minus the smallest value, the x in the thesis' "+-x"."""
     y = np.asarray(values, float)
     y = y[np.isfinite(y)]
     return float(y.max() - y.min()) / 2

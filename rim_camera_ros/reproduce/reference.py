@@ -1,7 +1,7 @@
-"""Chapter 4: what the internal reference path leaves of drifts.
+"""Chapter 4: drifts that remain after the correction by the internal reference path.
 
-The reference follows the drift of the external path and has the camera's own cyclic error at its 0.85 m,
-which is how sec. 4.4 explains what the straightforward correction (eq. 4.4) leaves. No lag is simulated.
+The reference follows the drift of the external path and has the camera's own cyclic error at its 0.85 m. This
+is how sec. 4.4 explains the drifts that remain after the simple correction (eq. 4.4). No lag is simulated.
 """
 
 from __future__ import annotations

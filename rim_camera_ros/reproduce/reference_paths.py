@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Paths:
-    """Drifts over time of external and reference path against their first value, m; ``ambient`` in degC."""
+    """Drifts of external and reference path over time, from their first value, m; ``ambient`` in degC."""
 
     time: Array
     external: Array
@@ -72,7 +72,7 @@ UPPER, LOWER = slice(0, 3), slice(35, 38)
 
 
 def by_frame(there: Sequence[Measured]) -> Paths:
-    """Return the paths frame by frame, the external one as the mean of 3 x 3 pixels, as the reference is."""
+    """Return the paths frame by frame, the external one, like the reference, as the mean of 3 x 3 pixels."""
     external = np.concatenate([result.error[:, UPPER].mean(axis=(1, 2)) for result in there])
     return Paths(
         np.concatenate([result.uptime for result in there]),
@@ -112,7 +112,7 @@ def climate_cell(
 ) -> Scene:
     """Return a climate cell: 2 h for each temperature, of which the change takes 30 min; 20 frames in 5 min.
 
-    ``rest`` hours follow, in which the cell comes to 20 degC.
+    ``rest`` hours follow, in which the cell returns to 20 degC.
     """
     times, values = [0.0, 2.0], [degrees[0], degrees[0]]
     for i, (_, after) in enumerate(pairwise(degrees), 1):

@@ -1,4 +1,4 @@
-"""What was reproduced: as text, JSON, HTML page and Markdown page."""
+"""Results of the reproduction as text, JSON, HTML page and Markdown page."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from rim_camera_ros.reproduce.run import Done
 FORMAT = "rim_reproduction/1"
 _HEADINGS = ("#", "quantity", "thesis", "ours", "deviation", "unit", "source")
 _WIDTH = 110
-#: Mark behind the deviation of a row that is outside its tolerance.
+#: Mark after the deviation of a row that is outside its tolerance.
 OUTSIDE = " !"
-#: Columns of numbers, set to the right.
+#: Columns of numbers, aligned to the right.
 _RIGHT = (0, 3, 4)
 _INTRODUCTION = (
     "The set-ups of T. Kahlmann, Range Imaging Metrology (ETH Zurich, 2007), simulated with the shipped "
@@ -36,7 +36,7 @@ _INTRODUCTION = (
 
 
 def json_report(done: Sequence[Done]) -> dict[str, Any]:
-    """Return everything but the pictures; numbers that are not finite become None."""
+    """Return all results except the pictures; numbers that are not finite become None."""
     return {
         "format": FORMAT,
         "version": __version__,
@@ -85,7 +85,7 @@ def outside(done: Sequence[Done]) -> list[int]:
 
 
 def first_sentence(done: Sequence[Done]) -> str:
-    """Return how many rows are within tolerance, and what that is."""
+    """Return a sentence on the number of rows within tolerance, and on the tolerance."""
     rows = [row for figure in done for row in figure.outcome.rows]
     compared = [row for row in rows if row.within_tolerance is not None]
     within = sum(row.within_tolerance is True for row in compared)
@@ -126,13 +126,13 @@ def cells(number: int, row: Row) -> tuple[str, ...]:
         shown = "within"
     else:
         shown = f"{round(deviation, row.digits) + 0.0:+.{row.digits}f}"
-    # marked in every form of the report: colour alone would be lost in text
+    # a mark in every form of the report, as text has no colours
     mark = OUTSIDE if row.within_tolerance is False else ""
     return *lead, ours, shown + mark, row.unit, row.source
 
 
 def text_report(done: Sequence[Done]) -> str:
-    """Return a table for each experiment, with what was done below it."""
+    """Return a table for each experiment, with explanations below it."""
     experiments = numbered(done)
     lines = [_HEADINGS, *(cells(i, row) for _, rows in experiments for i, row in rows.items())]
     widths = [max(len(line[i]) for line in lines) for i in range(len(_HEADINGS))]
@@ -151,7 +151,7 @@ def text_report(done: Sequence[Done]) -> str:
 
 
 def explanations(rows: Mapping[int, Row]) -> list[str]:
-    """Return what was done, and why it deviates: each text once, led by the numbers of its rows."""
+    """Return descriptions and reasons of deviations, each text once, after the numbers of its rows."""
     result = []
     for name, lead in (("how", ""), ("why", "deviation: ")):
         texts = dict.fromkeys(text for row in rows.values() if (text := getattr(row, name)))
@@ -181,7 +181,7 @@ def file_name(picture: Picture) -> str:
 
 
 def html_page(done: Sequence[Done]) -> str:
-    """Return the page that lies beside the pictures."""
+    """Return the page for the folder with the pictures."""
     experiments = []
     for figure, rows in numbered(done):
         moods: dict[int, Mood] = {

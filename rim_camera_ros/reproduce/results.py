@@ -1,4 +1,4 @@
-"""What an experiment of the reproduction hands back: rows beside printed numbers, pictures, tables."""
+"""Results of an experiment of the reproduction: rows compared with printed numbers, pictures, tables."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 
 from rim_camera_ros.reports.figures import Map, Panel
 
-#: Share of a printed number, and standard deviations of ours, by which a row may deviate.
+#: Share of the printed number, and number of standard deviations of ours, by which a row may deviate.
 SHARE, SIGMAS = 0.1, 2.0
 
 
 @dataclass(frozen=True)
 class Printed:
-    """What the thesis prints: a number (``low`` = ``high``), a range, or a bound (the other end infinite).
+    """A printed value of the thesis: a number (``low`` = ``high``), a range, or a bound (other end infinite).
 
-    ``text`` is how it stands there.
+    ``text``: as printed.
     """
 
     low: float
@@ -28,7 +28,7 @@ class Printed:
         return cls(value, value, f"{value:g}" if text is None else text)
 
     def deviation(self, ours: float) -> float:
-        """Return ours - printed; from a range the distance to its nearer end, 0 inside."""
+        """Return ours - printed; for a range the difference from its nearer end, 0 inside."""
         if ours < self.low:
             return ours - self.low
         return max(ours - self.high, 0.0)
@@ -36,12 +36,12 @@ class Printed:
 
 @dataclass(frozen=True)
 class Row:
-    """One printed number and what the simulated experiment gives, both in ``unit``.
+    """One printed number and the result of the simulated experiment, both in ``unit``.
 
-    ``ours`` is None where the number cannot be reproduced, and ``how`` then says why. ``sigma``: 1-sigma of
-    ours from the noise of the simulated measurements, None where it has none or was not estimated.
-    ``digits``: decimals that are shown. ``how``: what was simulated and how it was reduced. ``why``: reason
-    of a deviation, empty where there is none to explain.
+    ``ours`` is None where the number cannot be reproduced; then ``how`` states the reason. ``sigma``: 1-sigma
+    of ours by the noise of the simulated measurements, None where there is none or it was not estimated.
+    ``digits``: number of decimals that are shown. ``how``: description of simulation and reduction. ``why``:
+    reason of a deviation, empty where none needs an explanation.
     """
 
     quantity: str
@@ -63,9 +63,9 @@ class Row:
 
     @property
     def tolerance(self) -> float:
-        """What ours may deviate in ``unit``: a tenth of what is printed, or twice its own sigma if greater.
+        """Largest deviation in ``unit``: a tenth of the printed number, or twice the sigma of ours.
 
-        Of a range or a bound the end that is nearer to ours counts.
+        The greater of the two counts. For a range or a bound the end nearer to ours is used.
         """
         near = (
             self.printed.low if self.ours is not None and self.ours < self.printed.low else self.printed.high
@@ -75,7 +75,7 @@ class Row:
 
     @property
     def within_tolerance(self) -> bool | None:
-        """Whether ours is as near to what is printed as `tolerance`; None where it was not reproduced."""
+        """Whether ours deviates by no more than `tolerance`; None where it was not reproduced."""
         if self.deviation is None:
             return None
         return bool(abs(self.deviation) <= self.tolerance * (1 + 1e-9))
@@ -85,7 +85,7 @@ class Row:
 class Picture:
     """Curves or maps in the manner of a figure of the thesis; ``name`` becomes the name of the file.
 
-    Either ``panels`` or ``maps`` are given; ``unit`` is that of the maps.
+    Either ``panels`` or ``maps`` are given; ``unit``: that of the maps.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Everything that one experiment gives."""
+    """All results of one experiment."""
 
     rows: tuple[Row, ...]
     pictures: tuple[Picture, ...] = ()

@@ -25,7 +25,7 @@ from rim_camera_ros.reproduce.results import Outcome
 
 @dataclass(frozen=True)
 class Experiment:
-    """A set-up of the thesis: its name on the command line, title, and what simulates and reduces it."""
+    """A set-up of the thesis: name on the command line, title, and function that simulates and reduces it."""
 
     name: str
     title: str
@@ -61,7 +61,7 @@ EXPERIMENTS = (
 
 @dataclass(frozen=True)
 class Done:
-    """An experiment with what it gave."""
+    """An experiment with its results."""
 
     experiment: Experiment
     outcome: Outcome
@@ -86,6 +86,6 @@ def chosen(names: Sequence[str] | None) -> tuple[Experiment, ...]:
 
 
 def reproduce(experiments: Sequence[Experiment], *, progress: Progress = lambda words: None) -> list[Done]:
-    """Simulate and reduce the experiments; seeds are fixed, so that it can be repeated."""
+    """Simulate and reduce the experiments; seeds are fixed, so that results are repeatable."""
     laboratory = Laboratory(progress)
     return [Done(experiment, experiment.run(laboratory)) for experiment in experiments]

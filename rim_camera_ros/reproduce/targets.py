@@ -1,4 +1,4 @@
-"""Secs. 3.3.3, 3.3.5: the grey wedge, amplitude against distance and against precision."""
+"""Secs. 3.3.3, 3.3.5: the grey wedge; distance and precision over the amplitude."""
 
 from __future__ import annotations
 

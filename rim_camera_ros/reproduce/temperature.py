@@ -35,7 +35,7 @@ class Series:
 
 
 def series(there: Sequence[Measured], *, last: float) -> Series:
-    """Return a drift over uptime against the mean of the last ``last`` seconds."""
+    """Return a drift over uptime, relative to the mean of the last ``last`` seconds."""
     uptime = np.array([float(result.uptime.mean()) for result in there])
     error = np.array([result.mean_error for result in there])
     final = float(error[uptime >= uptime[-1] - last].mean())

@@ -1,4 +1,4 @@
-"""The light pulse and the diode: what a pixel detects in each bin of the time since the pulse.
+"""The light pulse and the diode: expected detections of a pixel in each bin of the time since the pulse.
 
 All rates are expected detections per cycle, that is per light pulse, in arrays (bins, pixels). Kahlmann 2007,
 secs. 2.2.1 and 2.3.3, describes the sensors: pulse, jitter and dead time have its numbers as defaults. The
@@ -23,15 +23,15 @@ Array = NDArray[Any]
 
 #: Full width at half maximum over standard deviation of a Gaussian.
 _FULL_WIDTH = 2.0 * math.sqrt(2.0 * math.log(2.0))
-#: Afterpulses of afterpulses are followed until they add less than this share.
+#: Afterpulses of afterpulses are added until they contribute less than this share.
 _NEGLIGIBLE = 1e-9
-#: Standard deviations of the pulse beyond which it is dark, on either side.
+#: Half width of the pulse in its standard deviations; its light beyond is neglected.
 _REACH = 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class PulseAndDiode:
-    """Light pulse, diode and bins, whatever the rate of the pulses."""
+    """Light pulse, diode and bins, without the rate of the pulses."""
 
     bins: int = quantity("-", "bins of the histogram over a cycle", default=128, minimum=8, maximum=4096)
     pulse_width: float = quantity(
@@ -62,9 +62,9 @@ class PulseAndDiode:
 class SinglePhotonDetector(PulseAndDiode):
     """Pulse, diode and clock of a direct time-of-flight pixel.
 
-    A cycle begins with a light pulse and lasts until the next one. A pixel that is ready at its beginning
-    records the time of the first avalanche, in one of ``bins`` equal bins; it then misses as many whole
-    cycles as its dead time touches, and is ready again at the beginning of the next one.
+    A cycle begins with a light pulse and lasts until the next one. A pixel that is ready at the beginning of
+    a cycle records the time of the first avalanche, in one of ``bins`` equal bins. It then misses all cycles
+    that overlap its dead time, and is ready again at the beginning of the next one.
     """
 
     pulse_rate: float = quantity("Hz", "light pulses per second", default=50e6, minimum=1e3)
@@ -134,10 +134,10 @@ class SinglePhotonDetector(PulseAndDiode):
         exposure: float,
         temperature: float | None = None,
     ) -> Array:
-        """Return expected detections per cycle and bin (bins, pixels) of pixels that are ready.
+        """Return expected detections per cycle and bin (bins, pixels) of ready pixels.
 
         ``distance`` (pixels,) [m]; ``signal`` (pixels,): photons of the pulse that would be detected in an
-        exposure if none hid another; ``background``: those of unmodulated light, likewise; ``exposure`` [s];
+        exposure without pile-up; ``background``: photons of unmodulated light, likewise; ``exposure`` [s];
         ``temperature`` [degC] of the diodes. Dark counts and afterpulses are added.
         """
         photons = self.response(np.asarray(distance, float) * (2.0 / SPEED_OF_LIGHT))
@@ -157,11 +157,11 @@ class SinglePhotonDetector(PulseAndDiode):
         return self.with_afterpulses((photons + even) / self.cycles(exposure))
 
     def transfer(self, harmonics: Array) -> Array:
-        """Return what pulse, jitter and bins make of harmonics (k,) of the pulse rate, complex [-].
+        """Return the transfer function of pulse, jitter and bins, complex [-], at harmonics (k,) of the rate.
 
-        The photons of a bin are the inverse discrete Fourier transform of S_k* times these, where S_k is the
-        complex image of the light at k times the pulse rate: a Gaussian of `time_sigma`, averaged over
-        the width of a bin and taken in its middle.
+        It is that of a Gaussian of `time_sigma`, averaged over the width of a bin and sampled in its middle.
+        The photons of a bin are the inverse discrete Fourier transform of S_k* times this function, where S_k
+        is the complex image of the light at k times the pulse rate.
         """
         turns = np.asarray(harmonics, float) / self.bins
         width = 2.0 * np.pi * np.asarray(harmonics, float) * self.time_sigma / self.period
@@ -172,8 +172,8 @@ class SinglePhotonDetector(PulseAndDiode):
         """Return rates (bins, pixels) per cycle with those of the afterpulses of all detections.
 
         Each detection is followed, with `afterpulse_probability`, by an avalanche after the dead time and an
-        exponentially distributed delay; over many cycles that is the detected rate convolved with the
-        exponential, wrapped at the cycle's end.
+        exponentially distributed delay. Averaged over many cycles this is the convolution of the detected
+        rate with the exponential, wrapped at the cycle's end.
         """
         if self.afterpulse_probability == 0:
             return rates
@@ -189,7 +189,7 @@ class SinglePhotonDetector(PulseAndDiode):
     def _afterpulse_delays(self) -> Array:
         """Share of the afterpulses by bins of their delay, wrapped at the cycle's end (bins,); sums to 1."""
         delay = np.arange(self.bins) * self.bin_width
-        # of each bin the first delay behind the dead time; the further ones follow by whole periods
+        # for each bin the first delay after the dead time; further ones follow by whole periods
         wait = np.ceil((self.dead_time - delay) / self.period * (1 - 1e-12)).clip(min=0) * self.period
         weight = np.exp(-(delay + wait - self.dead_time) / self.afterpulse_time_constant)
         return np.asarray(weight / weight.sum())

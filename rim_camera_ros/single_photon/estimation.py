@@ -1,11 +1,11 @@
 """Histograms of first photons -> distance, signal, precision: likelihood of a pulse on a background.
 
-A pixel's histogram n_i is binomial: of the R_i ready cycles that reach bin i without a detection, n_i detect
-with probability 1 - exp(-r_i), r_i = S g_i(t) + b, with the signal S and background b per cycle and the
-response g of the detector: Coates' correction of pile-up (`first_photon.coates`) within the likelihood. The
-bin of the pulse is found by a matched filter; from there Fisher's scoring finds t and S, with the background
-of all bins beyond the pulse. The precision is the Cramer-Rao bound: the inverse of the Fisher information
-sum_i R_i / (exp(r_i) - 1) dr_i/dtheta dr_i/dtheta'.
+A pixel's histogram n_i is binomial. Of the R_i ready cycles that reach bin i without a detection, n_i have a
+detection there, with probability 1 - exp(-r_i), r_i = S g_i(t) + b, where S and b are signal and background
+per cycle and g is the response of the detector. The likelihood thus contains Coates' correction of pile-up
+(`first_photon.coates`). The bin of the pulse is found by a matched filter. From there Fisher scoring finds t
+and S, with the background of all bins outside of the pulse. The precision is the Cramer-Rao bound: the
+inverse of the Fisher information sum_i R_i / (exp(r_i) - 1) dr_i/dtheta dr_i/dtheta'.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from rim_camera_ros.single_photon.detector import SinglePhotonDetector
 
 Array = NDArray[Any]
 
-#: Half the width of the bins that are looked at around the pulse, in its standard deviations.
+#: Half the width of the window of bins around the pulse, in its standard deviations.
 _HALF_WINDOW = 4.0
-#: Places within a bin for which the response is tabulated; between them it is continued to first order.
+#: Number of places in a bin for which the response is tabulated; between them it is extrapolated linearly.
 _PLACES = 128
-#: Steps of Fisher's scoring from the centre of gravity about the matched filter's bin.
+#: Steps of Fisher scoring from the centre of gravity around the matched filter's bin.
 _STEPS = 2
-#: Two running sums of this many standard deviations of the pulse are a triangle of its variance.
+#: Two running sums, each this many standard deviations of the pulse wide, give a triangle of its variance.
 _TRIANGLE = math.sqrt(6.0)
-#: Pixels that are worked on at a time: with more the arrays leave the processor's cache, with fewer the
-#: calls count (64 x 48 pixels of 128 bins: 5.3 ms in blocks of 512, 4.3 of 1024, 4.1 of 1536).
+#: Number of pixels per block: with more the arrays do not fit in the processor's cache, with fewer the calls
+#: take too long (64 x 48 pixels of 128 bins: 5.3 ms in blocks of 512, 4.3 of 1024, 4.1 of 1536).
 _BLOCK = 1536
 #: Least background [counts per exposure] of the Cramer-Rao bound.
 _FAINTEST = 1e-6
@@ -43,11 +43,11 @@ _LEAST = 1e-12
 
 @dataclass(frozen=True)
 class PulseEstimates:
-    """What the histograms of pixels tell, all (pixels,) float32.
+    """Estimates from the histograms of pixels, all (pixels,) float32.
 
     ``distance`` [m] in [0, L), NaN where nothing was detected; ``signal``: photons of the pulse that would
-    have been detected in the exposure if none had hidden another; ``background``: those of all other
-    detections likewise; ``sigma`` [m]: Cramer-Rao bound of the distance's standard deviation.
+    have been detected in the exposure without pile-up; ``background``: all other detections, likewise;
+    ``sigma`` [m]: Cramer-Rao bound of the distance's standard deviation.
     """
 
     distance: Array
@@ -76,7 +76,7 @@ class PulseEstimator:
     def _responses(self) -> tuple[Array, Array]:
         """Return the response (window, places) and its derivative by the time in bins.
 
-        Of pulses from `_reach` bins before the beginning of the window's middle bin to as far behind its end.
+        It is for pulses from `_reach` bins before the window's middle bin to as many bins behind it.
         """
         detector = self.detector
         middle = detector.bins // 2
@@ -126,7 +126,7 @@ class PulseEstimator:
         at = (peak + self._offsets[:, None]) % detector.bins
         at *= size
         at += np.arange(size)
-        # in range: "wrap" is a mode without a check before
+        # indices are in range: mode "wrap" is used as it does not check them first
         n, r = (np.take(count, at, mode="wrap") for count in (counts, left))
         outside = np.maximum(all_left - r.sum(axis=0), np.float32(1.0))
         share = np.clip((all_counts - n.sum(axis=0)) / outside, np.float32(0.0), np.float32(1.0 - 1e-7))
@@ -145,8 +145,9 @@ class PulseEstimator:
     def _peak(self, counts: Array, left: Array, mean: Array) -> Array:
         """Return the bin (pixels,) of the pulse: where detections beyond the mean rate are most significant.
 
-        (n_i - b R_i) / sqrt(R_i), the excess over its standard deviation, weighted as the pulse: the few
-        cycles that pile-up leaves to late bins count for no more than they tell.
+        The score is the excess over its standard deviation, (n_i - b R_i) / sqrt(R_i), weighted with the
+        shape of the pulse. Late bins, for which pile-up leaves few cycles, have the small weight that is due
+        to them.
         """
         bins, size = counts.shape
         margin = 2 * (self._triangle - 1)
@@ -161,9 +162,9 @@ class PulseEstimator:
         np.copyto(excess[bins:], excess[:margin])
         once = _running_sum(excess, self._triangle, out=once, pairs=pairs)
         score = _running_sum(once, self._triangle, out=excess, pairs=pairs)
-        # argmax over columns in whole rows, which takes a fraction of its time
+        # argmax by operations on whole rows, which takes a fraction of the time of argmax by columns
         best = np.equal(score, score.max(axis=0)) * self._numbers
-        # the sum that begins in a bin is about the bin `triangle - 1` behind it
+        # a sum that begins in a bin is centred `triangle - 1` bins behind it
         return np.asarray((best.max(axis=0).astype(np.intp) + self._triangle - 1) % bins)
 
     def _score(self, n: Array, r: Array, background: Array) -> tuple[Array, Array, Array]:
@@ -220,7 +221,7 @@ class PulseEstimator:
         inside = (place + np.float32(self._reach)) * np.float32(_PLACES)
         entry = np.clip(inside.astype(np.intp), 0, self._table.shape[1] - 1)
         rest = (inside - entry.astype(np.float32) - np.float32(0.5)) / np.float32(_PLACES)
-        # the entries are in range: "clip" is a mode without a check before
+        # entries are in range: mode "clip" is used as it does not check them first
         g, slope = (np.take(one, entry, axis=1, mode="clip") for one in (self._table, self._slope))
         g += rest * slope
         return g, slope
@@ -240,7 +241,8 @@ def _expm1(values: Array) -> Array:
 def _running_sum(values: Array, width: int, *, out: Array, pairs: Array) -> Array:
     """Return in ``out`` the sums of ``width`` consecutive rows (rows - width + 1, columns).
 
-    By sums of two rows, which take half the additions; ``pairs`` is overwritten, and nothing may overlap.
+    It uses sums of two rows, which halves the number of additions. ``pairs`` is overwritten; the arrays must
+    not overlap.
     """
     rows = len(values) - width + 1
     total, pairs = out[:rows], pairs[: len(values) - 1]
@@ -261,8 +263,8 @@ def fisher_sigma(
 ) -> float:
     """Return the Cramer-Rao bound of a distance's 1-sigma in metres, in float64 from all bins.
 
-    ``signal`` and ``background`` [counts per exposure, without pile-up]; time, signal and background unknown.
-    Expected ready and remaining cycles take the place of counted ones.
+    ``signal`` and ``background`` [counts per exposure, without pile-up]. Time, signal and background are the
+    unknowns. Expected numbers of ready and remaining cycles are used in place of counted ones.
     """
     # bins without any light would have infinite information
     background = max(background, _FAINTEST)
@@ -271,7 +273,7 @@ def fisher_sigma(
     g = detector.response(time)[:, 0]
     by_time = (detector.response(time + step)[:, 0] - detector.response(time - step)[:, 0]) / (2 * step)
     rate = (signal * g + background / detector.bins) / cycles
-    # of the cycles each detection costs some
+    # each detection costs some of the cycles
     ready = cycles / (1.0 - detector.missed_cycles * math.expm1(-float(rate.sum())))
     left = ready * np.exp(-(np.cumsum(rate) - rate))
     columns = np.stack([signal * by_time, g, np.full_like(g, 1.0 / detector.bins)], axis=1) / cycles

@@ -1,4 +1,4 @@
-"""Statistics of first photons: a pixel records in each cycle the first detection only (pile-up).
+"""Statistics of first photons: a pixel only records the first detection of each cycle (pile-up).
 
 Rates (bins, pixels) are expected detections per cycle of a pixel that is ready at its beginning.
 P. B. Coates, *The correction for photon 'pile-up' in the measurement of radiative lifetimes*, J. Phys. E 1
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-#: Standard deviations above the expected number of detections by which cycles are kept back in a draw.
+#: Margin for the number of detections in a portion of cycles, in standard deviations above its expectation.
 _SAFE = 4.0
 
 
@@ -29,7 +29,7 @@ def detection_probabilities(rates: Array) -> Array:
 
 
 def ready_cycles(histogram: Array, *, cycles: int, missed: int) -> Array:
-    """Return the cycles (pixels,) at whose beginning a pixel was ready: each detection costs ``missed``."""
+    """Return the cycles (pixels,) at whose beginning a pixel was ready; each detection costs ``missed``."""
     return np.asarray(cycles - missed * histogram.sum(axis=0, dtype=np.int64))
 
 
@@ -40,10 +40,10 @@ def remaining_cycles(histogram: Array, *, ready: Array) -> Array:
 
 
 def coates(histogram: Array, *, cycles: int, missed: int = 0) -> Array:
-    """Return the rates (bins, pixels) per cycle of which a histogram of first photons is made.
+    """Return the rates (bins, pixels) per cycle, estimated from a histogram of first photons.
 
-    Coates' estimator, r_i = -ln(1 - n_i / (N - sum_{j < i} n_j)) with N the cycles that began with a ready
-    pixel: the maximum likelihood of each bin. NaN where no cycle is left.
+    This is Coates' estimator, r_i = -ln(1 - n_i / (N - sum_{j < i} n_j)), where N cycles began with a ready
+    pixel; it has the maximum likelihood in each bin. NaN where no cycle is left.
     """
     ready = ready_cycles(histogram, cycles=cycles, missed=missed)
     left = remaining_cycles(histogram, ready=ready)
@@ -56,19 +56,19 @@ def coates(histogram: Array, *, cycles: int, missed: int = 0) -> Array:
 def draw_histogram(rates: Array, *, cycles: int, missed: int, rng: np.random.Generator) -> Array:
     """Return a histogram (bins, pixels) of first photons, uint32, of an exposure of so many cycles.
 
-    Detections are drawn in portions, each of as many cycles as will hardly be exceeded by those that
-    its detections cost, until none is left; then the bins of the detections.
+    The numbers of detections are drawn for portions of the cycles, each so small that with the cycles missed
+    after its detections it hardly exceeds the remaining ones. Then the bins of the detections are drawn.
     """
     probability = detection_probabilities(rates)
     total = np.minimum(probability.sum(axis=0), 1.0)
     left = np.full(total.shape, cycles, np.int64)
     found = np.zeros(total.shape, np.int64)
     while True:
-        # the number of ready cycles that, with the most detections that are likely, fit into what is left
+        # the number of ready cycles that, with the largest likely number of detections, fit in the rest
         expected = left / (1.0 + missed * total)
         margin = missed * _SAFE * np.sqrt(expected * total * (1.0 - total))
         portion = (expected - margin).astype(np.int64)
-        # where every cycle may detect, one portion in 1 + missed always fits
+        # even if every cycle has a detection, a share 1 / (1 + missed) of the cycles always fits
         portion = np.minimum(np.maximum(portion, np.maximum(left // (1 + missed), 1)), left)
         if not portion.any():
             break

@@ -19,7 +19,7 @@ from rim_camera_ros.single_photon.first_photon import detection_probabilities, d
 
 Image = NDArray[Any]
 
-#: Harmonics that pulse and jitter weaken to less are left away.
+#: Harmonics are dropped where pulse and jitter reduce them to less than this share.
 _WEAKEST = 1e-9
 #: Most counts of a bin in a published histogram.
 _FULL = 65535
@@ -29,8 +29,8 @@ _FULL = 65535
 class SinglePhotonSimulation(PulsedSimulation):
     """Draws the histogram of every pixel and evaluates it as the device would.
 
-    The amplitude is the number of signal photons of an exposure, as if none had hidden another. The image of
-    the role ``histogram`` (H, W, bins), uint16, holds the counts; a pixel with more in a bin saturates.
+    The amplitude is the number of signal photons of an exposure without pile-up. The image of the role
+    ``histogram`` (H, W, bins), uint16, has the counts; a pixel with more than 65535 in a bin saturates.
     """
 
     @cached_property
@@ -49,11 +49,11 @@ class SinglePhotonSimulation(PulsedSimulation):
         return PulseEstimator(self.detector)
 
     def photons(self, signal: Signal, exposure: Exposure) -> Image:
-        """Return the expected signal photons (bins, H, W) of an exposure if none hid another."""
+        """Return the expected signal photons (bins, H, W) of an exposure without pile-up."""
         series = self.arrivals(signal, exposure, harmonics=len(self._transfer) - 1)
         bins = self.detector.bins
         result: Image = np.fft.irfft(series * self._transfer[:, None, None], bins, axis=0)
-        # what is left of the harmonics that were left away
+        # without the dropped harmonics values may be slightly negative
         return np.maximum(result, 0.0, out=result)
 
     def measured(

@@ -1,4 +1,4 @@
-"""What a resting camera sees while nobody is there: one distance per pixel, learnt and slowly forgotten."""
+"""The background of a camera at rest: one distance per pixel, learnt and slowly forgotten."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _MEDIAN = math.pi / 2
 
 @dataclass(frozen=True, kw_only=True)
 class BackgroundSettings:
-    """How the background is learnt and told from what moves.
+    """How the background is learnt, and distinguished from moving surfaces.
 
     ``threshold`` [-]: a pixel moves where it is nearer than the background by more than this many standard
-    deviations; on noise alone it does with the probability Q(threshold) of the normal distribution's tail,
-    where ``model_error`` is 0. ``model_error`` [m]: 1-sigma of what sigma does not hold, added in quadrature
-    (stray light and light by way of a person change the background's distance while the person is there).
-    ``warm_start``: frames from whose median the background begins. ``time_constant`` [s] of forgetting.
-    ``absorb_after`` [s]: a thing that stands still becomes background. ``reveal_after`` [s]: what is seen
-    behind the background becomes it, since nothing is seen through a surface.
+    deviations. If ``model_error`` is 0, noise alone causes this with the probability Q(threshold) of the
+    normal distribution's tail. ``model_error`` [m]: 1-sigma of errors that are not part of sigma, added in
+    quadrature (stray light and multipath by a person change the background's distance while the person is
+    there). ``warm_start``: number of frames whose median is the first background. ``time_constant`` [s] of
+    forgetting. ``absorb_after`` [s]: time after which a surface at rest becomes background. ``reveal_after``
+    [s]: time after which a surface seen behind the background replaces it, as surfaces are not transparent.
     """
 
     threshold: float = 4.0
@@ -43,9 +43,9 @@ class BackgroundSettings:
 class Background:
     """Per-pixel background of radial distance; frames go in, moving pixels come out.
 
-    The mean of a pixel is taken over all samples at first and exponentially forgotten later: its gain is
+    A pixel's value is at first the mean of all samples, later an exponentially weighted mean: its gain is
     1 / n, but at least 1 - exp(-dt / time_constant). Its variance follows from the samples' own sigma.
-    Samples beyond the threshold, on either side, are not learnt from, which leaves the mean unbiased.
+    Samples beyond the threshold, on either side, are not used, which keeps the mean unbiased.
     """
 
     def __init__(self, settings: BackgroundSettings | None = None) -> None:
@@ -56,7 +56,7 @@ class Background:
 
     @property
     def missing_frames(self) -> int:
-        """Frames that the warm start still waits for; 0 once there is a background."""
+        """Number of frames that the warm start still needs; 0 once there is a background."""
         return 0 if self._state is not None else self.settings.warm_start - len(self._warm)
 
     @property
@@ -70,11 +70,11 @@ class Background:
         return None if self._state is None else np.sqrt(self._state.variance)
 
     def take(self, distance: NDArray[Any], sigma: NDArray[Any], *, time: float) -> Mask | None:
-        """Return the pixels (H, W) that moved before the background, and learn from the others.
+        """Return the pixels (H, W) that move in front of the background, and learn from the others.
 
         ``distance``, ``sigma`` (H, W) in m, NaN where invalid; ``time`` in s. A pixel with a distance where
-        the background has none moves as well. None while the warm start goes on. Raises `InputError` where
-        the images differ in size from each other or from those before.
+        the background has none counts as moving. None during the warm start. Raises `InputError` where the
+        images differ in size from each other or from those before.
         """
         self._check(distance, sigma)
         if self._state is None:
@@ -117,7 +117,7 @@ class Background:
         moving: Mask,
         farther: Mask,
     ) -> None:
-        """Let what stays at one other distance for long enough become the background."""
+        """Replace the background of pixels that have stayed at another distance for long enough."""
         settings = self.settings
         other = moving | farther
         spread = settings.threshold * np.sqrt(sigma**2 + settings.model_error**2)
@@ -156,7 +156,7 @@ class _State:
 
 
 def _begun(frames: list[tuple[NDArray[Any], NDArray[Any]]]) -> _State:
-    """Begin with the median of each pixel: somebody who passes during the warm start leaves no trace."""
+    """Return the first state by the median of each pixel, so that a passer-by has no influence."""
     distances, sigmas = (np.stack([frame[i] for frame in frames]).astype(float) for i in (0, 1))
     valid = np.isfinite(distances) & np.isfinite(sigmas)
     distances[~valid] = np.nan
@@ -165,7 +165,7 @@ def _begun(frames: list[tuple[NDArray[Any], NDArray[Any]]]) -> _State:
         warnings.simplefilter("ignore", RuntimeWarning)  # pixels that saw nothing in any frame
         mean = np.nanmedian(distances, axis=0)
         noise = np.nanmean(np.where(valid, sigmas, np.nan) ** 2, axis=0)
-    # of one or two samples the median is the mean
+    # the median of one or two samples is their mean
     factor = np.where(count > 2, _MEDIAN, 1.0)
     variance = factor * noise / np.maximum(count, 1)
     return _State(

@@ -1,4 +1,4 @@
-"""Walking figures as a scene file: what the tracking is tried on, with known positions.
+"""Walking figures as a scene file, to test the tracking with known positions.
 
 ``python -m rim_camera_ros.tracking.figures > config/walking_people.yaml`` writes the shipped scene.
 """
@@ -19,7 +19,7 @@ from rim_camera_ros.tracking.ground import Ground
 
 Array = NDArray[np.float64]
 
-#: Where the camera of the shipped scene hangs: 2.2 m above the floor, looking 20 degrees down.
+#: Mount of the camera in the shipped scene: 2.2 m above the floor, looking 20 degrees down.
 GROUND = Ground(height=2.2, pitch=math.radians(20.0))
 #: Spheres of a figure 1.75 m tall: height of the centre [m], radius [m].
 _TRUNK = {"head": (1.63, 0.12), "chest": (1.30, 0.20), "belly": (1.06, 0.18), "hips": (0.87, 0.17)}
@@ -28,15 +28,17 @@ _LEG = {"thigh": (0.17, 0.10), "knee": (0.40, 0.08), "shin": (0.58, 0.07), "foot
 _HIP_HEIGHT, _HIP_ASIDE = 0.82, 0.09
 #: A leg swings by this angle [rad]; a double step takes this many metres.
 _SWING, _STRIDE = 0.42, 1.4
-#: Tangent of the bearing up to which a person is seen; bearings [rad] so alike that one hides another.
+#: Tangent of the bearing up to which a person is in view; difference of bearings [rad] at which one person
+#: hides another.
 _IN_VIEW, _HIDES = 0.35, 0.03
 
 
 @dataclass(frozen=True, kw_only=True)
 class Walk:
-    """Somebody walks straight on: ``start`` and ``end`` [m] x y on the floor, ``speed`` [m/s].
+    """A straight walk of a person: ``start`` and ``end`` [m] x y on the floor, ``speed`` [m/s].
 
-    ``wait`` [s] before the first step; at the end he stands. ``reflectivity`` [-] of the clothes.
+    ``wait`` [s] before the first step; at the end the person stands still. ``reflectivity`` [-] of the
+    clothes.
     """
 
     name: str
@@ -74,7 +76,7 @@ class Walk:
         return result
 
     def surfaces(self, ground: Ground) -> list[Surface]:
-        """Return the figure's spheres where it starts."""
+        """Return the figure's spheres at the start of the walk."""
         radii = {part: radius for part, (_, radius) in _TRUNK.items()}
         radii |= {f"{side}_{part}": r for side in ("left", "right") for part, (_, r) in _LEG.items()}
         return [
@@ -89,7 +91,7 @@ class Walk:
         ]
 
 
-#: The shipped scene: the ways cross on the floor, and Bert is hidden behind Anna for a moment.
+#: The shipped scene: the paths cross on the floor, and Bert is hidden behind Anna for a moment.
 SHIPPED = (
     Walk(name="anna", start=(3.9, 2.4), end=(2.6, -2.4), speed=1.12, reflectivity=0.55),
     Walk(name="bert", start=(4.7, -2.5), end=(2.6, 2.3), speed=0.93, wait=0.6, reflectivity=0.4),
@@ -98,10 +100,10 @@ SHIPPED_FRAMES = 65
 
 
 def crossing(seed: int) -> tuple[Walk, Walk]:
-    """Return two walks drawn at random whose ways cross and of whom one hides the other in view.
+    """Return two walks drawn at random whose paths cross, so that one person hides the other in view.
 
-    They begin and end outside of the view and never come nearer than 0.6 m to each other (shoulders would
-    touch); where one hides the other, they are less than 1 m apart.
+    They begin and end outside of the view. The persons are never nearer than 0.6 m to each other (shoulders
+    would touch), and where one hides the other they are less than 1 m apart.
     """
     rng = np.random.default_rng(seed)
     while True:
@@ -113,7 +115,7 @@ def crossing(seed: int) -> tuple[Walk, Walk]:
 
 
 def overtaking(seed: int) -> tuple[Walk, Walk]:
-    """Return two walks drawn at random of whom one overtakes the other behind him, as the camera sees it."""
+    """Return two walks drawn at random; one person overtakes the other behind it, as seen by the camera."""
     rng = np.random.default_rng(seed)
     while True:
         near, far = rng.uniform(2.8, 3.2, 2), rng.uniform(3.8, 4.4, 2)
@@ -144,7 +146,7 @@ def _walk(name: str, rng: np.random.Generator, *, side: float) -> Walk:
 
 
 def _together(one: Walk, other: Walk) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Return both ways (T, 2), the distance between the two (T,) and whether one hides the other in view."""
+    """Return both paths (T, 2), the distance between the two (T,) and whether one hides the other in view."""
     times = np.arange(0.0, 8.0, 0.05)
     a, b = (np.array([walk.position(float(time)) for time in times]) for walk in (one, other))
     bearing = np.abs(np.arctan2(a[:, 1], a[:, 0]) - np.arctan2(b[:, 1], b[:, 0]))
@@ -153,7 +155,7 @@ def _together(one: Walk, other: Walk) -> tuple[Array, Array, Array, NDArray[np.b
 
 
 def room(ground: Ground) -> list[Surface]:
-    """Return what rests: a floor, a back wall 5.5 m away and a cupboard before it."""
+    """Return the surfaces at rest: a floor, a back wall 5.5 m away and a cupboard in front of it."""
     turn = ground.rotation.as_matrix().T
     upwards = _turned(turn @ np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]))
     facing = _turned(turn @ np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
@@ -186,8 +188,8 @@ def walking_scene(
 ) -> Scene:
     """Return a room with people: ``still`` frames in which they wait, then ``frames`` of walking.
 
-    A schedule holds poses for a stretch of frames, so each frame of walking is a station of its own. Time 0
-    of the walks is the first of these; ``rate`` in Hz.
+    The stations of a schedule have fixed poses, so each frame of walking is a station of its own. Time 0 of
+    the walks is the first of these frames; ``rate`` in Hz.
     """
     figures = [surface for walk in walks for surface in walk.surfaces(ground)]
     schedule = [Station(frames=still, rate=rate, integration_time=100.0, uptime=1800.0, ambient=20.0)]

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 #: Optical axes (x right, y down, z forward) in a body's (x forward, y left, z up): REP 103.
 _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-#: The viewing direction must keep this horizontal share, or "forward" on the floor means nothing.
+#: Least horizontal component of the viewing direction, without which "forward" on the floor is undefined.
 _LEAST_HORIZONTAL = 0.05
 
 
@@ -27,7 +27,7 @@ class Ground:
     """A frame on the floor, right below the camera: x forward, y left, z up (REP 103).
 
     ``height`` of the projection centre above the floor [m]; ``roll`` about the viewing direction and
-    ``pitch`` [rad], looking down is positive, as URDF and the driver's ``mount.*`` have them.
+    ``pitch`` [rad], positive when looking down, as in URDF and the driver's ``mount.*``.
 
     Raises `InputError` for a height that is not positive, and for a camera that looks along the vertical.
     """
@@ -48,7 +48,7 @@ class Ground:
 
     @classmethod
     def below(cls, rotation: Rotation, position: Array) -> Ground:
-        """Return the floor below a camera, from how its optical frame lies in a frame on the floor (z up).
+        """Return the floor below a camera, from the pose of its optical frame in a frame on the floor (z up).
 
         ``position`` (3,) in m. Raises `InputError` as the class does.
         """

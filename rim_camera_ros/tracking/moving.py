@@ -14,21 +14,21 @@ from rim_camera_ros.tracking.ground import Ground
 
 Array = NDArray[np.float64]
 
-#: Cells of the floor [m] in which points are gathered before they are clustered.
+#: Side [m] of the cells of the floor into which points are sorted before they are clustered.
 CELL = 0.05
-#: Mean depth of a cylinder's visible half before its axis, in radii, over its apparent width.
+#: Mean distance of a cylinder's visible half in front of its axis, in radii, over its apparent width.
 _NEAR_SIDE = np.pi / 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClusterSettings:
-    """What of the moving points counts as a person; lengths in m.
+    """Which clusters of moving points count as persons; lengths in m.
 
-    ``reach``: cells of the floor nearer to each other belong together. ``minimum_area`` [m^2] of a cluster as
-    the camera sees it, and the tenth of it that must lie within ``reach`` of a cell for this to be a core of
-    DBSCAN. ``lowest``, ``highest``: heights above the floor between which points count. ``tallest_below``: a
-    cluster whose top lies lower is no person. ``maximum_sigma``: points with more noise are left out.
-    ``body_radius``: of the cylinder whose near side is seen, trunk and legs taken together.
+    ``reach``: cells of the floor nearer to each other than this belong together. ``minimum_area`` [m^2] of a
+    cluster as seen by the camera; a cell is a core of DBSCAN if a tenth of this area lies within ``reach``.
+    ``lowest``, ``highest``: heights above the floor between which points are used. ``tallest_below``: a
+    cluster with a lower top is not a person. ``maximum_sigma``: points with more noise are excluded.
+    ``body_radius``: that of the cylinder whose near side is seen, for trunk and legs together.
     """
 
     reach: float = 0.15
@@ -85,7 +85,7 @@ def moving_points(
     """Return the moving points (N, 3) [m] of an organised cloud (H, W, >=3), in the optical frame.
 
     Pixels (H, W) of ``moving`` without neighbours of their kind (opening by 3 x 3) and those with a ``sigma``
-    (H, W) [m] above ``settings.maximum_sigma`` are left out.
+    (H, W) [m] above ``settings.maximum_sigma`` are excluded.
     """
     with np.errstate(invalid="ignore"):
         clear = moving & (sigma <= settings.maximum_sigma)
@@ -101,8 +101,8 @@ def clusters(
 
     ``pixel``: solid angle of a pixel [sr].
 
-    DBSCAN (Ester et al. 1996) on cells of the floor, weighted with the area that the camera sees in them, so
-    that a person far away counts as much as one nearby. Raises `RimError` where scikit-learn is missing.
+    By DBSCAN (Ester et al. 1996) on cells of the floor, weighted with the area that the camera sees in them,
+    so that a distant person counts as much as one nearby. Raises `RimError` where scikit-learn is missing.
     """
     on_floor = ground.from_optical(points)
     keep = (on_floor[:, 2] >= settings.lowest) & (on_floor[:, 2] <= settings.highest)
@@ -118,7 +118,7 @@ def clusters(
     for label in range(labels.max() + 1):
         mine = labels == label
         area = float(cell_areas[mine].sum())
-        # the highest percent: single points are no head
+        # without the highest percent: single points are not a head
         top = float(np.percentile(on_floor[mine[cell_of], 2], 99))
         if area >= settings.minimum_area and top >= settings.tallest_below:
             found.append(detection(cells[mine], cell_areas[mine], top=top, body_radius=settings.body_radius))
@@ -128,8 +128,9 @@ def clusters(
 def detection(cells: Array, areas: Array, *, top: float, body_radius: float) -> Detection:
     """Return a detection of cells (N, 2) [m] with areas (N,) [m^2].
 
-    A camera sees the near side only: the centroid lies before the body's axis (the drawback of the centroid
-    that sec. 1.1.1 names). For a cylinder that is pi / 4 of its radius, by which it is moved along the ray.
+    A camera only sees the near side, so that the centroid lies in front of the body's axis (a drawback of the
+    centroid that sec. 1.1.1 names). For a cylinder the difference is pi / 4 of its radius, by which the
+    position is moved along the ray.
     """
     centroid = np.average(cells, axis=0, weights=areas)
     away = centroid / max(float(np.linalg.norm(centroid)), 1e-9)
@@ -145,7 +146,7 @@ def detection(cells: Array, areas: Array, *, top: float, body_radius: float) -> 
 def divided(one: Detection, positions: Array, *, body_radius: float) -> list[Detection]:
     """Divide a cluster among people whose ``positions`` (K, 2) [m] are expected in it.
 
-    Each cell goes to the nearest; those without a cell get no detection.
+    Each cell is assigned to the nearest position; a position without cells gets no detection.
     """
     centres = positions - _NEAR_SIDE * body_radius * positions / np.linalg.norm(positions, axis=1)[:, None]
     nearest = np.argmin(np.linalg.norm(one.cells[:, None] - centres[None], axis=2), axis=1)

@@ -1,4 +1,4 @@
-"""Corrected frames in, people out: background, clusters and tracks in a row."""
+"""People in corrected frames, by background, clusters and tracks one after the other."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from rim_camera_ros.tracking.ground import Ground
 from rim_camera_ros.tracking.moving import ClusterSettings, Detection, clusters, moving_points, solid_angle
 from rim_camera_ros.tracking.tracks import Track, Tracker, TrackSettings
 
-#: After a gap of this many seconds nobody can be where he was expected.
+#: After a gap of this many seconds people are no longer where they were expected.
 _GAP = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class PeopleSettings:
-    """How the camera is mounted, and the settings of the three steps."""
+    """The mount of the camera, and the settings of the three steps."""
 
     ground: Ground
     background: BackgroundSettings = field(default_factory=BackgroundSettings)
@@ -45,7 +45,7 @@ class PeopleTracker:
 
     @property
     def missing_frames(self) -> int:
-        """Frames that the background still waits for."""
+        """Number of frames that the background still needs."""
         return self._background.missing_frames
 
     @property
@@ -66,7 +66,7 @@ class PeopleTracker:
         self.moving = 0.0
 
     def use(self, settings: PeopleSettings) -> None:
-        """Go on with other settings; a background that is learnt is kept, tracks on another floor are not."""
+        """Use other settings; a learnt background is kept, tracks on another floor are not."""
         if settings.ground != self.settings.ground:
             self._tracker.forget()
         self.settings = settings

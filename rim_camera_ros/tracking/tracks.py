@@ -14,11 +14,11 @@ from rim_camera_ros.tracking.moving import Detection, divided
 
 Array = NDArray[np.float64]
 
-#: A pair that the gate forbids; it is never the cheaper one.
+#: Cost of a pair outside of the gate, larger than that of any other pair.
 _FORBIDDEN = 1e9
-#: Positions that a track remembers.
+#: Most positions that a track keeps.
 _TRAIL = 200
-#: A person's area as seen may shrink by this share per detection before it counts as hidden.
+#: Area and top of a person in full view, as a track keeps them, shrink at most by this share per detection.
 _SHRINK = 0.02
 #: Clusters wider than this many half widths of a person can hold two people.
 _WIDE = 3.5
@@ -26,13 +26,13 @@ _WIDE = 3.5
 
 @dataclass(frozen=True, kw_only=True)
 class TrackSettings:
-    """How people move and are seen.
+    """How people move, and how they appear.
 
     ``acceleration`` [m^2/s^3]: spectral density of the white acceleration. ``measurement_sigma`` [m]: 1-sigma
-    per axis of a whole person's position. ``start_speed`` [m/s]: 1-sigma of the speed per axis of somebody
-    who appears. ``gate`` [-]: probability that a person's own detection lies within the gate.
-    ``confirm_after``: detections after which a track is shown. ``coast`` [s]: how long a hidden person is
-    predicted. ``apart`` [m]: nobody appears nearer to somebody who is there. ``half_width`` [m] of a person
+    per axis of the position of a person in full view. ``start_speed`` [m/s]: 1-sigma of the speed per axis of
+    a new person. ``gate`` [-]: probability that a person's own detection lies within the gate.
+    ``confirm_after``: detections after which a track is shown. ``coast`` [s]: for how long a hidden person is
+    predicted. ``apart`` [m]: least distance of a new person from known ones. ``half_width`` [m] of a person
     across the shoulders; ``body_radius`` [m] as in `ClusterSettings`.
     """
 
@@ -51,7 +51,7 @@ class TrackSettings:
 class Track:
     """One person: ``state`` x y [m] vx vy [m/s] on the floor with ``covariance`` (4, 4) at ``time`` [s].
 
-    ``area`` [m^2] and ``top`` [m] as seen when whole; ``trail`` the last (time, x, y).
+    ``area`` [m^2] and ``top`` [m] of the person in full view; ``trail``: the last (time, x, y).
     """
 
     identity: int
@@ -120,7 +120,7 @@ class Tracker:
 
     @property
     def people(self) -> list[Track]:
-        """Confirmed tracks, those of hidden people too."""
+        """Confirmed tracks, including those of hidden people."""
         return [track for track in self._tracks if self._confirmed(track)]
 
     def forget(self) -> None:
@@ -130,7 +130,7 @@ class Tracker:
     def take(self, found: Sequence[Detection], *, time: float) -> list[Track]:
         """Predict to ``time`` [s], assign detections, begin and end tracks; return `people`.
 
-        Each confirmed track has the first choice; what is left goes to new ones, then begins further ones.
+        Detections are assigned to confirmed tracks first, then to new ones; remaining ones begin new tracks.
         """
         settings = self.settings
         for person in self._tracks:
@@ -161,7 +161,7 @@ class Tracker:
         )
 
     def _divide(self, found: Sequence[Detection]) -> list[Detection]:
-        """Divide clusters that are too wide for one person among those who are expected there."""
+        """Divide clusters that are too wide for one person among the people expected there."""
         half_width, radius = self.settings.half_width, self.settings.body_radius
         result: list[Detection] = []
         for detection in found:
@@ -175,12 +175,12 @@ class Tracker:
         return result
 
     def _variance(self, track: Track, detection: Detection) -> float:
-        """Return the variance [m^2] of a measured position: of who is half hidden one side is seen only."""
+        """Return the variance [m^2] of a measured position: of a half hidden person only one side is seen."""
         visible = min(detection.area / track.area, 1.0)
         return self.settings.measurement_sigma**2 + ((1 - visible) * self.settings.half_width) ** 2
 
     def _assign(self, tracks: list[Track], found: list[Detection]) -> list[Detection]:
-        """Give detections to tracks by the greatest likelihood within the gate; return those left over."""
+        """Assign detections to tracks by the greatest likelihood within the gate; return those left."""
         if not tracks or not found:
             return list(found)
         gate = -2.0 * math.log1p(-self.settings.gate)  # quantile of a chi-square of two degrees

@@ -1,4 +1,4 @@
-"""Transforms between frames as TF tells them: the newest of each, and how two frames lie; no ROS in here."""
+"""Transforms between frames from TF: the newest of each, and the pose of a frame in another; no ROS here."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class TransformTree:
         self._parents: dict[str, tuple[str, Rotation, Array]] = {}
 
     def add(self, parent: str, child: str, *, position: Sequence[float], quaternion: Sequence[float]) -> bool:
-        """Take a transform: ``position`` [m] and ``quaternion`` x y z w of the child in its parent.
+        """Add a transform: ``position`` [m] and ``quaternion`` x y z w of the child in its parent.
 
-        False for one that is none: numbers that are not finite, a quaternion of length 0, a frame in itself.
+        False for an invalid one: numbers that are not finite, a quaternion of length 0, a frame in itself.
         """
         numbers = np.array([*position, *quaternion], float)
         length = float(np.linalg.norm(numbers[3:]))
@@ -31,7 +31,7 @@ class TransformTree:
         return True
 
     def lookup(self, base: str, frame: str) -> tuple[Rotation, Array] | None:
-        """Return rotation and position [m] of a frame in another one, None where nothing connects them."""
+        """Return rotation and position [m] of a frame in another one, None if they are not connected."""
         of_base, of_frame = self._to_ancestors(base.lstrip("/")), self._to_ancestors(frame.lstrip("/"))
         for ancestor, (rotation, position) in of_frame.items():
             if ancestor in of_base:
@@ -41,12 +41,12 @@ class TransformTree:
         return None
 
     def _to_ancestors(self, frame: str) -> dict[str, tuple[Rotation, Array]]:
-        """Return how a frame lies in itself and in each of its ancestors, the nearest first."""
+        """Return the pose of a frame in itself and in each of its ancestors, the nearest first."""
         found = {frame: (Rotation.identity(), np.zeros(3))}
         while frame in self._parents:
             rotation, position = found[frame]
             frame, turn, shift = self._parents[frame]
-            if frame in found:  # a circle
+            if frame in found:  # a cycle
                 break
             found[frame] = turn * rotation, turn.apply(position) + shift
         return found

@@ -1,4 +1,4 @@
-"""Walking figures through simulator, correction and tracking, against where they were."""
+"""Trials: walking figures are simulated, corrected and tracked, and compared with their true positions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _BELONGS = 0.5
 
 @dataclass(frozen=True)
 class Trial:
-    """What became of a walk.
+    """Results of a trial.
 
     ``times`` (T,) [s] and ``truth`` (T, K, 2) [m] of the K walks; ``tracks``: for each identity (N, 4) with
     time [s], x, y [m] and whether the person was hidden; ``detected`` (T, K): a detection lay within 0.5 m.
@@ -36,7 +36,7 @@ class Trial:
     detected: NDArray[np.bool_]
 
     def owners(self, identity: int) -> Array:
-        """Return (N,) the walk that a track is at, -1 where none is within 0.5 m, at its visible moments."""
+        """Return for each visible moment (N,) the walk next to the track, -1 where none is within 0.5 m."""
         track = self.tracks[identity]
         seen = track[track[:, 3] == 0]
         index = np.searchsorted(self.times, seen[:, 0] - 1e-6)
@@ -45,14 +45,14 @@ class Trial:
 
     @property
     def identities_kept(self) -> bool:
-        """Whether each figure had one track, which was at no other, and there were no further tracks."""
+        """Whether each figure had one track, which was never at another figure, and there were no others."""
         owners = [self.owners(track) for track in self.tracks]
         alone = all(len(set(owner.tolist())) == 1 for owner in owners)
         return alone and sorted(int(owner[0]) for owner in owners) == list(range(self.truth.shape[1]))
 
     @property
     def errors(self) -> Array:
-        """Distances (N,) [m] of visible people's tracks to the figure that they are at."""
+        """Distances (N,) [m] of visible people's tracks from their figures."""
         result = []
         for identity, track in self.tracks.items():
             seen = track[track[:, 3] == 0]

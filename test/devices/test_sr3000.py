@@ -194,7 +194,7 @@ def test_a_mode_that_is_not_taken_is_told(make: Make, control: Control) -> None:
     frame = frame_of(device)
     assert frame.settings.extra["mode"] == "median"
     assert is_as_stated(frame, mode=4)
-    assert device.notes == {"the camera works in mode median although raw was asked for"}
+    assert device.notes == {"the camera works in mode median although raw was requested"}
 
 
 def test_settings_change_together_between_two_frames(make: Make) -> None:

@@ -162,7 +162,7 @@ def test_the_process_ends_with_its_supervisor(library: str, control: Control, fa
     [
         (
             {"fault": "none_open"},
-            r"^libmesasr cannot open a camera \(SR_OpenUSB returned 0\) \(rim info usb tells",
+            r"^libmesasr cannot open a camera \(SR_OpenUSB returned 0\) \(rim info usb shows",
         ),
         ({"fault": "crash_open"}, r"^the acquisition process was ended by SIGABRT"),
         ({"fault": "hang_open"}, r"^libmesasr does not open the camera within 0.7 s"),

@@ -160,7 +160,7 @@ def test_gates_that_do_not_overlap_are_refused_in_one_line(tmp_path: Path) -> No
     text = find_camera("gated").read_text()
     cut = text[: text.index("  gates:")] + "  gates:\n  - {delay: 0.0, width: 20.0e-9}\n"
     for more, problem in (
-        ("", "one gate cannot tell"),
+        ("", "one gate cannot separate"),
         ("  - {delay: 50.0e-9, width: 20.0e-9}\n", "overlap"),
     ):
         (tmp_path / "camera.yaml").write_text(cut + more)

@@ -87,7 +87,7 @@ def test_said_simulated_and_corrected(
     name: str, role: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["info", name]) == 0
-    assert {"histogram": "128 bins of 156.2 ps", "gates": "their ratios tell 0 .. 3.22 m"}[role] in (
+    assert {"histogram": "128 bins of 156.2 ps", "gates": "their ratios determine 0 .. 3.22 m"}[role] in (
         capsys.readouterr().out
     )
     run("simulate", find_scene("corner"), "--samples", camera=name, frames=2, seed=3, out=tmp_path / "bag")

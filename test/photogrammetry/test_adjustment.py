@@ -193,7 +193,7 @@ def test_a_result_that_is_not_to_be_used_says_so_first() -> None:
     closer = [replace(point, sigma=point.sigma / 3) for point in observations.points]
     _, covariance, report = estimate_optics(replace(observations, points=tuple(closer)), start=START)
     assert report.text().startswith(
-        "warning: residuals are 3 times as large as the images of the targets tell"
+        "warning: residuals are 3 times as large as the images of the targets imply"
     )
     _, stated, report = estimate_optics(observations, start=START)
     assert report.doubts == ()

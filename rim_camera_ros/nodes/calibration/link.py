@@ -1,10 +1,10 @@
-"""The side of a process of work that talks to the calibration node; no ROS in here.
+"""A worker process's connection to the calibration node; no ROS in here.
 
-The node writes the request, one line of JSON, to standard input, and later perhaps a line `CANCEL`, or
-`FINISH` for an end with what there is so far; the end of the input means that the node is gone. The process
-answers with lines of JSON on standard output: ``{"stage", "done", "total"}`` any number of times, and last
-one of ``{"result": ...}``, ``{"failed": text}``, ``{"cancelled": true}``. What libraries print goes to
-standard error.
+The node writes the request, one line of JSON, to standard input. Later it may write a line `CANCEL`, or
+`FINISH`, which ends the work with the data so far; the end of the input means that the node is gone. The
+process answers with lines of JSON on standard output: ``{"stage", "done", "total"}`` any number of times, and
+at the end one of ``{"result": ...}``, ``{"failed": text}``, ``{"cancelled": true}``. What libraries print
+goes to standard error.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ from typing import Any
 from rim_camera_ros.errors import RimError
 
 CANCEL, FINISH = b"cancel\n", b"finish\n"
-#: Seconds between two messages that only count.
+#: Least seconds between two messages of the same stage.
 _PACE = 0.1
-#: Seconds that the work has to come to an end once the node is gone.
+#: Seconds within which the work must end once the node is gone.
 _PATIENCE = 5.0
 
 
 class Link:
-    """The connection to the node: ``request`` as it was sent, ``cancelled`` and ``finishing`` as asked since.
+    """The connection to the node: its ``request``, and whether the work is to be ``cancelled`` or finished.
 
-    ``keep``: work is finished, not cancelled, where the node is gone.
+    ``finishing``: the work is to end with the data so far. ``keep``: if the node is gone, work is finished
+    instead of cancelled.
     """
 
     def __init__(self, *, keep: bool) -> None:
@@ -46,7 +47,7 @@ class Link:
         threading.Thread(target=self._watch, name="link", daemon=True).start()
 
     def progress(self, stage: str, done: int | None = None, total: int | None = None) -> None:
-        """Say what is done, how much of it and of how much; counts at most ten times a second."""
+        """Report the stage, and how much of its total is done; counts at most ten times a second."""
         now = time.monotonic()
         if done is not None and done != total and now - self._last < _PACE:
             return
@@ -54,7 +55,7 @@ class Link:
         self.send(stage=stage, done=done, total=total)
 
     def send(self, **message: Any) -> None:
-        """Send a message; nothing where nobody listens any more."""
+        """Send a message; do nothing if the node is gone."""
         data = json.dumps(message).encode() + b"\n"
         with contextlib.suppress(OSError):
             while data:
@@ -73,7 +74,7 @@ class Link:
 
 
 def serve(work: Callable[[Link], Mapping[str, Any]], *, keep: bool) -> None:
-    """Do the work that the node requests, and send it the result, or why there is none."""
+    """Do the work that the node requests, and send the result, or the reason why there is none."""
     link = Link(keep=keep)
     try:
         niceness = int(link.request.get("niceness", 0))

@@ -1,8 +1,8 @@
-"""The calibration: recordings of known scenes in, a camera file out, while the robot goes on.
+"""The calibration node: makes a camera file from recordings of known scenes while the robot goes on.
 
-The work is done in a process of its own (`calibration_process`, `calibration_recording`), which may crash,
-be killed or cancelled; the camera file that it starts from is never changed. Topics and services are below
-the node's name, ``/camera/calibration`` unless another namespace is given.
+The work is done in a separate process (`process`, `recording`), which may crash, be killed or be cancelled
+without effect on the node. The camera file that it starts from is never changed. Topics and services are
+below the node's name, ``/camera/calibration`` unless another namespace is given.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from rim_camera_ros.nodes.common.lifecycle import ACTIVE, ManagedNode
 from rim_camera_ros.nodes.common.parameters import Apply, Parameters, Values
 from rim_camera_ros.nodes.common.run import run
 
-#: Seconds between two looks at the work.
+#: Seconds between two checks of the work.
 _TICK = 0.1
 #: Seconds that the node waits at its end until its last result was received.
 _LAST_WORDS = 1.0
@@ -37,7 +37,7 @@ _CALIBRATION, _RECORDING = "calibration", "recording"
 
 
 class CalibrationNode:
-    """Calibrates and records on request, one work at a time; it never ends by itself."""
+    """Calibrates and records on request, one job at a time; it never ends by itself."""
 
     status: int | None = None
 
@@ -92,7 +92,7 @@ class CalibrationNode:
         self._ended(work, work.stop() or {"failed": f"process {work.pid} cannot be ended"})
 
     def cleanup(self) -> None:
-        """Take the topics back, once the result of what has just been ended was received."""
+        """Remove the topics, once the result of work that was just ended has been received."""
         if self._result is not None:
             self._result.wait_for_all_acked(Duration(seconds=_LAST_WORDS))
         for publisher in (self._progress, self._result):
@@ -149,7 +149,7 @@ class CalibrationNode:
     # --- parameters and services ----------------------------------------------------------------
 
     def _prepare(self, values: Values, changed: Set[str]) -> Apply:
-        """Check new values; they are for the next work."""
+        """Check new values; they take effect with the next work."""
         parameters.check(values, changed, self._folders)
         return _nothing
 

@@ -61,7 +61,7 @@ SPECS = (
 
 #: Parameters that name a file, with the folder of the shipped ones that they may name.
 _FILES = {"camera": "calibration", "scene": "config"}
-#: Parameters that name what is written, with what it is called where they are empty.
+#: Parameters that name a file to write, with its default name.
 NEW = {"output": "calibrated", "record_as": "recording"}
 _NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
 
@@ -82,7 +82,7 @@ def files_of(values: Values, name: str) -> list[str]:
 
 
 def check(values: Values, changed: Collection[str], folders: Folders) -> None:
-    """Raise `InputError` for a file outside of ``folders`` or a name that is none; nothing need exist."""
+    """Raise `InputError` for a file outside of ``folders`` or an invalid name; files need not exist."""
     if "recordings" in changed:
         for one in recordings_of(values):
             folders.check(one, place="recordings")
@@ -100,9 +100,9 @@ def check(values: Values, changed: Collection[str], folders: Folders) -> None:
 
 
 def calibration_of(values: Values, folders: Folders) -> dict[str, Any]:
-    """Return the request to the process that calibrates, for `calibration_process`.
+    """Return the request to the process that calibrates (`process`).
 
-    Raises `InputError` that names the parameter, for what is wrong before files are read.
+    Raises `InputError`, which names the parameter, for errors that show before files are read.
     """
     check(values, values.keys(), folders)
     recordings = recordings_of(values)
@@ -146,28 +146,28 @@ def calibration_of(values: Values, folders: Folders) -> dict[str, Any]:
 
 
 def recording_of(values: Values, folders: Folders, *, namespace: str) -> dict[str, Any]:
-    """Return the request to the process that records, for `calibration_recording`.
+    """Return the request to the process that records (`recording`).
 
-    With a scene, what the recording covers of it is published meanwhile. Raises `InputError` where the
-    recording cannot have the name that is given, or scene or camera are no files.
+    With a scene, the coverage of the recording is published meanwhile. Raises `InputError` where the
+    recording cannot have the given name, or scene or camera are no files.
     """
     output = _new(values, "record_as", folders).with_suffix("")
     if output.exists() or output.is_symlink():
         raise InputError("exists already", file=output, place="record_as", remedy="give another name")
     found = {"output": str(output), "namespace": namespace, "frames": values["record_frames"]}
     scenes = files_of(values, "scene")
-    # what is recorded is added to the recordings: its scene is the last
+    # the new recording is added after the others: its scene is the last one
     known = [str(find_scene(scenes[-1])), str(find_camera(values["camera"]))] if scenes else None
     return found | {"known": known}
 
 
 def with_recording(values: Values, path: str) -> str:
-    """Return what the parameter ``recordings`` is with one more."""
+    """Return the parameter ``recordings`` with one more path."""
     return os.pathsep.join([*recordings_of(values), path])
 
 
 def _new(values: Values, name: str, folders: Folders) -> Path:
-    """Return the path, with the ending .yaml, of a file to write: of the name given, or the next free one."""
+    """Return the path of a file to write, with the ending .yaml: of the given name, or the next free one."""
     if values[name]:
         return folders.target(values[name], place=name)
     number = 1

@@ -24,9 +24,9 @@ _OPTION = re.compile(r"--(?=(effects|scene|geometry)\b)")
 
 
 def work(link: Link) -> Mapping[str, Any]:
-    """Calibrate as ``link.request`` says (see `calibration_parameters.calibration_of`); return the figures.
+    """Calibrate as ``link.request`` says (see `parameters.calibration_of`) and return the figures.
 
-    Raises `RimError`, and then nothing has been written.
+    Where `RimError` is raised nothing has been written.
     """
     try:
         return _work(link)
@@ -56,7 +56,7 @@ def _work(link: Link) -> Mapping[str, Any]:
     page, notes = page_of(result, title=out.name)
     if link.cancelled:
         raise RimError("cancelled; nothing was written")
-    # it may have come meanwhile: what somebody else wrote is not replaced
+    # such a file may have been written meanwhile: it is not replaced
     for path in (out, report):
         if path.exists():
             raise InputError("exists already", file=path, place="output", remedy="give another name")
@@ -65,7 +65,7 @@ def _work(link: Link) -> Mapping[str, Any]:
 
 
 def _figures(result: Calibration, out: Path, report: Path | None, notes: list[str]) -> dict[str, Any]:
-    """Return what the node tells of the result; lengths in m."""
+    """Return the figures of the result that the node reports; lengths in m."""
     accuracy = result.accuracy
     if result.integral and result.integral_accuracy is not None:
         accuracy = result.integral_accuracy

@@ -1,4 +1,4 @@
-"""The process that records live topics for the calibration node: a slow disk does not hold the node up.
+"""The process that records live topics for the calibration node, so that a slow disk does not delay the node.
 
 Started by `rim_camera_ros.nodes.calibration.supervision` as ``python -m``; not meant to be run by hand.
 """
@@ -18,9 +18,9 @@ from rim_camera_ros.nodes.common.recorder import record
 
 
 def work(link: Link) -> Mapping[str, Any]:
-    """Record as ``link.request`` says (see `calibration_parameters.recording_of`), until asked to finish.
+    """Record as ``link.request`` says (see `parameters.recording_of`), until asked to finish.
 
-    Raises `RimError` where no frame came or the recording cannot be written; nothing is left behind then.
+    Raises `RimError` where no frame came or the recording cannot be written; no files remain then.
     """
     given = link.request
     topics, frames = Topics(namespace=given["namespace"]), given["frames"] or None

@@ -1,4 +1,4 @@
-"""What the calibration node is doing and what became of it, in words and values; no ROS in here."""
+"""Progress and results of the calibration node, in words and values; no ROS in here."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ class CalibrationStatus:
         self._pid = 0
 
     def begin(self, work: str, *, pid: int) -> None:
-        """Say that ``work`` (``calibration``, ``recording``) has begun."""
+        """Take note that ``work`` (``calibration``, ``recording``) has begun."""
         self._work, self._pid, self._asked = work, pid, ""
         self._progress = {"stage": "starting", "done": None, "total": None}
 
     def asked(self, what: str) -> None:
-        """Say what the work was asked to do: ``cancelling`` or ``finishing``."""
+        """Take note of a request to the work: ``cancelling`` or ``finishing``."""
         self._asked = what
 
     def advance(self, progress: Mapping[str, Any]) -> None:
-        """Take a progress of `calibration_link`."""
+        """Take note of a progress, a message of `link`."""
         self._progress = dict(progress)
 
     def end(self, end: Mapping[str, Any], *, seconds: float) -> Finding:
-        """Take the last message of `calibration_link`, and return the result that it makes."""
+        """Take the last message of `link`, and return the result as a finding."""
         work, self._work = self._work, None
         assert work is not None
         finding = Finding(values={"work": work, "seconds": f"{seconds:.1f}"})
@@ -61,7 +61,7 @@ class CalibrationStatus:
         return finding
 
     def progress(self, seconds: float) -> Finding:
-        """Return the progress of the work that runs, after so many seconds."""
+        """Return the progress of the work that has run for ``seconds``."""
         assert self._work is not None
         state, stage = self._asked or _DOING[self._work], str(self._progress["stage"])
         done, total = self._progress["done"], self._progress["total"]
@@ -76,7 +76,7 @@ class CalibrationStatus:
         return finding
 
     def look(self, seconds: float | None) -> Finding:
-        """Return the state for the diagnostics; ``seconds`` of the work that runs, None where none does."""
+        """Return the state for the diagnostics; ``seconds``: for how long work has run, None if none runs."""
         finding = self.result if seconds is None or self._work is None else self.progress(seconds)
         finding.values["lifecycle"] = self.phase
         return finding

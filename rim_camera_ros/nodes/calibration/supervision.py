@@ -1,4 +1,4 @@
-"""The node's side of a process of work: start, what it tells, its end by request, force or crash; no ROS."""
+"""The node's side of a worker process: its start, its messages, its end by request, kill or crash; no ROS."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MODULES = {
     "calibration": "rim_camera_ros.nodes.calibration.process",
     "recording": "rim_camera_ros.nodes.calibration.recording",
 }
-#: Seconds that a process has to end after it was asked to, before it is killed.
+#: Seconds within which a process must end once it was asked to, before it is killed.
 _PATIENCE = {CANCEL: 3.0, FINISH: 15.0}
 _KILL_TIMEOUT = 2.0
 _CHUNK = 1 << 16
@@ -28,7 +28,7 @@ _CHUNK = 1 << 16
 class WorkProcess:
     """A process that does ``work`` (``calibration``, ``recording``) as ``request`` says.
 
-    Nothing here waits, except `stop`. Raises `RimError` where the process cannot be started.
+    No method waits, except `stop`. Raises `RimError` where the process cannot be started.
     """
 
     def __init__(self, work: str, request: Mapping[str, Any]) -> None:
@@ -67,17 +67,17 @@ class WorkProcess:
         return time.monotonic() - self.begun
 
     def poll(self) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
-        """Return the new progress, the last of each stage, and how the work ended (None: it has not).
+        """Return the new progress, the last of each stage, and how the work ended (None: it still runs).
 
-        The end is the last message of `calibration_link`; ``failed`` where the process ended without one,
-        ``cancelled`` where it was asked to.
+        The end is the last message of `link`. Where the process ended without one it is ``failed``, or
+        ``cancelled`` if that was requested.
         """
         if self._end is not None:
             return [], self._end
         if self._deadline is not None and time.monotonic() > self._deadline:
             self._process.kill()
             self._deadline = None
-        ended = self._process.poll() is not None  # before reading: what it wrote is then all there
+        ended = self._process.poll() is not None  # before reading, so that all it wrote is read
         progress = self._read()
         if not ended:
             return progress, None
@@ -94,21 +94,21 @@ class WorkProcess:
         return progress, self._end
 
     def cancel(self) -> None:
-        """Ask the process to end without a result; it is killed where it does not."""
+        """Ask the process to end without a result; it is killed if it does not end in time."""
         self._cancelled = True
         self._ask(CANCEL)
 
     def finish(self) -> None:
-        """Ask the process to end with what there is so far."""
+        """Ask the process to end with the data so far."""
         self._ask(FINISH)
 
     def stop(self) -> dict[str, Any] | None:
-        """Wait until a process that was asked to end has done so, by force in the end; return how it ended.
+        """Wait until a process that was asked to end has ended, kill it if necessary; return how it ended.
 
-        None where it hangs in the kernel.
+        None where it hangs in the kernel and cannot be killed.
         """
         with contextlib.suppress(subprocess.TimeoutExpired):
-            # a full pipe would keep it: it is emptied meanwhile
+            # a full pipe would block the process: it is emptied meanwhile
             while self._process.poll() is None and self._deadline is not None:
                 self.poll()
                 with contextlib.suppress(subprocess.TimeoutExpired):
@@ -128,7 +128,7 @@ class WorkProcess:
             self._process.stdin.flush()
 
     def _read(self) -> list[dict[str, Any]]:
-        """Take what the process has written; return the progress in it, the last of each stage."""
+        """Read what the process has written; return the progress in it, the last of each stage."""
         progress: list[dict[str, Any]] = []
         with contextlib.suppress(BlockingIOError):
             while data := os.read(self._output, _CHUNK):

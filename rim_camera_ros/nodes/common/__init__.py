@@ -1,1 +1,1 @@
-"""What all nodes share: parameters, lifecycle, quality of service, diagnostics, messages, the executor."""
+"""Parts common to all nodes: parameters, lifecycle, quality of service, diagnostics, messages, executor."""

@@ -1,4 +1,4 @@
-"""Which camera and which files are in use, as latched topics for those who ask later."""
+"""Which camera and which files are in use, as latched topics, which late subscribers receive too."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class LatchedInfo:
         self._last: tuple[str, dict[str, str]] | None = None
 
     def publish(self, hardware: str, values: Mapping[str, str]) -> None:
-        """Publish the values, unless they are those that were published last."""
+        """Publish the values if they differ from those published last."""
         now = (hardware, dict(values))
         if now == self._last:
             return
@@ -51,5 +51,5 @@ class LatchedInfo:
         self._publisher.publish(message)
 
     def destroy(self) -> None:
-        """Take the topic back."""
+        """Remove the topic."""
         self._node.destroy_publisher(self._publisher)

@@ -19,8 +19,8 @@ PERIOD = 1.0
 class Diagnostics:
     """Publishes one status per check, named ``<node>: <check>``; ``hardware`` returns the device's id.
 
-    A warning or error is logged when it begins and when it is over, as `Announcements` has it, unless the
-    check is one of ``silent``, which log themselves.
+    A warning or error is logged when it begins and when it is over (see `Announcements`), except for the
+    checks ``silent``, which log themselves.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class Diagnostics:
         self._timer = node.steady_timer(PERIOD, self.publish)
 
     def publish(self) -> None:
-        """Publish what the checks find now."""
+        """Run the checks and publish their findings."""
         name = self._node.get_fully_qualified_name()
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
@@ -70,7 +70,7 @@ class Diagnostics:
         if line is None:
             return
         level, text = line
-        # rclpy allows one severity to a line of code
+        # rclpy allows one severity per line of code
         if level == Level.ERROR:
             self._node.log.error(text)
         elif level == Level.WARN:

@@ -1,10 +1,10 @@
-"""The end of a process within a limit of time, whatever the middleware does.
+"""The end of a process within a time limit, whatever the middleware does.
 
-Fast DDS 2.14, as the wheels build it, can wait for half a minute and longer as it destroys its participant:
-where a callback of its discovery runs at that moment it waits with the lock held that the callback needs
-(Fast DDS issue 6513: a time limit that overflows). Two cameras that were ended together did so once in some
-300 times. rclpy destroys the participant with the interpreter's lock held, so that neither a thread of
-Python nor a signal's handler can act.
+Fast DDS 2.14, as the wheels build it, can block for half a minute or longer while it destroys its
+participant. If a callback of its discovery runs at that moment, it waits for the callback while it holds the
+lock that the callback needs (Fast DDS issue 6513: a time limit that overflows). When two cameras were ended
+together this happened about once in 300 times. rclpy destroys the participant with the interpreter's lock
+held, so that neither a thread of Python nor a signal handler can act.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ class _Times(ctypes.Structure):
 
 
 def end_within(seconds: float, *, status: int) -> None:
-    """End this process with an exit status after so many seconds, should it run until then.
+    """End this process with an exit status after so many seconds, if it still runs then.
 
-    The timer is the C library's and calls its ``_exit``, which needs nothing of Python: no output is
-    flushed and no other process learns of it before its lease runs out, as after SIGKILL. Where there is
-    no such timer (another C library) nothing is done.
+    A timer of the C library calls ``_exit``, which does not need Python. As after SIGKILL, no output is
+    flushed, and other processes only notice when the middleware's lease runs out. Where there is no such
+    timer (another C library) nothing is done.
     """
     with contextlib.suppress(OSError, AttributeError):
         libc = ctypes.CDLL(None, use_errno=True)

@@ -1,4 +1,4 @@
-"""An executor for nodes of plain callbacks that keeps what it waits for from one callback to the next."""
+"""An executor for nodes with plain callbacks, which does not gather all entities anew for each callback."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.waitable import NumberOfEntities
 
-#: Kinds of entities, as a wait set names them: what a node calls them, and what adds them to a wait set.
+#: Kinds of entities by their name in a wait set: the attribute of a node, and the method of a wait set.
 _KINDS = {
     "timer": ("timers", "add_timer"),
     "subscription": ("subscriptions", "add_subscription"),
@@ -48,27 +48,27 @@ class SteadyExecutor(SingleThreadedExecutor):
         self._ready: deque[tuple[_Take, Any]] = deque()
 
     def wake(self) -> None:
-        """Gather the entities anew: rclpy calls this where one was created or destroyed, in any thread."""
+        """Gather the entities anew; rclpy calls this when one was created or destroyed, in any thread."""
         self._changed = True
         super().wake()
 
     def add_node(self, node: Node) -> bool:
-        """Call the callbacks of a node, too."""
+        """Call the callbacks of another node, too."""
         self._changed = True
         return bool(super().add_node(node))
 
     def remove_node(self, node: Node) -> None:
-        """Call the callbacks of a node no more."""
+        """Stop calling the callbacks of a node."""
         self._release()
         super().remove_node(node)
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
-        """Call no more callbacks."""
+        """Stop calling callbacks."""
         self._release()
         return bool(super().shutdown(timeout_sec))
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Call one callback; wait for it where none is due, at most so many seconds (None: for ever)."""
+        """Call one callback; if none is due, wait for one for at most ``timeout_sec`` (None: forever)."""
         if self._changed:
             self._gather()
         if not self._ready:
@@ -76,13 +76,13 @@ class SteadyExecutor(SingleThreadedExecutor):
         if self._ready:
             take, entity = self._ready.popleft()
             self._call(take(entity))
-        if self._tasks:  # of futures: nothing here makes them
+        if self._tasks:  # made by futures, which these nodes do not use
             super().spin_once(timeout_sec=0)
 
     def _gather(self) -> None:
         """Hold all entities, so that none is destroyed while it is waited for."""
         self._release()
-        # before they are looked at: those that another thread creates meanwhile are seen the next time
+        # reset before gathering, so that entities that another thread creates meanwhile are seen next time
         self._changed = False
         nodes = self.get_nodes()
         count = NumberOfEntities()
@@ -110,7 +110,7 @@ class SteadyExecutor(SingleThreadedExecutor):
             context,
         )
         self._adding = [(getattr(self._wait_set, add), handles[kind]) for kind, (_, add) in _KINDS.items()]
-        # what was ready and has been destroyed since is not called any more
+        # entities that were ready but have been destroyed since are not called
         alive = {id(one) for found in self._of.values() for one in found.values()}
         alive |= {id(waitable) for waitable in waitables}
         self._ready = deque(one for one in self._ready if id(one[1]) in alive)

@@ -1,4 +1,4 @@
-"""What a node counts and times, findings of it in words, and which of them are logged; no ROS in here."""
+"""Counts and times of a node, findings in words, and which findings are logged; no ROS in here."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from enum import IntEnum
 
 import numpy as np
 
-#: Seconds over which rates, latencies and losses are stated, and the most frames that are kept for it.
+#: Seconds over which rates, latencies and losses are stated, and the most frames that are kept for that.
 WINDOW = 5.0
 _KEPT = 4096
-#: Seconds [s] and periods without a frame after which it is an error, and seconds that the first may take:
-#: until a driver has started and both have found each other (up to 2.4 s were measured, docs/reliability.md).
+#: The lack of frames is an error after this time [s], and after so many periods of the frames. The first
+#: frame may take longer [s]: a driver must start and be discovered (up to 2.4 s, see docs/reliability.md).
 _SILENT, _SILENT_PERIODS, _STARTING = 1.0, 3.0, 5.0
-#: Steps from frame to frame of which the median is the period, and the longest [s] that is waited for.
+#: Number of steps between frames whose median is the period, and the longest period that is assumed [s].
 _STEPS, _LONGEST_PERIOD = 15, 10.0
-#: Latencies [s] beyond this are of stamps that are not of now (a recording's own).
+#: Latencies [s] above this come from stamps that are not of the present (those of a recording).
 _OF_NOW = 60.0
 
 
 class Level(IntEnum):
-    """What a robot can act on: go on; go on with care and tell somebody; do not rely on it."""
+    """Levels by what a robot should do: go on; go on with care and report it; do not rely on the camera."""
 
     OK = 0
     WARN = 1
@@ -32,19 +32,19 @@ class Level(IntEnum):
 
 @dataclass
 class Finding:
-    """One line of diagnostics: its message are the sentences of its highest level."""
+    """One line of diagnostics: its message consists of the sentences of its highest level."""
 
     level: Level = Level.OK
     values: dict[str, str] = field(default_factory=dict)
     _sentences: list[tuple[Level, str]] = field(default_factory=list)
 
     def worse(self, level: Level, sentence: str) -> None:
-        """Say what is wrong."""
+        """Add a sentence on what is wrong, at a level."""
         self.level = max(self.level, level)
         self._sentences.append((level, sentence))
 
     def note(self, sentence: str) -> None:
-        """Say how it is, where nothing is wrong."""
+        """Add a sentence for the case that nothing is wrong."""
         self._sentences.append((Level.OK, sentence))
 
     @property
@@ -55,7 +55,7 @@ class Finding:
 class Flow:
     """Rate, latency and jitter of frames over the last `WINDOW` seconds.
 
-    ``now`` arguments are seconds of a clock that never jumps.
+    All ``now`` are in seconds of a clock that never jumps.
     """
 
     def __init__(self) -> None:
@@ -78,20 +78,20 @@ class Flow:
         self._times.append((now, latency, processing))
 
     def rate(self, now: float) -> float:
-        """Return the frames per second; 0 where none came lately."""
+        """Return the frames per second; 0 where none came recently."""
         times = [one[0] for one in self._recent(now)]
         if len(times) < 2:
             return 0.0
-        # a flow that stops loses its rate at once, not only when the window is empty
+        # the rate falls as soon as the flow stops, not only when the window is empty
         span = max(times[-1] - times[0], (now - times[0]) * (len(times) - 1) / len(times))
         return (len(times) - 1) / span if span > 0 else 0.0
 
     def silent(self, now: float, *, begun: float) -> float:
-        """Return for how long [s] no frame has come where that is an error, else 0; ``begun``: since when."""
+        """Return for how long [s] no frame has come if that is an error, else 0; ``begun``: since when."""
         since = now - max(self.last or 0.0, begun)
         if self.last is None or self.last < begun:
             return since if since > _STARTING else 0.0
-        # of the frames that came: a flow that stops has no rate
+        # the period of the frames that came: a flow that has stopped has no rate
         period = min(float(np.median(self._steps)), _LONGEST_PERIOD) if self._steps else 0.0
         return since if since > max(_SILENT, _SILENT_PERIODS * period) else 0.0
 
@@ -121,13 +121,13 @@ class Flow:
 
 
 class Tally:
-    """Counts by reason, and what came to them over the last `WINDOW` seconds."""
+    """Counts by reason, and their increase over the last `WINDOW` seconds."""
 
     def __init__(self) -> None:
         self._history: deque[tuple[float, Counter[str]]] = deque()
 
     def recent(self, counts: Mapping[str, int], now: float) -> Counter[str]:
-        """Return by how much each count grew lately; to be called about once a second."""
+        """Return the increase of each count over the window; to be called about once a second."""
         current = Counter(counts)
         self._history.append((now, current))
         while len(self._history) > 1 and now - self._history[1][0] > WINDOW:
@@ -136,9 +136,9 @@ class Tally:
 
 
 class Hysteresis:
-    """A state that begins beyond one limit and ends within another: values between them keep it as it is.
+    """A state that begins beyond one limit and ends at another; values between the two do not change it.
 
-    ``begin`` above ``end``: it holds for great values; below: for small ones.
+    With ``begin`` above ``end`` it holds for large values, else for small ones.
     """
 
     def __init__(self, *, begin: float, end: float) -> None:
@@ -147,17 +147,17 @@ class Hysteresis:
         self._holds = False
 
     def holds(self, value: float) -> bool:
-        """Take a value, and return whether the state holds with it."""
+        """Take a new value, and return whether the state holds."""
         value *= self._sign
         self._holds = value >= self._end if self._holds else value > self._begin
         return self._holds
 
 
-#: Seconds [s] without a level after which it is over: what comes and goes faster is one state, and is logged
-#: once. Five looks of the diagnostics, and the window over which losses are counted.
+#: A level is over when it has not occurred for this time [s]: what comes and goes faster is one state, and is
+#: logged once. These are five rounds of the diagnostics, and the window over which losses are counted.
 SETTLED = 5.0
-#: Seconds [s] between two lines of a check at the same level: a warning that comes back within a minute tells
-#: nobody anything new; an error may, but ten lines a minute are enough to act on.
+#: Least time [s] between two lines of a check at the same level: a warning that returns within a minute is
+#: nothing new; an error may be, but six lines a minute are enough to act on.
 QUIET = {Level.WARN: 60.0, Level.ERROR: 10.0}
 
 
@@ -174,10 +174,11 @@ class _Check:
 
 
 class Announcements:
-    """What is to be logged of each check, by its findings as they come.
+    """Decides which findings of each check are logged.
 
-    A warning or an error is logged when it begins, and ``fine again`` once it has been gone for `SETTLED`; no
-    more often than `QUIET`. A line that was held back comes when that time is over, if the state still holds.
+    A warning or an error is logged when it begins, and ``fine again`` once it has been gone for `SETTLED`,
+    but not more often than `QUIET`. A line that was held back is logged after that time if its state still
+    holds.
     """
 
     def __init__(self) -> None:

@@ -25,8 +25,8 @@ FOLDERS = Spec(
 class Folders:
     """Folders below which files may be read; services write into the first.
 
-    ``text``: the parameter `FOLDERS`. What the node was started with is trusted: the files and folders that
-    ``given`` names may be read again.
+    ``text``: the parameter `FOLDERS`. Files and folders that were given at the start of the node (``given``)
+    are trusted and may be read again.
     """
 
     def __init__(self, text: str, *, given: Iterable[str] = ()) -> None:
@@ -40,16 +40,16 @@ class Folders:
                 self._readable.append(path.resolve())
 
     def check(self, name: str, *, kind: str | None = None, place: str) -> None:
-        """Raise `InputError` where a file or folder may not be read; nothing is looked at outside.
+        """Raise `InputError` where a file or folder may not be read; files outside are not accessed.
 
-        ``kind`` (``calibration``, ``config``): names of shipped files are allowed.
+        ``kind`` (``calibration``, ``config``): names of shipped files of this kind are allowed.
         """
         path = Path(name)
         if not name or (kind is not None and name in shipped(kind)):
             return
         bare = kind is not None and len(path.parts) == 1 and path.suffix not in (".yaml", ".yml")
         if bare and not path.exists():
-            return  # the reader says which names there are
+            return  # the reader's error lists the names
         if not self._allows(path):
             raise InputError(
                 "lies outside of the folders that may be read while the node runs",
@@ -103,5 +103,5 @@ class Folders:
 
 
 def is_free(path: Path) -> bool:
-    """Whether neither a file, a link, a recording nor an array of a camera file bears the name of a path."""
+    """Whether no file, link, recording or array of a camera file has the name of a path."""
     return not path.with_suffix("").exists() and not any(path.parent.glob(f"{glob.escape(path.stem)}.*"))

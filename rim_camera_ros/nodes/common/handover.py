@@ -1,4 +1,4 @@
-"""Hands what one node makes to another node of the same process, in memory instead of in messages."""
+"""Hands the results of one node to another node of the same process, in memory instead of in messages."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from std_msgs.msg import Header
 
 from rim_camera_ros.frame import Intrinsics, RawFrame
 
-#: Values that may wait: of those that must come soon (without another rule), and that must not be lost.
+#: Values that may wait: where the newest is wanted (without another rule), and where none may be lost.
 _NEWEST, _ALL = 2, 50
-#: Seconds between two looks whether a giver that waits for room is to stop.
+#: Seconds between two checks whether a sender that waits for room is to stop.
 _LOOK = 0.05
 
 
@@ -24,7 +24,7 @@ _LOOK = 0.05
 class Exposure:
     """A raw frame on its way from the driver to the correction.
 
-    ``geometry``: what the driver's camera_info states, None where it states nothing.
+    ``geometry``: that of the driver's camera_info, None where it states none.
     """
 
     frame: RawFrame
@@ -40,8 +40,8 @@ class Exposure:
 class CorrectedCloud:
     """A corrected frame on its way to the node that follows people.
 
-    ``points`` (H, W, 4) float32: x y z [m], intensity [counts]; ``sigma`` (H, W) float32 [m]; ``head`` the
-    header of their messages, ``stamp`` its stamp in ns.
+    ``points`` (H, W, 4) float32: x y z [m], intensity [counts]; ``sigma`` (H, W) float32 [m]; ``head``: the
+    header of their messages; ``stamp``: its stamp in ns.
     """
 
     points: NDArray[np.float32]
@@ -53,9 +53,9 @@ class CorrectedCloud:
 class Handover[Value]:
     """A queue from one node to another; `put` is called in any thread, ``take`` by the receiver's executor.
 
-    The newest value wins: where the receiver is too slow the oldest are dropped, and counted in ``dropped``.
-    With ``keep_all`` the giver waits for room instead, as a reliable publisher loses nothing. ``surplus``
-    returns how many of the first values that wait are to be dropped.
+    Where the receiver is too slow the oldest values are dropped, and counted in ``dropped``. With
+    ``keep_all`` the sender waits for room instead, and nothing is lost, as with a reliable publisher.
+    ``surplus`` returns how many of the oldest waiting values are to be dropped.
     """
 
     def __init__(self) -> None:
@@ -69,7 +69,7 @@ class Handover[Value]:
         self._busy = self._begun = False
 
     def connect(self, node: Node, look: Callable[[], None] | None = None) -> None:
-        """Name the node whose executor takes the values; ``look`` does what `take_waiting` would."""
+        """Set the node whose executor takes the values; ``look`` is called in place of `take_waiting`."""
         self._wake = node.create_guard_condition(look or self.take_waiting).trigger
 
     def begin(
@@ -86,7 +86,7 @@ class Handover[Value]:
             self._surplus = surplus or _beyond_newest
 
     def end(self) -> None:
-        """Receive no more; what waits is forgotten."""
+        """Stop receiving; waiting values are dropped."""
         with self._changed:
             self._take = None
             self._waiting.clear()
@@ -94,7 +94,7 @@ class Handover[Value]:
 
     @property
     def wanted(self) -> bool:
-        """Whether somebody receives."""
+        """Whether there is a receiver."""
         return self._take is not None
 
     @property
@@ -103,9 +103,9 @@ class Handover[Value]:
         return bool(self._waiting)
 
     def put(self, value: Value, *, stopped: Callable[[], bool] = lambda: False, wake: bool = True) -> None:
-        """Hand a value over, nothing where nobody receives; ``stopped`` ends a wait for room.
+        """Hand a value over; do nothing without a receiver. ``stopped`` ends a wait for room.
 
-        ``wake``: False where the caller is the receiver's executor and takes what waits itself.
+        ``wake``: False where the caller is the receiver's executor and takes waiting values itself.
         """
         with self._changed:
             while self._take is not None and self._keep_all and len(self._waiting) >= _ALL:
@@ -120,7 +120,7 @@ class Handover[Value]:
             self._wake()
 
     def take_waiting(self) -> None:
-        """Take the oldest value that waits; another call follows where there are more."""
+        """Take the oldest waiting value; another call follows if there are more."""
         with self._changed:
             take = self._take
             self._drop()
@@ -141,13 +141,13 @@ class Handover[Value]:
                 self._wake()
 
     def _drop(self) -> None:
-        """Forget what is not wanted any more."""
+        """Drop the values that are no longer wanted."""
         for _ in range(0 if self._keep_all else self._surplus(self._waiting)):
             self._waiting.popleft()
             self.dropped += self._begun  # while the nodes are made nobody looks yet
 
     def wait_until_taken(self, seconds: float) -> None:
-        """Wait until nothing waits, at most so long; not in the receiver's thread."""
+        """Wait until no value waits, at most for ``seconds``; not to be called in the receiver's thread."""
         with self._changed:
             self._changed.wait_for(lambda: not self._waiting and not self._busy, seconds)
 

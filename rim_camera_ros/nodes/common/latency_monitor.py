@@ -1,7 +1,7 @@
 """Measures a running driver and correction: latency, rate and lost frames, as a process of its own.
 
 ``python -m rim_camera_ros.nodes.common.latency_monitor --frames 1500 --json FILE`` waits for a driver and a
-correction under the namespace, listens to the raw distances and the points, and writes what it saw.
+correction under the namespace, listens to the raw distances and the points, and writes a summary.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Arrivals:
             period = float(np.median(steps))
             result["rate_hz"] = 1.0 / period
             result["missing_in_raw"] = int(np.rint(np.maximum(steps / period - 1, 0)).sum())
-        # frames before the first points came while the processes were still finding each other
+        # frames before the first points came while the processes were still discovering each other
         first = min(self.points, default=0)
         result["before_first_points"] = sum(stamp < first for stamp in self.raw)
         result["without_points"] = sum(stamp >= first and stamp not in self.points for stamp in self.raw)

@@ -15,7 +15,7 @@ from rim_camera_ros.bags.topics import DEFAULT_NAMESPACE
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.nodes.common.parameters import Spec
 
-#: Namespace of a node that is given none: topics are then those of the documentation.
+#: Namespace of a node without a given one: topics are then those of the documentation.
 NAMESPACE = DEFAULT_NAMESPACE.lstrip("/")
 
 AUTOSTART = Spec(
@@ -41,7 +41,7 @@ class Managed(Protocol):
         """Stop working; nothing is published after it."""
 
     def cleanup(self) -> None:
-        """Let go of what `configure` holds; no-op where it holds nothing."""
+        """Release what `configure` holds; no-op if it holds nothing."""
 
 
 class ManagedNode(LifecycleNode):
@@ -81,7 +81,7 @@ class ManagedNode(LifecycleNode):
             self._quiet = False
 
     def end(self) -> None:
-        """Let go of everything, whatever the state."""
+        """Release everything, whatever the state."""
         if self._life is not None:
             if self.phase == ACTIVE:
                 self._life.deactivate()
@@ -89,7 +89,7 @@ class ManagedNode(LifecycleNode):
         self.phase = FINALIZED
 
     def steady_timer(self, seconds: float, callback: Callable[[], None]) -> Timer:
-        """Return a timer that a clock that is set, or a simulated time that stands still, does not stop."""
+        """Return a timer that runs on even if the clock is set or simulated time stands still."""
         return self.create_timer(seconds, callback, clock=self._steady)
 
     # --- transitions ----------------------------------------------------------------------------
@@ -134,7 +134,7 @@ class ManagedNode(LifecycleNode):
 
 
 def _guarded(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """Refuse a transition that the state does not have: in rclpy it is an exception, which ends the node."""
+    """Refuse a transition that the state does not have; in rclpy it is an exception, which ends the node."""
 
     def change_state(request: Any, response: Any) -> Any:
         try:

@@ -56,8 +56,8 @@ def image(pixels: NDArray[Any], head: Header) -> Image:
 class CloudMessage:
     """The message of an organised cloud whose bytes are written in place, frame by frame.
 
-    ``points`` (H, W, 4) float32: x y z [m], intensity [counts], to be written before `of` is called. The
-    message is the same each time: it is to be published before the next points are written.
+    ``points`` (H, W, 4) float32: x y z [m], intensity [counts], to be written before `of` is called. The same
+    message is used each time: it must be published before the next points are written.
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
@@ -89,7 +89,7 @@ def cloud(
             continue
         kind = PointField.UINT8 if name == "flags" else PointField.FLOAT32
         fields.append(PointField(name=name, offset=4 * plain.shape[2], datatype=kind, count=1))
-        # the bytes of an integer pass as they are: nothing computes with them as with a float
+        # the bytes of integers are stored as they are: nothing treats them as floats
         column = values.astype("<u4").view("<f4") if name == "flags" else values.astype("<f4", copy=False)
         plain = np.dstack([plain, column])
     message = _cloud(np.ascontiguousarray(plain), fields)
@@ -147,7 +147,7 @@ def pose(value: Pose, stamp: int, frame_id: str) -> Any:
 
 
 def to_ros(message: Any) -> Any:
-    """Return the rclpy message of a message object of rosbags: what is published is what is recorded."""
+    """Return the rclpy message of a message object of rosbags: published messages are those of recordings."""
     kind = ros_class(message.__msgtype__)
     types = kind.get_fields_and_field_types()
     return kind(**{name: _value(getattr(message, name), of) for name, of in types.items()})
@@ -177,7 +177,7 @@ def _value(value: Any, kind: str) -> Any:
 
 
 def _fill(message: Any, values: NDArray[Any]) -> None:
-    # a value that is assigned is copied once more, or checked byte by byte (ROS_PYTHON_CHECK_FIELDS)
+    # an assigned value would be copied once more, or checked byte by byte (ROS_PYTHON_CHECK_FIELDS)
     message.data.frombytes(memoryview(values).cast("B"))
 
 

@@ -37,7 +37,7 @@ class Spec:
     is_path: bool = False
 
     def read(self, value: Any) -> Any:
-        """Return the value that a parameter means."""
+        """Return the value of a parameter as it is used, with ``~`` in paths expanded."""
         return expanded(value) if self.is_path else value
 
     def descriptor(self) -> ParameterDescriptor:
@@ -71,13 +71,13 @@ Prepare = Callable[[Values, Set[str]], Apply]
 class Parameters:
     """The parameters of a node, by name in ``values``.
 
-    After `watch`, each change, of one parameter or several at once, goes through ``prepare``, which
-    receives all values as they would be and the names of those that change, and returns what is done when
-    they hold; an error that it raises becomes the reason of the rejection, and the node stays as it is.
-    A parameter that is set to the value it has changes nothing (``ros2 param load`` sets all of a dump, one
-    after the other), except by `renew`. ``also`` may return values that change with others.
+    After `watch`, each change of one or several parameters goes through ``prepare``. It receives all values
+    as they would be and the names of those that change, and returns a function that puts them into effect.
+    An error that it raises becomes the reason of the rejection, and the node stays as it is. A parameter that
+    is set to its present value changes nothing (``ros2 param load`` sets all of a dump, one after the other),
+    except by `renew`. ``also`` may return further values, which change with the given ones.
 
-    Raises `InputError` for a value that was given at the start and is wrong.
+    Raises `InputError` for a wrong value that was given at the start.
     """
 
     def __init__(self, node: Node, specs: Sequence[Spec]) -> None:
@@ -96,7 +96,7 @@ class Parameters:
             self.values[spec.name] = spec.read(_declare(self._node, spec))
 
     def watch(self, prepare: Prepare, *, also: Callable[[Values, Values], Values] | None = None) -> None:
-        """Let changes happen from now on. ``also`` gets the values as they would be and the changed ones."""
+        """Allow changes from now on. ``also`` receives the values as they would be and the changed ones."""
         self._prepare = prepare
         self._also = also
         self._node.add_pre_set_parameters_callback(self._complete)
@@ -104,7 +104,7 @@ class Parameters:
         self._node.add_post_set_parameters_callback(self._applied)
 
     def renew(self, name: str) -> SetParametersResult:
-        """Let a parameter act though it keeps its value: the file that it names may be another."""
+        """Put a parameter into effect again although its value is the same: its file may have changed."""
         self._renewed = name
         try:
             result = self._node.set_parameters_atomically([Parameter(name, value=self.values[name])])
@@ -115,7 +115,7 @@ class Parameters:
     def warn_unknown(self, elsewhere: Collection[str] = ()) -> None:
         """Warn of parameters that were given at the start and that the node does not have.
 
-        ``elsewhere``: those of other nodes of the process, which all get what is given to the process.
+        ``elsewhere``: parameters of other nodes of the process; all nodes receive those given to the process.
         """
         given = getattr(self._node, "_parameter_overrides", {})  # rclpy has no public way to see them
         for name in given:
@@ -126,7 +126,7 @@ class Parameters:
                 self._node.get_logger().warning(f"no parameter '{name}', it is ignored ({remedy})")
 
     def _complete(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Turn whole numbers into those of a number's type, and add what changes with the given ones."""
+        """Turn whole numbers into floats where these are expected, and add values that change with others."""
         parameters = [self._converted(parameter) for parameter in parameters]
         given = self._read(parameters)
         if self._also is not None and len(given) == len(parameters):
@@ -136,7 +136,7 @@ class Parameters:
         return parameters
 
     def _read(self, parameters: Sequence[Parameter]) -> dict[str, Any]:
-        """Return what parameters mean, those of this object."""
+        """Return the values of those parameters that belong to this object."""
         known = [
             (self._specs[parameter.name], parameter.value)
             for parameter in parameters
@@ -145,7 +145,7 @@ class Parameters:
         return {spec.name: spec.read(value) for spec, value in known}
 
     def _changed(self, given: Values) -> dict[str, Any]:
-        """Return those of the given values that are others than before, or that `renew` was called for."""
+        """Return the given values that differ from the present ones, or for which `renew` was called."""
         return {
             name: value
             for name, value in given.items()
@@ -186,7 +186,7 @@ class Parameters:
 
 
 def _declare(node: Node, spec: Spec) -> Any:
-    """Declare a parameter and return its value; a whole number will do where a number is expected."""
+    """Declare a parameter and return its value; a whole number is accepted where a float is expected."""
     try:
         value = _declared(node, spec)
         spec.check(value)
@@ -203,7 +203,7 @@ def _declare(node: Node, spec: Spec) -> Any:
 def _declared(node: Node, spec: Spec) -> Any:
     default = spec.default
     if isinstance(default, float):
-        # an override may be a whole number: look at it first
+        # an override may be a whole number: the type is checked afterwards
         flexible = ParameterDescriptor(dynamic_typing=True)
         given = node.declare_parameter(spec.name, default, flexible).value
         node.undeclare_parameter(spec.name)

@@ -1,4 +1,4 @@
-"""Quality of service: sensor data by default, reliable by a parameter, and a warning with the fix."""
+"""Quality of service: sensor data by default, reliable by a parameter; warnings state the remedy."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ SENSOR_DATA = "sensor_data"
 RELIABLE = "reliable"
 CHOICES = (SENSOR_DATA, RELIABLE)
 
-#: Messages kept for a slow peer: those that are late are old (sensor data), or must not be lost.
+#: Messages kept for a slow peer: few where late ones are useless (sensor data), many where none may be lost.
 _DEPTH = {SENSOR_DATA: 5, RELIABLE: 50}
 
 
 def profile(name: str, *, depth: int | None = None) -> QoSProfile:
     """Return the profile ``sensor_data`` (best effort) or ``reliable``, both volatile.
 
-    ``depth``: messages that may wait, None: as suits the profile.
+    ``depth``: messages that may wait; None: the default of the profile.
     """
     reliability = ReliabilityPolicy.RELIABLE if name == RELIABLE else ReliabilityPolicy.BEST_EFFORT
     return QoSProfile(
@@ -31,7 +31,7 @@ def profile(name: str, *, depth: int | None = None) -> QoSProfile:
 
 
 def latched() -> QoSProfile:
-    """Return the profile of poses: reliable, and the last one is kept for those who join later."""
+    """Return the profile of poses: reliable, and the last one is kept for late subscribers."""
     return QoSProfile(
         depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
     )
@@ -46,7 +46,7 @@ def publisher(
     parameter: str | None = None,
     overridable: bool = True,
 ) -> Publisher:
-    """Return a publisher that warns of incompatible subscribers; ``parameter`` is what sets ``qos``.
+    """Return a publisher that warns of incompatible subscribers; ``parameter``: that which sets ``qos``.
 
     ``overridable``: the parameters ``qos_overrides.<topic>.publisher.{reliability, history, depth}`` override
     it at the start.
@@ -77,7 +77,7 @@ def publisher(
 def subscription(
     node: Node, kind: Any, topic: str, callback: Any, qos: QoSProfile, *, parameter: str
 ) -> Subscription:
-    """Return a subscription that warns of incompatible publishers; ``parameter`` is what sets ``qos``."""
+    """Return a subscription that warns of incompatible publishers; ``parameter``: that which sets ``qos``."""
 
     def incompatible(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)

@@ -30,10 +30,10 @@ from rim_camera_ros.nodes.common.messages import ros_class
 _DEPTH = 200
 #: Seconds that messages of the last frame may take to arrive.
 _GRACE = 1.0
-#: Seconds after the first image within which a frame with all its parts is waited for, and bytes held then.
+#: Seconds after the first image within which a frame with all its parts must come, and most bytes held then.
 _BEGINNING = 2.0
 _HELD_BYTES = 128 << 20
-#: What belongs to one frame.
+#: Roles of the messages of one frame.
 _PARTS = frozenset({"distance", "amplitude", "frame_info"})
 _OF_FRAMES = _PARTS | {"camera_info"}
 #: Seconds between two looks for new publishers.
@@ -57,8 +57,9 @@ class Recorder:
     ``frames`` counts distance images. A subscription is made when a publisher appears, reliable where all
     publishers of the topic are (then nothing is lost), else best effort, which suits every publisher.
 
-    The topics are found one by one. What comes before the first frame with distance, amplitude and frame_info
-    is left out; where there is none within `_BEGINNING` seconds (a driver without frame_info), all is kept.
+    The topics are discovered one by one: messages before the first frame with distance, amplitude and
+    frame_info are skipped. If no such frame comes within `_BEGINNING` seconds (a driver without frame_info),
+    all messages are kept.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class Recorder:
         }
 
     def look(self) -> None:
-        """Subscribe to what has appeared since the last look, as its publishers offer it."""
+        """Subscribe to topics that have appeared since the last call, with the QoS that publishers offer."""
         for topic, kinds in self.node.get_topic_names_and_types():
             route = self._routes.get(topic) or self._pose_route(topic)
             if route is not None and route[1] in kinds:
@@ -117,7 +118,8 @@ class Recorder:
             self._take(role, topic, kind, bytes(data))
 
         if known is not None:
-            # before the new one is made: a message that came twice would look like a stamp that stands still
+            # before the new one is made: a message received twice would look like a stamp that does not
+            # advance
             self.node.destroy_subscription(known[1])
         made = self.node.create_subscription(ros_class(kind), topic, take, qos, raw=True)
         self._known[topic] = (qos, made)
@@ -134,7 +136,7 @@ class Recorder:
             return
         self._held.append(message)
         self._held_bytes += len(data)
-        # of several frequencies the first stands for the frame
+        # with several frequencies the first image stands for the frame
         part = role.removesuffix("_0")
         if part == "distance" and self._first_image is None:
             self._first_image = time.monotonic()
@@ -146,7 +148,7 @@ class Recorder:
             self._begin(0)
 
     def _begin(self, first: int) -> None:
-        """Write what was held from the stamp ``first`` on, and from now on all that comes."""
+        """Write the held messages from the stamp ``first`` on, and from now on all that come."""
         held, self._held = self._held or [], None
         self._parts.clear()
         for one in held:
@@ -168,7 +170,7 @@ class Recorder:
                 self._last = message.stamp
 
     def wait_no_longer(self, *, at_once: bool = False) -> None:
-        """Keep what is held although no frame had all its parts, once that was waited for."""
+        """Keep the held messages although no frame had all its parts, once the time for it is over."""
         if self._held is None or self._first_image is None:
             return
         if at_once or time.monotonic() - self._first_image > _BEGINNING:
@@ -176,12 +178,12 @@ class Recorder:
 
     @property
     def complete(self) -> bool:
-        """Whether all the frames that are wanted have come."""
+        """Whether all requested frames have come."""
         return self._last is not None
 
 
 def _suiting(role: str, offers: list[QoSProfile]) -> QoSProfile:
-    """Return the best that all publishers can serve; poses that were published before are requested."""
+    """Return the best profile that all publishers offer; poses published earlier are requested too."""
     reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
     kept = role in POSE_ROLES and all(
         offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers
@@ -207,9 +209,9 @@ def record(
 ) -> int:
     """Record until so many frames, so many seconds, or ``stopped()``; return the number of frames.
 
-    ``show`` is called with the number of frames so far. With the files of a ``known`` scene and camera, what
-    the recording covers is published meanwhile (`CoveragePublisher`) and given to ``report``; at the end the
-    last report is waited for unless ``hurried()``.
+    ``show`` is called with the number of frames so far. With the files of a ``known`` scene and camera, the
+    coverage of the recording is published meanwhile (`CoveragePublisher`) and given to ``report``. At the end
+    it waits for the last report, unless ``hurried()``.
     """
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     reports: queue.SimpleQueue[Report] = queue.SimpleQueue()
@@ -217,7 +219,7 @@ def record(
     recorder = Recorder(topics, writer, frames=frames, watch=None if live is None else live.take)
     publisher = None if live is None else CoveragePublisher(recorder.node, topics.namespace)
 
-    def tell() -> None:
+    def publish() -> None:
         while publisher is not None and not reports.empty():
             found = reports.get()
             publisher.publish(found)
@@ -242,12 +244,12 @@ def record(
                 rclpy.spin_once(recorder.node, timeout_sec=0.05)
                 recorder.wait_no_longer()
                 show(recorder.frames)
-                tell()
+                publish()
         recorder.wait_no_longer(at_once=True)
     finally:
         if live is not None:
             live.close(patience=0.0 if hurried() else LAST_WORDS)
-            tell()
+            publish()
         recorder.node.destroy_node()
         rclpy.utilities.try_shutdown()
     return recorder.frames

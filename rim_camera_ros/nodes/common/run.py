@@ -25,13 +25,13 @@ from rim_camera_ros.nodes.common.executor import SteadyExecutor
 
 #: Seconds between two warnings of a kind.
 _QUIET = 5.0
-#: Seconds that the middleware may take to let go of nodes: 0.05 to 0.2 s are usual, and ``ros2 launch`` kills
-#: after ten.
+#: Seconds that the middleware may take to destroy nodes: 0.05 to 0.2 s are usual, and ``ros2 launch`` kills
+#: a process after ten.
 _ENDING = 5.0
-#: Parameters of mallopt (malloc.h), and the bytes up to which memory is kept: the greatest that it takes.
+#: Parameters of mallopt (malloc.h), and the bytes up to which memory is kept: the greatest allowed value.
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 _KEPT_SIZE = 32 << 20
-#: What a user sets who wants other transports or profiles.
+#: Variables by which a user chooses other transports or profiles.
 _OF_USER = (
     "FASTDDS_BUILTIN_TRANSPORTS",
     "FASTRTPS_DEFAULT_PROFILES_FILE",
@@ -41,7 +41,7 @@ _FAST_DDS = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 
 
 class Service(Protocol):
-    """A node's life: ``status`` becomes other than None when it is to end by itself."""
+    """A node that is run: ``status`` becomes the exit status when it is to end by itself, else None."""
 
     status: int | None
 
@@ -86,14 +86,14 @@ def _run(name: str, make: Callable[[], Iterable[Service]], signals: _Signals) ->
         services: list[Service] = []
         try:
             for service in make():
-                services.append(service)  # one by one: those before one that fails are closed
+                services.append(service)  # one by one: if one fails, those before it are closed
                 if signals.came:
                     break
         except RimError as error:
             status = _failed(name, str(error), error.exit_status)
             _close(services, status=status)
             return status
-        except RuntimeError as error:  # of rcl: the middleware refuses (security, domain, memory)
+        except RuntimeError as error:  # from rcl: the middleware refuses (security, domain, memory)
             status = _failed(name, str(error).partition(", at /")[0], 1)
             _close(services, status=status)
             return status
@@ -109,7 +109,7 @@ def _spin(services: Sequence[Service], signals: _Signals) -> int:
         executor.add_node(service.node)
     # a guard condition of a node counts as work: only work makes spin_once return
     signals.wake = services[0].node.create_guard_condition(lambda: None).trigger
-    status = 1  # of an exception, which Python reports
+    status = 1  # for an exception, which Python reports
     try:
         while not signals.came and all(service.status is None for service in services):
             executor.spin_once()
@@ -121,9 +121,9 @@ def _spin(services: Sequence[Service], signals: _Signals) -> int:
 
 
 def _close(services: Sequence[Service], executor: SteadyExecutor | None = None, *, status: int) -> None:
-    """End the nodes, those that were made last (and give to the others) first.
+    """End the nodes, in reverse order of their making: sources of frames before receivers.
 
-    The process ends with that status `_ENDING` later at the latest.
+    The process ends with ``status`` at the latest after `_ENDING`.
     """
     for service in reversed(services):
         service.close()
@@ -139,11 +139,11 @@ def _close(services: Sequence[Service], executor: SteadyExecutor | None = None, 
 
 
 class _Signals:
-    """SIGINT and SIGTERM end the executor between two callbacks; those that come later do nothing.
+    """SIGINT and SIGTERM end the executor between two callbacks; later signals are ignored.
 
-    rclpy's own handlers shut the context down under a running executor, which then may raise anything.
-    Python's run in the main thread, which waits inside of it: hence the pipe, into which Python writes at
-    once, and a thread that reads it.
+    rclpy's own handlers shut the context down while the executor runs, which then may raise anything.
+    Python's handlers run in the main thread, which is blocked in the executor. Therefore Python writes
+    signals into a pipe at once, and a thread reads it.
     """
 
     _NUMBERS = (signal.SIGINT, signal.SIGTERM)
@@ -168,19 +168,19 @@ class _Signals:
             self.came = True
             wake = self.wake
             if wake is not None:
-                with contextlib.suppress(Exception):  # the executor may be going already
+                with contextlib.suppress(Exception):  # the executor may already be shut down
                     wake()
 
 
 def _no_matter(number: int, frame: Any) -> None:
-    """Python's part in a signal."""
+    """Handle a signal in Python: do nothing, as the thread acts."""
 
 
 def use_shipped_profile(environment: MutableMapping[str, str], *, profile: Path, middleware: str) -> str:
     """Have Fast DDS use ``profile`` where the user has set nothing, and return which settings are used.
 
-    Its own shared memory of 512 KB is filled by one image of 512 x 424 pixels, and further messages come
-    seconds late. ``middleware``: its name. To be called before nodes are made.
+    With the default settings one image of 512 x 424 pixels fills the shared memory of 512 KB, and further
+    messages come seconds late. ``middleware``: its name. To be called before nodes are made.
     """
     if middleware not in _FAST_DDS:
         return f"middleware: {middleware}, with its own settings"
@@ -203,10 +203,10 @@ def single_threaded() -> None:
 
 
 def keep_memory() -> None:
-    """Let the C library (glibc) keep what is freed: images and clouds are made anew with every frame.
+    """Let the C library (glibc) keep freed memory: images and clouds are allocated anew for every frame.
 
-    Else memory of this size goes back to the system each time, which fills it with zeros again, page by page:
-    of a cloud of 640 x 480 points more than a millisecond.
+    Otherwise blocks of this size return to the system each time, which then fills their pages with zeros
+    again. For a cloud of 640 x 480 points this takes more than a millisecond.
     """
     with contextlib.suppress(OSError, AttributeError):  # another C library
         libc = ctypes.CDLL(None)
@@ -221,7 +221,7 @@ def _failed(name: str, problem: str, status: int) -> int:
 
 
 class Throttle:
-    """Warnings, of each kind at most one in five seconds, with the number of those suppressed."""
+    """Logs of each kind of warning at most one in five seconds, with the number of those suppressed."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -229,7 +229,7 @@ class Throttle:
         self._suppressed: dict[str, int] = {}
 
     def warn(self, kind: str, text: str) -> None:
-        """Log a warning of a kind, unless one was just logged."""
+        """Log a warning of a kind, unless one was logged recently."""
         now = time.monotonic()
         if kind in self._last and now - self._last[kind] < _QUIET:
             self._suppressed[kind] = self._suppressed.get(kind, 0) + 1

@@ -1,4 +1,4 @@
-"""The mount of a camera on /tf_static, without tf2_ros, which comes from apt alone."""
+"""The mount of a camera on /tf_static, without tf2_ros, which is only available from apt."""
 
 from __future__ import annotations
 
@@ -72,14 +72,14 @@ def transform_message() -> Any:
 
 
 class Mount:
-    """Publishes the mount to /tf_static, for those who join later too."""
+    """Publishes the mount to /tf_static, also for late subscribers."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._publisher: Any = None
 
     def publish(self, values: Mapping[str, Any]) -> None:
-        """Publish where a base_frame is given; say so where tf2_msgs is missing."""
+        """Publish if a base_frame is given; log a warning where tf2_msgs is missing."""
         if not values["base_frame"]:
             return
         message = transform_message()

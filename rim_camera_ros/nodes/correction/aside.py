@@ -1,4 +1,4 @@
-"""Work in a thread of its own while the messages of a node go on being taken, in the middle of a callback."""
+"""Long work within a callback, in another thread, while the node goes on taking its messages."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from rclpy.subscription import Subscription
 
 _Result = TypeVar("_Result")
 
-#: Seconds between two looks for messages.
+#: Seconds between two checks for messages.
 _LOOK = 0.001
 
 
 class Aside:
-    """One thread for what takes longer than a frame may wait.
+    """One thread for work that takes longer than a frame may wait.
 
-    A callback of the node (a service that must not answer before something is made) calls `run`, and
-    meanwhile the callbacks of ``subscriptions`` are called as the executor would, in the same thread:
-    nothing of the node ever runs in two threads at once, except the work itself. ``idle`` is called where no
-    message waits.
+    A callback of the node (a service that may answer only after the work) calls `run`. Meanwhile the
+    callbacks of ``subscriptions`` are called as the executor would, in the thread of the caller: apart from
+    the work, the node never runs in two threads at once. ``idle`` is called when no message waits.
     """
 
     def __init__(self, subscriptions: Callable[[], Iterable[Subscription]], idle: Callable[[], None]) -> None:
@@ -38,7 +37,7 @@ class Aside:
         return future.result()
 
     def close(self) -> None:
-        """Begin no more work."""
+        """Accept no more work."""
         self._thread.shutdown(wait=False, cancel_futures=True)
 
 

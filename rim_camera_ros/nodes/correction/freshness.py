@@ -1,4 +1,4 @@
-"""Which of the frames that wait are still wanted: the newest wins; no ROS in here."""
+"""Which of the waiting frames are too old to be corrected; no ROS in here."""
 
 from __future__ import annotations
 
@@ -28,21 +28,22 @@ QUEUE_DEPTH = Spec(
 
 #: Periods by which a frame may be behind the newest.
 _PERIODS = 3
-#: Steps between stamps of which the median is the period.
+#: Number of steps between stamps whose median is the period.
 _STEPS = 15
-#: Stamps that are farther apart [ns], or from the clock, are of a clock that was set, or of a recording.
+#: Stamps farther apart than this [ns], or farther from the clock, come from a clock that was set or a
+#: recording.
 _JUMP = 60 * NANOSECONDS
 
 
 class Stamped(Protocol):
-    """What waits; ``stamp`` in ns."""
+    """A waiting value; ``stamp`` in ns."""
 
     @property
     def stamp(self) -> int: ...
 
 
 class Freshness:
-    """Says how many of the values that wait are to be dropped.
+    """Decides how many of the waiting values are to be dropped.
 
     ``values`` holds `MAXIMUM_AGE` and `QUEUE_DEPTH`; ``now`` returns the time of the stamps' clock in ns.
     """
@@ -54,10 +55,10 @@ class Freshness:
         self._newest: int | None = None
 
     def surplus(self, waiting: Sequence[Stamped]) -> int:
-        """Return the number of the first values to drop, of those that wait in the order of their arrival.
+        """Return how many of the values that wait, in the order of their arrival, are to be dropped.
 
-        Where one is too old, all but the newest are: the correction has caught up then, and whoever is a
-        little late now and then loses none.
+        If one is too old all but the newest are dropped. The correction has then caught up, and small delays
+        now and then lose no frames.
         """
         if not waiting:
             return 0
@@ -70,7 +71,7 @@ class Freshness:
         return len(waiting) - 1 if late or len(waiting) > self._values[QUEUE_DEPTH.name] else 0
 
     def expired(self, stamp: int) -> bool:
-        """Return whether a stamp [ns] is farther behind the clock than a maximum age that is set allows."""
+        """Return whether a stamp [ns] is behind the clock by more than the maximum age, if one is set."""
         limit = self._limit
         return bool(limit) and limit < self._now() - stamp < _JUMP
 

@@ -1,4 +1,4 @@
-"""Where the correction's raw frames come from: messages of a driver anywhere, or one in the same process."""
+"""Sources of raw frames for the correction: messages of any driver, or a driver in the same process."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ from rim_camera_ros.nodes.correction.freshness import Freshness
 _QUEUE = 50
 #: Why frames that wait are dropped.
 _DROPPED = "a newer frame was there, or maximum_age was over"
-#: Pixels by which camera_info may differ from the camera file before it is said.
+#: Pixels by which camera_info may differ from the camera file without a warning.
 _SAME_OPTICS = 2.0
-#: In the order in which a driver publishes: what waits together is taken in this order.
+#: Roles in the order in which a driver publishes; messages that wait together are taken in this order.
 _ROLES = ("temperature", "ambient", "reference", "frame_info", "camera_info")
 
 
 @dataclass(frozen=True)
 class Receiver:
-    """What an input needs of the correction.
+    """The parts of the correction that an input uses.
 
-    ``camera`` returns the camera that is corrected with; ``deliver`` takes frames that are ready, and the
-    optical frame of their headers; ``refused`` counts messages by role; ``fresh`` says which frames are
-    dropped where the correction is too slow for all; ``samples`` whether to take what distances are evaluated
-    from.
+    ``camera`` returns the camera of the correction; ``deliver`` takes complete frames, and the optical frame
+    of their headers; ``refused`` counts refused messages by role; ``fresh`` decides which frames are dropped
+    where the correction is too slow for all; ``samples``: whether to take the data from which distances are
+    evaluated.
     """
 
     node: ManagedNode
@@ -63,7 +63,7 @@ class Input(Protocol):
 
     @property
     def dropped(self) -> Mapping[str, int]:
-        """What did not become a frame since `begin`, by reason."""
+        """Number of messages that did not become frames since `begin`, by reason."""
 
     def begin(self, delivery: str) -> None:
         """Take frames from now on; ``delivery`` is that of the parameter qos.input."""
@@ -72,7 +72,7 @@ class Input(Protocol):
         """Take no more frames; what was not whole is forgotten."""
 
     def look(self) -> None:
-        """Deliver what has waited long enough."""
+        """Deliver frames that have waited long enough."""
 
     def subscriptions(self) -> Iterable[Subscription]:
         """Return what the messages come by."""
@@ -81,7 +81,7 @@ class Input(Protocol):
 class MessageInput:
     """Pairs the messages of a driver into frames.
 
-    A frame is corrected once no message waits: the newest frame is known then, and older ones may be dropped.
+    Frames are corrected only when no message waits: then the newest is known, and older ones may be dropped.
     """
 
     def __init__(self, receiver: Receiver) -> None:
@@ -96,7 +96,7 @@ class MessageInput:
 
     @property
     def dropped(self) -> Mapping[str, int]:
-        """Return what did not become a frame, or was not taken, since `begin`, by reason."""
+        """Return how many messages became no frame, and frames were not taken, since `begin`, by reason."""
         return _with_dropped(self._pairing.dropped, self._frames)
 
     def begin(self, delivery: str) -> None:
@@ -126,7 +126,7 @@ class MessageInput:
         self._from.clear()
 
     def look(self) -> None:
-        """Deliver the frames that have waited long enough for what came with those before."""
+        """Deliver the frames that have waited long enough for messages that came with earlier frames."""
         self._offer(self._pairing.overdue(time.monotonic()))
         self._deliver()
 
@@ -142,7 +142,7 @@ class MessageInput:
         return lambda message: self._take(role, message)
 
     def _take(self, role: str, message: Any) -> None:
-        """Take a message of a role; what is wrong with it is counted and said, and its frame is dropped."""
+        """Take a message of a role; an invalid one is counted and logged, and its frame is dropped."""
         if role not in self._from:
             return  # it came while the node was being deactivated
         stamp = messages.stamp_of(message)
@@ -150,7 +150,7 @@ class MessageInput:
             if stamp < 0:
                 raise InputError("the stamp is negative")
             value = self._value(role, message)
-        except Exception as error:  # whatever hostile messages provoke: the node goes on
+        except Exception as error:  # whatever malformed messages cause: the node goes on
             self._pairing.refuse(stamp, f"{role} refused")
             _refuse(self._receiver, role, f"{self._from[role].topic_name}: message", error)
             return
@@ -158,7 +158,7 @@ class MessageInput:
         self._deliver()
 
     def _offer(self, frames: list[RawFrame]) -> None:
-        """Take frames that are whole; with reliable delivery none is dropped."""
+        """Take complete frames; with reliable delivery none is dropped."""
         if self._keep_all:
             self._receiver.deliver(frames, self._frame_id)
             return
@@ -166,7 +166,7 @@ class MessageInput:
             self._frames.put(Exposure(frame, self._frame_id), wake=False)
 
     def _deliver(self) -> None:
-        """Correct one frame; the executor comes again where more wait, and does what else there is before."""
+        """Correct one frame; if more wait the executor calls this again, after other callbacks."""
         if self._draining:
             return
         if self._frames.waits:
@@ -204,7 +204,7 @@ class MessageInput:
 
 
 class MemoryInput:
-    """Takes the frames of a driver in the same process, which are whole."""
+    """Takes the frames of a driver in the same process, which are complete."""
 
     def __init__(self, receiver: Receiver, frames: Handover[Exposure]) -> None:
         self._receiver = receiver
@@ -214,7 +214,7 @@ class MemoryInput:
 
     @property
     def dropped(self) -> Mapping[str, int]:
-        """Return what was not taken since `begin`, by reason."""
+        """Return how many frames were not taken since `begin`, by reason."""
         return _with_dropped(self._dropped, self._frames)
 
     def begin(self, delivery: str) -> None:
@@ -228,7 +228,7 @@ class MemoryInput:
         self._frames.end()
 
     def look(self) -> None:
-        """Take a frame that waits, while the executor is busy with something else."""
+        """Take a waiting frame, while the executor is busy with something else."""
         self._frames.take_waiting()
 
     def subscriptions(self) -> Iterable[Subscription]:
@@ -269,7 +269,7 @@ def _check_shape(shape: tuple[int, ...], camera: Camera) -> None:
 
 
 def _compare_optics(receiver: Receiver, stated: Intrinsics) -> None:
-    """Say where camera_info has other optics than the camera file, by which is corrected."""
+    """Warn where the optics of camera_info differ from those of the camera file, which is used."""
     if (stated.height, stated.width) != receiver.camera().shape:
         return
     ours = receiver.camera().intrinsics

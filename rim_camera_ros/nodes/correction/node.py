@@ -49,11 +49,11 @@ from rim_camera_ros.nodes.correction.publishing import CorrectedPublishers
 from rim_camera_ros.nodes.correction.status import CorrectionStatus
 from rim_camera_ros.pipeline import kernels
 
-#: Seconds between two looks for frames that wait in vain.
+#: Seconds between two checks for frames that wait in vain.
 _TICK = 0.1
 #: Seconds to wait at the end until reliable subscribers have received the last frame.
 _LINGER = 0.5
-#: Integration times lately seen whose tables another camera file or effect makes before it takes effect.
+#: Number of recent integration times whose tables are made before another camera file or effect is used.
 _SEEN = 4
 #: Why frames that were corrected are not published.
 _EXPIRED = "maximum_age was over once it was corrected"
@@ -64,8 +64,8 @@ _NOTES_AT_MOST = 200
 class CorrectionNode:
     """Corrects frames with a camera file; it never ends by itself.
 
-    In one process with other nodes: ``frames`` is where the driver hands them over (None: they come as
-    messages), ``clouds`` where they are handed on, ``elsewhere`` the parameters of those nodes.
+    In one process with other nodes: ``frames`` hands frames over from the driver (None: they come as
+    messages), ``clouds`` hands corrected clouds on; ``elsewhere``: the parameters of those nodes.
     """
 
     status: int | None = None
@@ -137,7 +137,7 @@ class CorrectionNode:
         self._log.info(kernels.in_words())
 
     def close(self) -> None:
-        """Let go of all topics, once what was published reliably has been received."""
+        """Remove all topics, once messages that were published reliably have been received."""
         if self._topics is not None:
             self._topics.wait_until_received(_LINGER)
         self.node.end()
@@ -145,7 +145,7 @@ class CorrectionNode:
 
     @property
     def follows_people(self) -> bool:
-        """Whether a node in this process is to follow people."""
+        """Whether a node for people is to run in this process."""
         return bool(self._parameters.values.get(PEOPLE.name))
 
     # --- lifecycle ------------------------------------------------------------------------------
@@ -166,11 +166,11 @@ class CorrectionNode:
         self._status.begin()
 
     def deactivate(self) -> None:
-        """Take no more frames; what was not whole is forgotten."""
+        """Stop taking frames; incomplete ones are dropped."""
         self._input.end()
 
     def cleanup(self) -> None:
-        """Take the topics back."""
+        """Remove the topics."""
         topics, self._topics = self._topics, None
         if topics is not None:
             topics.destroy()
@@ -182,7 +182,7 @@ class CorrectionNode:
 
     def _correct(self, frames: list[RawFrame], frame_id: str) -> None:
         topics = self._topics
-        if topics is None:  # the node was taken back to its beginning
+        if topics is None:  # the node was cleaned up meanwhile
             return
         for frame in frames:
             self._last = frame
@@ -212,7 +212,7 @@ class CorrectionNode:
         return self._parameters.values["qos.input"] != qos.RELIABLE and self._fresh.expired(stamp)
 
     def _dropped(self) -> Counter[str]:
-        """Return what was not corrected, or not published, by reason."""
+        """Return how many frames were not corrected, or not published, by reason."""
         expirations = 0 if self._topics is None else self._topics.expirations
         return Counter(self._input.dropped) + Counter({_EXPIRED: expirations})
 
@@ -243,8 +243,8 @@ class CorrectionNode:
     def _prepare(self, values: Values, changed: Set[str]) -> Apply:
         """Check new values and build the correction that they describe; return what puts it into effect.
 
-        It is built, with its tables, in another thread, and frames go on being corrected as before. This
-        returns, and the service answers, when all is ready.
+        The correction and its tables are built in another thread, while frames are corrected as before. This
+        method returns, and the service answers, when all is ready.
         """
         if changed <= INDEPENDENT:
             return lambda: None
@@ -257,7 +257,7 @@ class CorrectionNode:
             camera = load_camera(find_camera(values["camera"])) if anew else used
             correction = correction_of(camera, values)
             if last is not None and last.shape == camera.shape:
-                correction.correct(last)  # whether it can
+                correction.correct(last)  # raises where it cannot
                 for settings in seen:
                     with contextlib.suppress(RimError):
                         correction.minimum_for(settings)  # so that no frame waits for its tables
@@ -282,7 +282,7 @@ class CorrectionNode:
             )
 
         def apply() -> None:
-            correction.carry_on(self._correction)  # as the last frame left it
+            correction.carry_on(self._correction)  # with the state after the last frame
             self._camera, self._correction = camera, correction
             self._use(values)
             if anew:
@@ -291,7 +291,7 @@ class CorrectionNode:
         return apply
 
     def _use(self, values: Values) -> None:
-        """Judge by the camera file and the effects that are in force."""
+        """Use the camera file and the effects that are in force for the diagnostics."""
         off = {name for name in self._camera.effects if not values[EFFECT + name]}
         self._status.use(self._camera, values["camera"], off=off)
         if self._camera is not self._hashed:
@@ -300,7 +300,7 @@ class CorrectionNode:
         self._say_file()
 
     def _say_file(self) -> None:
-        """Publish which camera file corrects, with the effects of it that are on and off."""
+        """Publish which camera file is used, and which of its effects are on and off."""
         if self._info is not None:
             effects = [name for name in self._camera.effects if name not in self._off]
             listed = {"effects": ", ".join(effects), "switched_off": ", ".join(sorted(self._off))}

@@ -65,7 +65,7 @@ SPECS = (
     AUTOSTART,
 )
 
-#: Parameters that change nothing of the correction itself.
+#: Parameters that do not change the correction itself.
 INDEPENDENT = frozenset({"save_as", "points.fields", MAXIMUM_AGE.name, QUEUE_DEPTH.name})
 
 #: A parameter of the correction in `camera_node`.
@@ -96,21 +96,21 @@ def correction_of(camera: Camera, values: Values) -> FrameCorrection:
         )
     return measurement_of(camera).correction(
         camera,
-        # effects of one way of measuring alone have no parameter: they are always undone
+        # effects of only one way of measuring have no parameter: they are always undone
         without=(camera.effects.keys() & registry().keys()) - on,
         minimum_amplitude=None if minimum < 0 else minimum,
     )
 
 
 def warm_up(correction: FrameCorrection) -> None:
-    """Make the tables of the most likely setting, which take longer than a frame may, before frames come."""
+    """Make the tables of the most likely setting before frames come: this takes longer than a frame may."""
     camera = correction.camera
     counts = np.full(camera.shape, 1000, np.uint16)
     integration_time = camera.sensor.integration_time or DEFAULT_INTEGRATION_TIME
     settings = Settings(
         integration_time=integration_time, uptime=0.0, ambient_temperature=0.0, reference_distance=0.0
     )
-    # from the far future: every real frame lies before it and begins anew
+    # a stamp in the far future: every real frame is before it, and filters begin anew
     images = dict.fromkeys(measurement_of(camera).image_roles(camera)[2:], counts)
     correction.correct(
         RawFrame(stamp=2**62, distance=counts, amplitude=counts, settings=settings, images=images)

@@ -1,4 +1,4 @@
-"""Who publishes the topics that a node takes: more than one publisher of a topic mixes two cameras."""
+"""Who publishes the topics that a node takes: with several publishers of a topic two cameras are mixed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class PublisherWatch:
 
     Neither names nor messages distinguish two nodes of the same name: publishers are counted by
     the identifiers (gid) that the middleware gives them. ``topics`` are relative to the node's namespace. A
-    change counts when two looks after each other find the same: publishers are discovered one by one.
+    change counts when two consecutive calls find the same: publishers are discovered one by one.
     """
 
     def __init__(self, node: Node, topics: Iterable[str]) -> None:
@@ -27,7 +27,7 @@ class PublisherWatch:
         self._settled: dict[str, _Publishers] = {}
 
     def look(self) -> Finding:
-        """Return who publishes, a warning where it is more than one, which is logged where it is news."""
+        """Return who publishes; with more than one publisher as a warning, which is logged if it is new."""
         found = {topic: self._publishers(topic) for topic in self._topics}
         news = found == self._last != self._settled
         self._last = found

@@ -1,4 +1,4 @@
-"""The correction's topics: a corrected frame as messages of one stamp, as far as somebody listens."""
+"""The correction's topics: a corrected frame as messages of one stamp, for topics with subscribers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rim_camera_ros.nodes.common.lifecycle import ManagedNode
 from rim_camera_ros.nodes.common.parameters import Values
 from rim_camera_ros.pipeline.rectification import rectifier
 
-#: Topics that are no roles of recordings: name, message type.
+#: Topics that are not roles of recordings: name, message type.
 _FURTHER = {
     "depth_camera_info": ("depth/camera_info", CAMERA_INFO),
     "rectified": ("depth/image_rect", IMAGE),
@@ -39,8 +39,8 @@ _DEPTH = {"depth", "depth_compressed", *_RECTIFIED}
 class CorrectedPublishers:
     """Publishers of the corrected frames; ``values`` are the correction's parameters.
 
-    ``clouds``: hands points and sigma to a node in the same process, too. ``expired`` says of a stamp [ns]
-    whether its frame, now that it is corrected, is too old to be published; ``expirations`` counts those.
+    ``clouds`` also hands points and sigma to a node in the same process. ``expired`` returns for a stamp [ns]
+    whether its corrected frame is too old to be published; ``expirations`` counts such frames.
     """
 
     def __init__(
@@ -62,19 +62,19 @@ class CorrectedPublishers:
             self._of[role] = self._publisher(kind, topic, "qos.points" if role == "points" else "qos.images")
 
     def wait_until_received(self, seconds: float) -> None:
-        """Wait until reliable subscribers have received everything, at most so long for each topic."""
+        """Wait until reliable subscribers have received everything, at most ``seconds`` for each topic."""
         for publisher in self._of.values():
             publisher.wait_for_all_acked(Duration(seconds=seconds))
 
     def destroy(self) -> None:
-        """Take the topics back."""
+        """Remove the topics."""
         for publisher in self._of.values():
             self._node.destroy_publisher(publisher)
 
     def publish(
         self, correction: FrameCorrection, frame: RawFrame, frame_id: str, *, whole: bool
     ) -> CorrectedFrame | None:
-        """Correct a frame and publish what somebody listens to.
+        """Correct a frame and publish it on the topics that have subscribers.
 
         ``whole``: correct it in any case, and return it with sigma and flags.
         """
@@ -103,7 +103,7 @@ class CorrectedPublishers:
         if (wanted or handed) and self._expired(frame.stamp):
             self.expirations += 1
             return full
-        if cloud is not None:  # first: it is waited for
+        if cloud is not None:  # first, as a node waits for it
             self._of["points"].publish(cloud)
         if points is not None and full is not None:
             self._clouds.put(CorrectedCloud(points, full.sigma, head, frame.stamp))

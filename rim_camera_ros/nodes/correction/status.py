@@ -19,29 +19,30 @@ from rim_camera_ros.nodes.common.findings import Finding, Flow, Hysteresis, Leve
 from rim_camera_ros.nodes.common.lifecycle import ACTIVE
 from rim_camera_ros.pipeline.consistency import GREATEST, LEAST, NoiseWatch
 
-#: Seconds between two looks at the pixels of a frame and at the noise.
+#: Seconds between two checks of the pixels of a frame and of the noise.
 _SAMPLING = 1.0
-#: Shares of pixels [-] with which a state begins and ends. Between the two it stays as it was: the share of a
-#: scene that moves, or of alternating exposures, goes up and down by a few percent.
-#: Almost no pixel is valid: what is left is noise that got through.
+#: Shares of pixels [-] at which a state begins and ends. Between the two it does not change: with motion or
+#: alternating exposures shares vary by a few percent.
+#: Almost no pixel is valid: the valid ones are noise that passed the tests.
 _BLIND = (0.01, 0.02)
 #: So many pixels are saturated that surfaces are missing.
 _SATURATED = (0.2, 0.15)
 #: So many pixels are too dark that surfaces are missing.
 _TOO_DARK = (0.8, 0.7)
-#: Drift [m/s] with which a camera counts as warming up, and as warm: 1 mm/min is below the noise of one frame
-#: for the minutes that a task takes; 0.8 mm/min, which an SR-3000 reaches half a minute later.
+#: Drift [m/s] above which a camera counts as warming up, and below which it counts as warm. With 1 mm/min the
+#: drift over the minutes of a task is below the noise of one frame; an SR-3000 reaches 0.8 mm/min half a
+#: minute later.
 _DRIFTS = (1e-3 / 60, 0.8e-3 / 60)
-#: Departure [-] of the noise from the predicted one, as the logarithm of their ratio, with which a camera
-#: counts as different from the calibrated camera, and as the same again (0.83 to 1.2).
+#: Logarithm [-] of the ratio of measured to predicted noise, in absolute value, above which a camera counts
+#: as different from the calibrated camera, and below which as the same again (ratios 0.83 to 1.2).
 _DEPARTS = (math.log(GREATEST), math.log(1.2))
 _DAY = 86400.0
-#: Pixels of which medians are stated.
+#: Most pixels from which medians are computed.
 _MEDIAN_PIXELS = 40_000
 
 
 class CorrectionStatus:
-    """Counts, samples and judges what the correction does; the node hands everything to it.
+    """Counts and samples of the correction, and their findings; the node reports everything to it.
 
     ``off``: effects of the camera file that are switched off.
     """
@@ -65,13 +66,13 @@ class CorrectionStatus:
         self._judge_anew()
 
     def begin(self) -> None:
-        """Frames may come from now on."""
+        """Expect frames from now on."""
         self._begun = time.monotonic()
 
     def use(self, camera: Camera, file: str, *, off: set[str]) -> None:
-        """Judge by another camera file from now on; ``file`` is its name as given."""
+        """Use another camera file from now on; ``file`` is its name as given."""
         if self._watch is None or camera is not self._camera:
-            # the images that every raw frame has are those of its first part
+            # the noise is that of the images that every raw frame has, those of its first part
             self._watch = NoiseWatch(measurement_of(camera).parts(camera)[0].camera)
             self._made = _made(camera, file)
             self._sample = None
@@ -92,7 +93,7 @@ class CorrectionStatus:
     # --- while it runs --------------------------------------------------------------------------
 
     def take(self, frame: RawFrame) -> bool:
-        """Take a raw frame; True where its pixels are to be looked at, once a second."""
+        """Take note of a raw frame; return True once a second, where its pixels are to be checked."""
         self.last = frame
         now = time.monotonic()
         wanted = False
@@ -108,7 +109,7 @@ class CorrectionStatus:
         return wanted
 
     def corrected(self, frame: RawFrame, *, processing: float, sample: CorrectedFrame | None) -> None:
-        """Count a frame that was corrected (or that nobody wanted); ``processing`` in s."""
+        """Count a frame that was corrected (or has no subscribers); ``processing`` in s."""
         latency = (time.time_ns() - frame.stamp) / 1e9
         self.flow.add(time.monotonic(), stamp=frame.stamp, latency=latency, processing=processing)
         if sample is not None:
@@ -117,7 +118,7 @@ class CorrectionStatus:
     # --- findings -------------------------------------------------------------------------------
 
     def frames(self, dropped: Mapping[str, int]) -> Finding:
-        """Return whether frames come, whole and in time; ``dropped``: counts by reason."""
+        """Return whether frames come complete and in time; ``dropped``: counts by reason."""
         now = time.monotonic()
         finding = Finding(values=self.flow.values(now))
         counts = {
@@ -145,7 +146,7 @@ class CorrectionStatus:
         return finding
 
     def pixels(self) -> Finding:
-        """Return the shares of pixels by flag in the frame that was looked at last."""
+        """Return the shares of pixels by flag in the frame that was checked last."""
         finding = Finding()
         sample = self._sample
         if sample is None or self.phase != ACTIVE:
@@ -180,7 +181,7 @@ class CorrectionStatus:
         return finding
 
     def calibration(self) -> Finding:
-        """Return by which camera file is corrected, and whether it holds for the camera as it runs."""
+        """Return which camera file is used, and whether it is valid for the camera in its present state."""
         camera, provenance = self._camera, self._camera.provenance
         finding = Finding(values={"file": self._file, "device": camera.device})
         finding.values["effects"] = " ".join(effect for effect in camera.effects if effect not in self._off)
@@ -278,7 +279,7 @@ class CorrectionStatus:
 
 
 def _made(camera: Camera, file: str) -> datetime | None:
-    """Return when a camera file was made: what it says itself, else when it was written."""
+    """Return when a camera file was made, as it states itself, or else when it was written."""
     stated: Any = camera.provenance.get("date")
     if isinstance(stated, str):
         try:

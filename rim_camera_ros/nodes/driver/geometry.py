@@ -1,4 +1,4 @@
-"""The service set_camera_info: what cameracalibrator found goes into a camera file."""
+"""The service set_camera_info: writes the result of cameracalibrator to a camera file."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from rim_camera_ros.optics import Optics
 def with_geometry(camera: Camera, message: Any) -> Camera:
     """Return the camera with the geometry of a CameraInfo message.
 
-    Raises `InputError` for another size or lens model, numbers that are not finite, and a lens that cannot
-    be inverted over the whole image.
+    Raises `InputError` for another size or lens model, for numbers that are not finite, and for a lens model
+    that cannot be inverted over the whole image.
     """
     stated, reason = intrinsics_from(message, "camera_info")
     if stated is None:
@@ -48,7 +48,7 @@ def with_geometry(camera: Camera, message: Any) -> Camera:
 
 
 def _without_optics(camera: Camera) -> Any:
-    """Return the covariance, or None where it is of the geometry that is replaced."""
+    """Return the covariance of the camera file, or None where it is that of the replaced geometry."""
     covariance = camera.covariance
     if covariance is not None and any(parameter.startswith("optics.") for parameter in covariance.parameters):
         return None
@@ -58,7 +58,7 @@ def _without_optics(camera: Camera) -> Any:
 def store_geometry(message: Any, *, base: str, folders: Folders) -> tuple[Path, Camera]:
     """Write the camera file ``base`` (path or shipped name) with another geometry into the folder for files.
 
-    Returns the file, which bears the name of ``base`` or the next free one after it, and what is in it.
+    Returns its path, with the name of ``base`` or the next free one after it, and its camera.
     Raises `RimError`.
     """
     source = find_camera(base)

@@ -37,16 +37,16 @@ from rim_camera_ros.nodes.driver.status import DriverStatus
 
 #: Seconds to wait at the end until reliable subscribers have received the last frames.
 _LINGER = 5.0
-#: Seconds between two looks of the watchdog.
+#: Seconds between two checks of the watchdog.
 _LOOK = 0.25
 #: Parameters that name files, with the folder of the shipped ones that they may name.
 _FILES = {"camera": "calibration", "camera_info": "calibration", "scene": "config", "recording": None}
 
 
 class DriverNode:
-    """Publishes what a device delivers; ``status`` is set where it is to end by itself.
+    """Publishes the frames of a device; ``status`` is set where the node is to end by itself.
 
-    In one process with other nodes: ``frames`` is where the correction receives them, ``elsewhere`` the
+    In one process with other nodes: ``frames`` hands the frames to the correction; ``elsewhere``: the
     parameters of those nodes.
     """
 
@@ -116,7 +116,7 @@ class DriverNode:
         self._acquisition.start()
 
     def deactivate(self) -> None:
-        """Publish nothing more and release the device, for others to use."""
+        """Stop publishing and release the device, so that others can use it."""
         self._stopped.set()
         acquisition, self._acquisition = self._acquisition, None
         if acquisition is not None:
@@ -124,7 +124,7 @@ class DriverNode:
             acquisition.stop()
 
     def cleanup(self) -> None:
-        """Let go of device and topics."""
+        """Release the device and remove the topics."""
         device, self._device = self._device, None
         if device is not None:
             device.close()
@@ -138,7 +138,7 @@ class DriverNode:
     # --- called by the acquisition, in its thread -----------------------------------------------
 
     def on_frame(self, frame: RawFrame) -> bool:
-        """Publish a frame; False once enough have been."""
+        """Publish a frame; return False once the requested number has been published."""
         topics = self._topics
         if topics is None:
             return False
@@ -152,13 +152,13 @@ class DriverNode:
             return False
         try:
             exposure = Exposure(frame, topics.frame_id, topics.geometry_of(frame))
-            self._frames.put(exposure, stopped=self._stopped.is_set)  # first: it is waited for
+            self._frames.put(exposure, stopped=self._stopped.is_set)  # first, as the correction waits for it
             topics.publish(frame)
         except RimError as error:
             self._status.not_published += 1
             self._log.error(str(error), throttle_duration_sec=5.0)
             return True
-        except Exception as error:  # the context may be gone: the node is being ended
+        except Exception as error:  # the context may be shut down: the node is being ended
             if self._stopped.is_set() or not self.node.context.ok():
                 return False
             self._status.not_published += 1
@@ -175,12 +175,12 @@ class DriverNode:
         return True
 
     def on_end(self) -> None:
-        """Say that the device has no more frames."""
+        """Log that the device has no more frames."""
         self._log.info(f"{self._source.describe()} is at its end, {self._published} frames published")
         self._end(0)
 
     def on_fault(self, error: RimError, retry_in: float | None) -> None:
-        """Say what failed."""
+        """Log what failed."""
         self._status.fault(error)
         again = "" if retry_in is None else f"; next attempt in {retry_in:.1g} s"
         self._log.error(f"{error}{again}")
@@ -188,7 +188,7 @@ class DriverNode:
             self._end(1)
 
     def on_recovery(self) -> None:
-        """Say that frames come again."""
+        """Log that frames come again."""
         self._status.recovered()
         self._log.info(f"{self._source.describe()} delivers again")
 
@@ -213,7 +213,7 @@ class DriverNode:
     # --- watching -------------------------------------------------------------------------------
 
     def _watch(self) -> None:
-        """Open a device anew from which nothing comes; playback waits as long as was recorded."""
+        """Reopen a device that delivers no frames; playback may wait for as long as was recorded."""
         acquisition, limit = self._acquisition, self._parameters.values["watchdog"]
         if acquisition is None or not limit or self._source.source == "playback":
             return
@@ -278,7 +278,7 @@ class DriverNode:
         return apply
 
     def _check_images(self, device: Device) -> None:
-        """Close a device and raise `InputError` where its images are not those that are published."""
+        """Close a device and raise `InputError` if its images are not those of the topics offered."""
         if self._topics is not None and device.image_roles != self._topics.images:
             device.close()
             raise InputError(
@@ -288,7 +288,7 @@ class DriverNode:
             )
 
     def _apply_running(self, device: Device | None, changed: Set[str]) -> None:
-        """Hand a device, or settings, to the acquisition that runs."""
+        """Hand a device, or new settings, to the running acquisition."""
         acquisition = self._acquisition
         assert acquisition is not None
         source = self._source
@@ -304,7 +304,7 @@ class DriverNode:
         acquisition.pause(source.pause)
 
     def _set_camera_info(self, request: Any, response: Any) -> Any:
-        """Store a geometry in a camera file, and state it from the next frame on."""
+        """Store a geometry in a camera file, and publish it in camera_info from the next frame on."""
         values = self._parameters.values
         try:
             base = values["camera_info"] or values["camera"]
@@ -324,13 +324,13 @@ class DriverNode:
 
 
 def _geometry(values: Values) -> Intrinsics | None:
-    """Return the geometry that camera_info is to state, None for the frames' own."""
+    """Return the geometry for camera_info; None: that of the frames."""
     name = values["camera_info"]
     return load_camera(find_camera(name)).intrinsics if name else None
 
 
 def _file_in_use(values: Values) -> dict[str, str]:
-    """Return the values of the camera file of what is published; of a recording only if a file is given."""
+    """Return path and hash of the camera file of the frames; of a recording only if a file is given."""
     name = values["camera_info"] or ("" if values["source"] == "playback" else values["camera"])
     return file_values(name) if name else {}
 

@@ -144,7 +144,7 @@ SPECS = (
 
 #: Parameters that describe the published transform.
 MOUNT = frozenset(spec.name for spec in SPECS if spec.name.startswith("mount.")) | {"base_frame", "frame_id"}
-#: Parameters that can be changed while a device runs; the others that describe it open another device.
+#: Parameters that can change while a device runs; other parameters of the device open it anew.
 _WHILE_RUNNING = {
     "frame_rate",
     "integration_time",
@@ -159,5 +159,5 @@ RESTARTING = frozenset(field.name for field in fields(Source)) - _WHILE_RUNNING
 
 
 def source_of(values: Values) -> Source:
-    """Return the source of frames that parameters describe; it is not opened and hardly checked."""
+    """Return the source of frames that the parameters describe; it is not opened and hardly checked."""
     return Source(**{field.name: values[field.name] for field in fields(Source)})

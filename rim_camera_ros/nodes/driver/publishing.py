@@ -15,15 +15,15 @@ from rim_camera_ros.nodes.common import messages, qos
 from rim_camera_ros.nodes.common.lifecycle import ManagedNode
 from rim_camera_ros.nodes.common.parameters import Values
 
-#: What image_transport adds to the name of an image for its compressed form.
+#: Ending that image_transport adds to the topic of an image for its compressed form.
 _PACKED = "/compressed"
 
 
 class FramePublishers:
     """Publishers of the raw frames; ``values`` are the driver's parameters, ``images`` the frames' roles.
 
-    ``frame_id``, ``truth`` (poses of the scene's surfaces), ``clock`` (stamps to /clock) and ``geometry`` (in
-    place of the frames') may be changed between frames.
+    ``frame_id``, ``truth`` (publish poses of the scene's surfaces), ``clock`` (publish stamps to /clock) and
+    ``geometry`` (in place of that of the frames) may be changed between frames.
     """
 
     def __init__(
@@ -41,9 +41,9 @@ class FramePublishers:
         self.truth: bool = values["publish_truth"]
         self.clock: bool = values["publish_clock"]
         self.geometry: Intrinsics | None = None
-        # what is waited for comes last, so that whoever has found it has found the rest
-        beside = KNOWN_ROLES[self.images[0]][0].rpartition("/")[0] + "/camera_info"
-        self._of["distance_camera_info"] = self._publisher(CAMERA_INFO, beside, "qos.info")
+        # topics that others wait for are made last: who has discovered them has discovered the rest
+        info = KNOWN_ROLES[self.images[0]][0].rpartition("/")[0] + "/camera_info"
+        self._of["distance_camera_info"] = self._publisher(CAMERA_INFO, info, "qos.info")
         for role in reversed(self.images):
             topic, kind = KNOWN_ROLES[role]
             self._of[role + _PACKED] = self._publisher(COMPRESSED, topic + _PACKED, "qos.images")
@@ -53,30 +53,30 @@ class FramePublishers:
             self._of[role] = self._publisher(kind, topic, parameter)
 
     def destroy(self) -> None:
-        """Take the topics back."""
+        """Remove the topics."""
         clock = [] if self._clock is None else [self._clock]
         for publisher in (*self._of.values(), *(made for made, _ in self._poses.values()), *clock):
             self._node.destroy_publisher(publisher)
 
     def listeners(self) -> int:
-        """Return the number of subscribers that each of the images and frame_info has at least."""
+        """Return the least number of subscribers of any of the images and frame_info."""
         return min(self._of[role].get_subscription_count() for role in self._gate)
 
     def wait_until_received(self, seconds: float) -> None:
-        """Wait until reliable subscribers have received everything, at most so long for each topic."""
+        """Wait until reliable subscribers have received everything, at most ``seconds`` for each topic."""
         from rclpy.duration import Duration
 
         for publisher in self._of.values():
             publisher.wait_for_all_acked(Duration(seconds=seconds))
 
     def geometry_of(self, frame: RawFrame) -> Intrinsics | None:
-        """Return what camera_info states of a frame, None where nothing fits its size."""
+        """Return the geometry for camera_info of a frame, None where none fits its size."""
         geometry = self.geometry if self.geometry is not None else frame.intrinsics
         fits = geometry is not None and (geometry.height, geometry.width) == frame.shape
         return geometry if fits else None
 
     def publish(self, frame: RawFrame) -> None:
-        """Publish what somebody listens to; the images come last and complete the frame."""
+        """Publish on the topics that have subscribers; the images come last and complete the frame."""
         frame_id, stamp, settings = self.frame_id, frame.stamp, frame.settings
         head = messages.header(stamp, frame_id)
         if self.clock:
@@ -109,7 +109,7 @@ class FramePublishers:
                 self._of[role].publish(messages.image(pixels, head))
 
     def _publish_samples(self, frame: RawFrame, head: Any) -> None:
-        """Publish what distances were evaluated from; the topics are there once a device has delivered it."""
+        """Publish the data from which distances were evaluated; topics are made once a device delivers it."""
         for role in frame.images.keys() & SAMPLES.keys():
             if role not in self._of:
                 topic, kind = SAMPLES[role]
@@ -132,13 +132,13 @@ class FramePublishers:
         self._clock.publish(Clock(clock=stamp))
 
     def _publish_poses(self, frame: RawFrame) -> None:
-        """Publish the poses that are new; they are kept for those who join later."""
+        """Publish the poses that are new; they are kept for late subscribers."""
         for surface, pose in frame.truth.items():
             stamp = frame.pose_stamps.get(surface, frame.stamp)
             if surface not in self._poses:
-                # below the namespace: two cameras see the same surface from two places
+                # below the namespace, as two cameras see the same surface from two places
                 topic = ROLES["truth"][0].lstrip("/").replace(SURFACE, messages.topic_part(surface))
-                # a scene has any number of surfaces, and each would have three parameters
+                # not overridable: a scene has any number of surfaces, and each would have three parameters
                 kind = messages.ros_class(POSE)
                 made = qos.publisher(self._node, kind, topic, qos.latched(), overridable=False)
                 self._poses[surface] = (made, None)

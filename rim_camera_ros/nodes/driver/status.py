@@ -1,4 +1,4 @@
-"""The driver's diagnostics: do frames come, from which device, in which state; no ROS in here."""
+"""The driver's diagnostics: whether frames come, from which device, in which state; no ROS in here."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from rim_camera_ros.frame import RawFrame
 from rim_camera_ros.nodes.common.findings import Finding, Flow, Hysteresis, Level, Tally
 from rim_camera_ros.nodes.common.lifecycle import ACTIVE
 
-#: Share of the frames [-] below which they count as lost, and above which as complete again: rates over five
-#: seconds waver by a few percent on a machine that does other work.
+#: Share [-] of the nominal frame rate below which frames are missing, and above which they are complete
+#: again. Rates over five seconds vary by a few percent on a machine that does other work.
 _FEW, _COMPLETE = 0.9, 0.95
-#: Seconds without a frame with which it is said that none come: at least these, and so many periods.
+#: No frames come if none has come for this time [s] and for so many periods.
 _SILENT, _SILENT_PERIODS = 1.0, 3.0
 #: Further keys of frame_info that stay the same while a camera is connected.
 _IDENTITY = ("serial_number", "firmware", "library")
@@ -22,7 +22,7 @@ _IDENTITY = ("serial_number", "firmware", "library")
 
 @dataclass
 class DriverStatus:
-    """What the driver knows of its device and its frames; written by the acquisition's thread."""
+    """State of the driver's device and counts of its frames; written by the acquisition's thread."""
 
     phase: str = ""
     source: str = ""
@@ -41,7 +41,7 @@ class DriverStatus:
     _few: Hysteresis = field(default_factory=lambda: Hysteresis(begin=_FEW, end=_COMPLETE))
 
     def begin(self) -> None:
-        """A device begins to deliver."""
+        """Take note that a device begins to deliver."""
         self.begun = time.monotonic()
         self.ended, self.failing = False, ""
 
@@ -56,19 +56,19 @@ class DriverStatus:
         self.last = frame
 
     def fault(self, error: RimError) -> None:
-        """The device failed."""
+        """Take note that the device failed."""
         self.faults += 1
         self.failing = self.last_fault = str(error)
 
     def recovered(self) -> None:
-        """The device delivers again."""
+        """Take note that the device delivers again."""
         self.recoveries += 1
         self.failing = ""
 
     # --- findings -------------------------------------------------------------------------------
 
     def frames(self, device: Device | None) -> Finding:
-        """Return whether frames come as often as they should."""
+        """Return whether frames come at the nominal rate."""
         now = time.monotonic()
         finding = Finding(values=self.flow.values(now))
         nominal = 0.0 if device is None else device.frame_rate
@@ -108,7 +108,7 @@ class DriverStatus:
             finding.note(f"{rate:.1f} frames per second")
 
     def device(self, device: Device | None) -> Finding:
-        """Return which device it is and how it is."""
+        """Return which device it is, and its state."""
         finding = Finding(values={"state": self.phase, "source": self.source})
         frame = self.last
         if frame is not None:
@@ -138,7 +138,7 @@ class DriverStatus:
         return finding
 
     def identity(self) -> dict[str, str]:
-        """Return what tells this camera from others, as far as the frames say it."""
+        """Return what identifies this camera, as far as its frames state it."""
         found = {"source": self.source}
         if self.last is not None:
             settings = self.last.settings

@@ -1,4 +1,4 @@
-"""People as markers: a cylinder with a number, and the way behind it."""
+"""People as markers: a cylinder, a number, and a line for the path so far."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rim_camera_ros.tracking.tracks import Track
 
 #: Namespaces of the three markers of a person; the id is the person's identity.
 BODY, NUMBER, TRAIL = "people", "numbers", "trails"
-#: Seconds after which a marker goes if the node does.
+#: Seconds after which markers disappear if the node ends.
 _LIFETIME = Duration(sec=2)
 _DIAMETER, _LINE, _LETTERS = 0.4, 0.03, 0.25
 #: Turns of the colour circle from one identity to the next: neighbours differ the most.
@@ -41,7 +41,7 @@ def markers(
 
 
 def cleared() -> MarkerArray:
-    """Return the message that takes all markers away."""
+    """Return the message that deletes all markers."""
     return MarkerArray(markers=[Marker(action=Marker.DELETEALL)])
 
 

@@ -1,4 +1,4 @@
-"""How the camera is mounted above the floor, as the transforms from a frame on the floor tell it."""
+"""The mount of the camera above the floor, by the transforms from a frame on the floor."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from rim_camera_ros.nodes.common.findings import Finding, Level
 from rim_camera_ros.nodes.people.transforms import Transforms
 from rim_camera_ros.tracking.ground import Ground
 
-#: Changes of height [m] and of angles [rad] below which a mount is the same: joints and localisation are not
-#: still, and whoever is followed is lost with another floor. At 5 m the angle moves a point by 25 mm.
+#: Changes of height [m] and of angles [rad] below which a mount counts as the same: transforms of joints and
+#: localisation are never constant, and a new floor loses all tracks. At 5 m the angle moves a point by 25 mm.
 _SAME_HEIGHT, _SAME_ANGLE = 0.01, 0.005
 
 
 class MountOf:
     """The mount of a camera from /tf and /tf_static; ``changed`` is called when it changes.
 
-    ``ground``: the floor below the camera, None while no base frame is used or nothing leads from it.
+    ``ground``: the floor below the camera, None while there is no base frame or no transform from it.
     """
 
     def __init__(self, node: Node, changed: Callable[[], None]) -> None:
@@ -32,7 +32,7 @@ class MountOf:
         self._transforms = Transforms(node, self._update)
 
     def use(self, base: str) -> None:
-        """Take the mount from a base frame from now on; '': from no frame."""
+        """Use the mount by this base frame from now on; '': by none."""
         if base != self._base:
             self.ground, self._problem = None, ""
         self._base = base
@@ -40,7 +40,7 @@ class MountOf:
         self._update()
 
     def seen_from(self, frame: str) -> None:
-        """Take note of the camera's optical frame, as the headers of its messages name it."""
+        """Take note of the camera's optical frame, which the headers of its messages name."""
         if frame != self._frame:
             self._frame = frame
             self._update()

@@ -39,8 +39,8 @@ TOPIC = "people/markers"
 class PeopleNode:
     """Follows people; it never ends by itself.
 
-    In one process with other nodes: ``clouds`` is where the correction hands them over (None: they come as
-    messages), ``elsewhere`` the parameters of those nodes.
+    In one process with other nodes: ``clouds`` hands clouds over from the correction (None: they come as
+    messages); ``elsewhere``: the parameters of those nodes.
     """
 
     status: int | None = None
@@ -76,14 +76,14 @@ class PeopleNode:
         )
 
     def close(self) -> None:
-        """Let go of all topics."""
+        """Remove all topics."""
         self.node.end()
 
     # --- lifecycle ------------------------------------------------------------------------------
 
     def configure(self) -> None:
         """Offer the markers."""
-        dbscan()  # now: in the midst of frames it would hold up whatever runs in this process
+        dbscan()  # imported now, as later it would delay everything in this process
         self._to = qos.publisher(self.node, MarkerArray, TOPIC, qos.profile(qos.RELIABLE))
         self._mount.use(self._parameters.values["base_frame"])
 
@@ -108,7 +108,7 @@ class PeopleNode:
         self._status.begin()
 
     def deactivate(self) -> None:
-        """Take no more frames and take the markers away."""
+        """Stop taking frames and delete the markers."""
         if self._clouds is not None:
             self._clouds.end()
         for subscription in self._from.values():
@@ -119,7 +119,7 @@ class PeopleNode:
             self._to.publish(cleared())
 
     def cleanup(self) -> None:
-        """Take the topic back."""
+        """Remove the topic."""
         if self._to is not None:
             self.node.destroy_publisher(self._to)
             self._to = None
@@ -131,7 +131,7 @@ class PeopleNode:
         return lambda message: self._take(role, message)
 
     def _take(self, role: str, message: Any) -> None:
-        """Take half a frame; one that is damaged is counted and said, and the node goes on."""
+        """Take a cloud or a sigma image; an invalid one is counted and logged, and the node goes on."""
         if role not in self._from:
             return  # it came while the node was being deactivated
         try:
@@ -143,7 +143,7 @@ class PeopleNode:
             pair = self._pairing.add(role, stamp, value)
             if pair is not None:
                 self._follow(*pair, stamp=stamp)
-        except Exception as error:  # whatever hostile messages provoke
+        except Exception as error:  # whatever malformed messages cause
             self._status.refused[role] += 1
             problem = str(error) if isinstance(error, RimError) else f"{type(error).__name__} {error}"
             self._throttle.warn(
@@ -191,11 +191,11 @@ class PeopleNode:
         return apply
 
     def _mounted(self) -> None:
-        """Go on with the mount as it is known now, of parameters or of transforms."""
+        """Use the mount as it is known now, by parameters or by transforms."""
         self._tracker.use(people_settings(self._parameters.values, ground=self._mount.ground))
 
     def _learn_background(self, request: Any, response: Any) -> Any:
-        """Forget background and people; the frames that come next are the new background."""
+        """Forget background and people; the new background is learnt from the next frames."""
         self._tracker.learn_anew()
         response.success = True
         response.message = f"the next {self._tracker.missing_frames} frames are the background"

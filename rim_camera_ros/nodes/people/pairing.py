@@ -1,4 +1,4 @@
-"""Clouds and the sigma images that belong to them, as they come; no ROS in here."""
+"""Pairs of clouds and sigma images of the same stamp, as they come; no ROS in here."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ CAPACITY = 8
 
 
 class CloudPairing:
-    """Pairs the cloud and the sigma image of one stamp; ``dropped`` counts halves that stayed alone."""
+    """Pairs the cloud and the sigma image of a stamp; ``dropped`` counts those that found no partner."""
 
     def __init__(self) -> None:
         self.dropped = 0
@@ -20,7 +20,7 @@ class CloudPairing:
     def add(self, role: str, stamp: int, value: Any) -> tuple[Any, Any] | None:
         """Take one half of the frame at ``stamp`` [ns]; return cloud and sigma when both are there.
 
-        Halves that came before those of a whole frame wait no longer.
+        Halves that came before a complete frame wait no longer.
         """
         parts = self._waiting.setdefault(stamp, {})
         parts[role] = value
@@ -38,6 +38,6 @@ class CloudPairing:
         return None
 
     def _drop(self) -> None:
-        # who joins late finds one half of the first frame: nothing is wrong with that
+        # a node that starts late receives only one half of the first frame, which is no fault
         if self._begun:
             self.dropped += 1

@@ -9,12 +9,12 @@ from rim_camera_ros.nodes.common.findings import Finding, Flow, Level, Tally
 from rim_camera_ros.nodes.common.lifecycle import ACTIVE
 from rim_camera_ros.tracking.people import PeopleTracker
 
-#: Share of moving pixels above which the camera was moved rather than people did.
+#: Share of moving pixels above which the camera must have moved, not people.
 _ALL_MOVES = 0.5
 
 
 class PeopleStatus:
-    """Counts frames and judges what moves."""
+    """Counts of frames, and findings on frames and people."""
 
     def __init__(self) -> None:
         self.phase = ""
@@ -24,7 +24,7 @@ class PeopleStatus:
         self._tally = Tally()
 
     def begin(self) -> None:
-        """Frames may come from now on."""
+        """Expect frames from now on."""
         self._begun = time.monotonic()
 
     def taken(self, *, stamp: int, processing: float) -> None:
@@ -56,7 +56,7 @@ class PeopleStatus:
         return finding
 
     def people(self, tracker: PeopleTracker) -> Finding:
-        """Return how many people are followed, and whether the background still holds."""
+        """Return how many people are followed, and whether the background is still valid."""
         finding = Finding()
         people = tracker.people
         finding.values = {

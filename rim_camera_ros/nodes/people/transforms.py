@@ -1,4 +1,4 @@
-"""Transforms that other nodes publish on /tf and /tf_static, without tf2_ros, which comes from apt alone."""
+"""Transforms that other nodes publish on /tf and /tf_static, without tf2_ros, which is only in apt."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from rim_camera_ros.nodes.common.transforms import INSTALL, TOPIC, transform_mes
 from rim_camera_ros.tracking.transform_tree import TransformTree
 
 _MOVING = "/tf"
-#: Messages that may wait: those of many nodes come at once, as in tf2.
+#: Messages that may wait, as many as in tf2: those of many nodes may come at once.
 _DEPTH = 100
 
 
 class Transforms:
-    """``tree`` holds what came on /tf and /tf_static; ``changed`` is called after each message."""
+    """``tree`` holds the transforms of /tf and /tf_static; ``changed`` is called after each message."""
 
     def __init__(self, node: Node, changed: Callable[[], None]) -> None:
         self.tree = TransformTree()
@@ -28,7 +28,7 @@ class Transforms:
         self._from: list[Subscription] = []
 
     def listen(self, wanted: bool) -> None:
-        """Begin to listen, or end it and forget; say so where tf2_msgs is missing."""
+        """Begin to listen, or stop and forget; log a warning where tf2_msgs is missing."""
         if wanted == bool(self._from):
             return
         if not wanted:
