@@ -64,22 +64,22 @@ def window_of(view: View) -> Window | None:
 
 
 def view_within(view: View, window: Window) -> View:
-    """Return what the pixels of a window see; it is kept."""
-    found: View | None = view.memory.get("within")
-    if found is None:
-        found = View(
-            _geometry_within(view.geometry, window),
-            view.clean[window],
-            view.poses,
-            [
-                replace(column, distance=column.distance[window], amplitude=column.amplitude[window])
-                for column in view.pose_columns
-            ],
-            whole=view,
-            window=window,
-        )
-        view.memory["within"] = found
-    return found
+    """Return what the pixels of a window see.
+
+    The view does not keep it: the two would refer to each other, and a view that nobody needs any more would
+    stay in memory until the next search for such cycles.
+    """
+    return View(
+        _geometry_within(view.geometry, window),
+        view.clean[window],
+        view.poses,
+        [
+            replace(column, distance=column.distance[window], amplitude=column.amplitude[window])
+            for column in view.pose_columns
+        ],
+        whole=view,
+        window=window,
+    )
 
 
 def _geometry_within(geometry: Geometry, window: Window) -> Geometry:

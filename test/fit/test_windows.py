@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -197,3 +199,17 @@ def test_residuals_after_nuisances_are_the_same(tmp_path: Path, monkeypatch: pyt
     for got, want in zip(mine, found(), strict=True):
         assert np.abs(want).max() > 0
         np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-12)
+
+
+def test_views_that_are_not_kept_leave_the_memory_at_once(tmp_path: Path) -> None:
+    """Those of a large sensor take 30 MB each: a cycle of references would keep all of them for a while."""
+    told, board = camera(tmp_path), small_board(tmp_path)
+    data = record(told, board, poses=8, seed=4)
+    forward = Forward(data, board, told)
+    forward.views._most = 2
+    gc.disable()
+    try:
+        views = [weakref.ref(one.view.geometry) for one in forward.predictions()]
+        assert sum(view() is not None for view in views) <= 3
+    finally:
+        gc.enable()
