@@ -135,5 +135,5 @@ def _beside(start: EmitterOffset) -> Candidate:
         )
         return with_effect(camera, EmitterOffset(position=(float(x), float(y), float(z))))
 
-    block = together(Block((Regressor(share, name, 1.0),), whole), moved)
+    block = together(Block((Regressor(share, name, 1.0),), whole, pointwise=True), moved)
     return Candidate(name, variant, block, build)

@@ -24,6 +24,7 @@ class FixedPatternOffset(DistanceTerm):
 
     estimated = "pixels"
     needs_all_pixels = True
+    pointwise = True
 
     map: ArrayFile = quantity("m", "float32 (height, width) .npy beside the camera file")
 
@@ -38,7 +39,7 @@ class FixedPatternOffset(DistanceTerm):
         return frozenset({"pixel"})
 
     def term(self, distance: Image, amplitude: Image, context: Context) -> Image | float:
-        return self.map.values.astype(distance.dtype, copy=False)
+        return context.inside(self.map.values).astype(distance.dtype, copy=False)
 
     def sentence(self) -> str:
         rms, mean = float(np.std(self.map.values)) * 1e3, float(np.mean(self.map.values)) * 1e3

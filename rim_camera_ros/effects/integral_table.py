@@ -28,6 +28,7 @@ class IntegralTable(DistanceTerm):
 
     estimated = "positions"
     needs_all_pixels = True
+    pointwise = True
     stated_by_pixels = True
 
     knots: tuple[tuple[float, ...], ...] = quantity("px, px, m", "columns u, rows v, distances d")

@@ -63,6 +63,14 @@ class Station:
     placement: int | None = None
     duration: float = 0.0
 
+    def part(self, rows: slice, columns: slice) -> Station:
+        """Return the station with the chosen rows and columns of its images alone."""
+        names = ("distance", "amplitude", "distance_variance", "amplitude_variance", "count", "saturated")
+        images: dict[str, Any] = {
+            name: np.ascontiguousarray(getattr(self, name)[rows, columns]) for name in names
+        }
+        return replace(self, **images)
+
     @property
     def placed(self) -> int:
         """Number of the placement, within which errors of the reference instrument are the same."""

@@ -106,10 +106,9 @@ def decimated_camera(camera: Camera, step: int) -> Camera:
 
 def decimated_dataset(dataset: Dataset, step: int) -> Dataset:
     """Return the stations on the coarser grid."""
-    pick = (slice(step // 2, None, step), slice(step // 2, None, step))
-    names = ("distance", "amplitude", "distance_variance", "amplitude_variance", "count", "saturated")
+    pick = slice(step // 2, None, step)
     stations = [
-        replace(station, **_picked(station, pick, names), common=_coarser_common(station, step))
+        replace(station.part(pick, pick), common=_coarser_common(station, step))
         for station in dataset.stations
     ]
     return replace(dataset, stations=stations, decimation=dataset.decimation * step)
@@ -118,10 +117,6 @@ def decimated_dataset(dataset: Dataset, step: int) -> Dataset:
 def _coarser_common(station: Station, step: int) -> float | None:
     """Return the common variation relative to noise on the coarser grid, where noise averages out less."""
     return None if station.common is None else 1 + (station.common - 1) / step**2
-
-
-def _picked(station: Station, pick: tuple[slice, slice], names: Sequence[str]) -> dict[str, Any]:
-    return {name: np.ascontiguousarray(getattr(station, name)[pick]) for name in names}
 
 
 def full_camera(small: Camera, camera: Camera, step: int) -> Camera:

@@ -19,7 +19,7 @@ from rim_camera_ros.fit.correlated_errors import correlated_columns, half_waves_
 from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.views import NEAR, Margins, PoseColumn, View, Views
-from rim_camera_ros.fit.windows import on_whole_array, station_within, view_within, window_of
+from rim_camera_ros.fit.windows import on_whole_array, view_within, window_of
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.geometry import Geometry, see
 from rim_camera_ros.noise import sigma_amplitude
@@ -181,7 +181,7 @@ class Forward:
         camera, whole_view, whole_station = self.camera, self.views.view(station), station
         window = window_of(whole_view) if self._pointwise else None
         view = whole_view if window is None else view_within(whole_view, window)
-        station = station if window is None else station_within(station, window)
+        station = station if window is None else station.part(*window)
         geometry = view.geometry
         settings = replace(station.settings, integration_time=camera.integration_time(station.settings))
         gain = model.gains.get((station.recording, station.pose), 1.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import weakref
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -82,6 +82,13 @@ def test_predictions_are_the_same(
         [block.columns(one.for_columns(block)) for block in own if not block.in_order] for one in in_windows
     ]
     whole(monkeypatch)
+    for one in in_windows:
+        # also those images of which somebody may not think
+        images = [getattr(one, name.name) for name in fields(one)] + [
+            image for signal in (one.delivered, *one.before.values()) for image in vars(signal).values()
+        ]
+        shapes = {image.shape for image in images if isinstance(image, np.ndarray) and image.ndim == 2}
+        assert shapes == {told.shape}
     for one, found, expected in zip(
         in_windows, columns, forward_of(told, board, data).predictions(), strict=True
     ):
