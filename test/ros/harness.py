@@ -25,6 +25,7 @@ from typing import Any, TextIO
 
 import numpy as np
 import rclpy
+from rcl_interfaces.srv import GetParameters
 from rclpy.context import Context
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
@@ -342,10 +343,14 @@ class World:
 
     # --- services -------------------------------------------------------------------------------
 
-    def call(self, kind: Any, name: str, seconds: float = PATIENCE, **fields: Any) -> Any:
-        """Call a service, relative to the namespace, and return its response."""
-        client = self.node.create_client(kind, name if name.startswith("/") else f"{self.namespace}/{name}")
+    def call(self, kind: Any, name: str, seconds: float = PATIENCE, *, node: str = "", **fields: Any) -> Any:
+        """Call a service, ``driver/get_state`` say, and return its response.
+
+        ``node`` offers it; by default that is the first part of its name.
+        """
+        client = self.node.create_client(kind, f"{self.namespace}/{name}")
         assert self.until(client.service_is_ready), f"no service {name}\n{self.output()}"
+        self._introduce(node or name.partition("/")[0])
         future = client.call_async(kind.Request(**fields))
         assert self.until(future.done, seconds), f"{name} does not answer\n{self.output()}"
         self.node.destroy_client(client)
@@ -385,8 +390,23 @@ class World:
         client = self._clients.get(node)
         if client is None:
             client = self._clients[node] = AsyncParameterClient(self.node, f"{self.namespace}/{node}")
-        assert self.until(client.services_are_ready), f"no node {node}\n{self.output()}"
+            assert self.until(client.services_are_ready), f"no node {node}\n{self.output()}"
+            self._introduce(node)
         return client
+
+    def _introduce(self, node: str) -> None:
+        """Wait until a node knows every client that was made so far.
+
+        A client sees a service before the service sees the client, and rmw_fastrtps drops a response whose
+        client is not discovered within 100 ms. Clients are discovered in the order in which they were made:
+        where one is answered, those before it are known. Its request may be repeated, others may not.
+        """
+        client = self.node.create_client(GetParameters, f"{self.namespace}/{node}/get_parameters")
+        assert self.until(client.service_is_ready), f"no node {node}\n{self.output()}"
+        end = time.monotonic() + PATIENCE
+        while not self.until(client.call_async(GetParameters.Request()).done, 2.0):
+            assert time.monotonic() < end, f"{node} does not answer\n{self.output()}"
+        self.node.destroy_client(client)
 
 
 class Chain:

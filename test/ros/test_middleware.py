@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import sys
 from pathlib import Path
 
@@ -56,22 +57,35 @@ def test_the_profile_keeps_the_default_lease() -> None:
     assert not re.search("<lease(Duration|Announcement)>", PROFILE.read_text())
 
 
-@pytest.mark.parametrize("transports", ["", "LARGE_DATA"])
+#: With LARGE_DATA, Fast DDS 2.14 does not connect some processes that start within seconds of each other
+#: (once in 35 times with plain rclpy): a user starts them again, and so does the test.
+STARTS = {"": 1, "LARGE_DATA": 3}
+
+
+@pytest.mark.parametrize("transports", STARTS)
 def test_clouds_arrive_with_the_transports_of_the_user(world: World, tmp_path: Path, transports: str) -> None:
     """A listener of its own, with the user's settings and not with the profile."""
     del world.environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]  # as it is by default
     world.environment.pop("FASTDDS_BUILTIN_TRANSPORTS", None)
     if transports:
         world.environment["FASTDDS_BUILTIN_TRANSPORTS"] = transports
-    driver = world.start("driver_node", scene="wall", frame_rate=10.0)
-    correction = world.start("correction_node")
-    summary = tmp_path / "summary.json"
-    command = [sys.executable, "-m", "rim_camera_ros.nodes.common.latency_monitor", "--frames", "15"]
-    monitor = Process(
-        [*command, "--timeout", "45", "--json", str(summary)], world.environment, tmp_path / "m.txt"
-    )
-    assert monitor.wait(120.0) == 0, f"{monitor.text}\n{world.output()}"
-    assert json.loads(summary.read_text())["points"] >= 15
     said = f"FASTDDS_BUILTIN_TRANSPORTS={transports} says" if transports else "config/fastdds.xml"
-    for one in (driver, correction):
-        assert re.search(rf"middleware: Fast DDS .*{said}", one.text), one.text
+    for _ in range(STARTS[transports]):
+        nodes = [world.start("driver_node", scene="wall", frame_rate=10.0), world.start("correction_node")]
+        summary = tmp_path / "summary.json"
+        command = [sys.executable, "-m", "rim_camera_ros.nodes.common.latency_monitor", "--frames", "15"]
+        monitor = Process(
+            [*command, "--timeout", "25", "--json", str(summary)], world.environment, tmp_path / "monitor.txt"
+        )
+        status = monitor.wait(120.0)
+        for one in nodes:
+            assert re.search(rf"middleware: Fast DDS .*{said}", one.text), one.text
+            one.send(signal.SIGINT)
+        for one in nodes:
+            one.wait()
+        arrived = json.loads(summary.read_text())
+        if arrived["points"] >= 15:
+            break
+    else:
+        pytest.fail(f"{arrived}\n{monitor.text}\n{world.output()}")
+    assert status == 0

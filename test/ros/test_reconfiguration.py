@@ -132,12 +132,12 @@ def test_set_camera_info_is_stated_and_stored_and_used(world: World, tmp_path: P
         (info(d=[0.0] * 8), r"D has 8 numbers, plumb_bob has 5"),
         (info(d=[-9.0, 0.0, 0.0, 0.0, 0.0]), r"camera_info: .*(invert|fold)"),
     ):
-        response = world.call(SetCameraInfo, "set_camera_info", camera_info=bad)
+        response = world.call(SetCameraInfo, "set_camera_info", node="driver", camera_info=bad)
         assert not response.success
         assert re.search(reason, response.status_message), response.status_message
     assert list(images.last.k) == before
     assert not list(folder.glob("*.yaml"))
-    response = world.call(SetCameraInfo, "set_camera_info", camera_info=info())
+    response = world.call(SetCameraInfo, "set_camera_info", node="driver", camera_info=info())
     assert response.success, response.status_message
     path = folder / "sr3000.yaml"
     assert response.status_message == f"the geometry is in {path}; give this file to the correction"
@@ -153,7 +153,7 @@ def test_set_camera_info_is_stated_and_stored_and_used(world: World, tmp_path: P
     assert world.until(lambda: images.last.k[0] == 205.0), world.output()
     assert world.get("driver", "camera_info") == [str(path)]
     before = path.read_bytes()
-    response = world.call(SetCameraInfo, "set_camera_info", camera_info=info(fx=207.0))
+    response = world.call(SetCameraInfo, "set_camera_info", node="driver", camera_info=info(fx=207.0))
     assert response.status_message.startswith(f"the geometry is in {folder / 'sr3000_2.yaml'};")
     assert path.read_bytes() == before
     assert world.set("driver", camera_info=str(path)) == ""

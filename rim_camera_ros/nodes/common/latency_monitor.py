@@ -54,7 +54,7 @@ class Arrivals:
 
 
 def listen(*, namespace: str, frames: int, timeout: float) -> Arrivals:
-    """Return the arrivals of up to ``frames`` frames; ends when nothing comes for ``timeout`` seconds."""
+    """Return the arrivals of up to ``frames`` frames; ends when a topic is silent for ``timeout`` seconds."""
     import rclpy
     import rclpy.utilities
     from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -65,23 +65,24 @@ def listen(*, namespace: str, frames: int, timeout: float) -> Arrivals:
     arrivals = Arrivals()
     qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
-    def note(into: dict[int, int]) -> Any:
+    topics = (("distance/image_raw", Image, arrivals.raw), ("points", PointCloud2, arrivals.points))
+    last = dict.fromkeys((topic for topic, _, _ in topics), time.monotonic())
+
+    def note(topic: str, into: dict[int, int]) -> Any:
         def arrived(message: Any) -> None:
             into[message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec] = time.time_ns()
+            last[topic] = time.monotonic()
 
         return arrived
 
-    node.create_subscription(Image, f"{namespace}/distance/image_raw", note(arrivals.raw), qos)
-    node.create_subscription(PointCloud2, f"{namespace}/points", note(arrivals.points), qos)
-    last, seen = time.monotonic(), -1
+    for topic, kind, into in topics:
+        node.create_subscription(kind, f"{namespace}/{topic}", note(topic, into), qos)
     try:
-        while time.monotonic() - last < (timeout if len(arrivals.points) < frames else _GRACE):
-            rclpy.spin_once(node, timeout_sec=0.05)
-            count = len(arrivals.raw) + len(arrivals.points)
-            if count != seen:
-                last, seen = time.monotonic(), count
-            if len(arrivals.points) >= frames and len(arrivals.raw) >= frames:
+        while min(len(arrivals.raw), len(arrivals.points)) < frames:
+            patience = timeout if len(arrivals.points) < frames else _GRACE
+            if time.monotonic() - min(last.values()) > patience:
                 break
+            rclpy.spin_once(node, timeout_sec=0.05)
     finally:
         node.destroy_node()
         rclpy.utilities.try_shutdown()
