@@ -18,8 +18,9 @@ from rim_camera_ros.fit.amplitudes import AmplitudeModel, gains_and_error
 from rim_camera_ros.fit.correlated_errors import correlated_columns, half_waves_of
 from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.undescribed import with_measured_light
 from rim_camera_ros.fit.views import NEAR, Margins, PoseColumn, View, Views
-from rim_camera_ros.fit.windows import on_whole_array, view_within, window_of
+from rim_camera_ros.fit.windows import on_whole_array, surrounded, view_within, window_of
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.geometry import Geometry, see
 from rim_camera_ros.noise import sigma_amplitude
@@ -86,6 +87,10 @@ class Forward:
         self._pointwise = all(effect.pointwise for effect in camera.effects.values())
         self._pointwise = self._pointwise and not scene.camera_motion.moves
         self._of_geometry = [name for name, effect in registry().items() if effect.remembers_geometry]
+        # where light spreads over the array, that of undescribed surfaces comes in as measured
+        first = min(self._order[name] for name, effect in registry().items() if effect.spreads)
+        self._emitting = [effect for effect in self._chain.light if self._order[effect.name] < first]
+        self._spreading = [effect for effect in self._chain.light if self._order[effect.name] >= first]
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"views": None, "tick": None}
@@ -222,7 +227,17 @@ class Forward:
             notes=self.notes,
         )
         before: dict[str, Signal] = {}
-        signal = deliver(self._chain.light, Signal(geometry.distance, ideal), context, before=before)
+        signal = deliver(self._emitting, Signal(geometry.distance, ideal), context, before=before)
+        signal, undescribed = with_measured_light(
+            signal,
+            station,
+            context,
+            chain=self._chain,
+            light=self._noise_amplitude,
+            nameless=nameless,
+            effects=self._spreading,
+        )
+        signal = deliver(self._spreading, signal, context, before=before)
         whole_view.memory.update({name: memory[name] for name in self._of_geometry if name in memory})
         if nameless.any():
             # the reflectivity of these surfaces is not stated: their light is the measured one
@@ -234,9 +249,11 @@ class Forward:
         predicted = self._compare(
             station, view, context, before, signal, model, slopes, gain, nameless, pixel_gain
         )
+        predicted.undescribed = undescribed
         if window is None:
             return predicted
-        return on_whole_array(predicted, whole_station, whole_view)
+        predicted = on_whole_array(predicted, whole_station, whole_view)
+        return surrounded(predicted, chain=self._chain, light=self._noise_amplitude, effects=self._spreading)
 
     def _compare(
         self,

@@ -15,6 +15,7 @@ from rim_camera_ros.effects.light_curves import RESPONSE, LightCurves
 from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.fit.channels import Places
 from rim_camera_ros.fit.data import Station
+from rim_camera_ros.fit.undescribed import Undescribed
 from rim_camera_ros.fit.views import PoseColumn, View
 from rim_camera_ros.phasor import to_phasor
 
@@ -78,6 +79,7 @@ class Prediction:
     light_curves: LightCurves | None = None
     variance_of_other: Array | float = 0.0
     linear: Sequence[Any] = ()
+    undescribed: Undescribed | None = None
     of_window: Prediction | None = None
     _images: dict[str, tuple[Array, Array]] = field(default_factory=dict)
     _changes: dict[str, tuple[Array, Array]] = field(default_factory=dict)
@@ -193,6 +195,10 @@ class Prediction:
                 relative = np.where(after > 0, a / after, 0.0)
             change = relative + 1j * (2 * np.pi / self.context.ambiguity) * np.nan_to_num(d)
             result[path] = self.light_change(name, change)
+        if self.undescribed is not None and name in self.before and isinstance(effect, ComplexEffect):
+            for path, change in self.undescribed.changes(effect, self.context):
+                own, of_light = result[path], self.light_change(None, change)
+                result[path] = (own[0] + of_light[0], own[1] + of_light[1])
         return result
 
     def _of_response(self, effect: ResponseEffect) -> dict[str, tuple[Array, Array]]:

@@ -6,15 +6,19 @@ what acts on each pixel by itself is computed within the window around it alone.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.chain import Chain
+from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.effects.signal import Signal, Window
 from rim_camera_ros.fit.data import Station
 from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.undescribed import sees_nothing_described, with_measured_light
 from rim_camera_ros.fit.views import View
 from rim_camera_ros.geometry import Geometry
 
@@ -137,3 +141,27 @@ def on_whole_array(inner: Prediction, station: Station, view: View) -> Predictio
         _changes={},
         _by_light=None,
     )
+
+
+def surrounded(
+    predicted: Prediction,
+    *,
+    chain: Chain,
+    light: Callable[[Station, Array], Array],
+    effects: Sequence[Effect],
+) -> Prediction:
+    """Return a prediction of a window with the measured light around it, which effects may spread.
+
+    ``light`` is as in `with_measured_light`; ``effects`` are those of the ``chain`` that act after light has
+    spread.
+    """
+    station, context = predicted.station, predicted.context
+    if not sees_nothing_described(station, context).any():
+        return predicted
+    none = np.zeros(station.count.shape, bool)
+
+    def around(signal: Signal) -> Signal:
+        return with_measured_light(signal, station, context, chain=chain, light=light, nameless=none)[0]
+
+    before = {effect.name: around(predicted.before[effect.name]) for effect in effects}
+    return replace(predicted, before=predicted.before | before, delivered=around(predicted.delivered))

@@ -1,0 +1,101 @@
+"""Light of which the scene file says nothing, taken as measured where it spreads over the array.
+
+Stray light and blur also come from surfaces of unknown reflectivity, and from what stands beside those of the
+scene. Their light is in the image, which contains what has spread already: that is undone first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rim_camera_ros.chain import Chain
+from rim_camera_ros.effects.base import ComplexEffect, Effect
+from rim_camera_ros.effects.signal import Context, Signal, from_phasor, require_geometry
+from rim_camera_ros.fit.data import Station
+from rim_camera_ros.phasor import to_phasor
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Undescribed:
+    """Where the scene says nothing of the light, and the image before anything has spread.
+
+    ``nameless`` pixels (H, W) see surfaces of unknown reflectivity; ``outside`` those with a measurement meet
+    no surface. ``image`` (H, W) complex is the measured one with what spreads undone.
+    """
+
+    image: Array
+    nameless: Array
+    outside: Array
+
+    def changes(self, effect: ComplexEffect, context: Context) -> Iterator[tuple[str, Array]]:
+        """Yield relative changes of the light (H, W) complex by parameters of an effect that is undone in it.
+
+        What an effect spreads over a pixel is missing in the light before it: d(L^-1 M) = -L^-1 dL L^-1 M.
+        """
+        for path, change in effect.phasor_columns(self.image, context).items():
+            with np.errstate(divide="ignore", invalid="ignore"):
+                relative = -effect.invert(change, context) / self.image
+            relative = np.where(np.isfinite(relative), relative, 0.0)
+            # of surfaces of the scene the distance is known
+            yield path, np.where(self.outside, relative, np.where(self.nameless, relative.real, 0.0))
+
+
+def sees_nothing_described(station: Station, context: Context) -> Array:
+    """Return the pixels (H, W) with a measurement whose rays meet no surface of the scene."""
+    hit = require_geometry(context, "a prediction").hit
+    return np.asarray(~hit & (station.count > 0) & (station.amplitude > 0))
+
+
+def with_measured_light(
+    signal: Signal,
+    station: Station,
+    context: Context,
+    *,
+    chain: Chain,
+    light: Callable[[Station, Array], Array],
+    nameless: Array,
+    effects: Sequence[Effect] = (),
+) -> tuple[Signal, Undescribed | None]:
+    """Return the light before ``effects`` with that of undescribed surfaces as measured.
+
+    ``light`` returns the measured light (H, W) [counts] of a station, or what is given where there is none.
+    ``nameless`` pixels see surfaces of unknown reflectivity, at the distances of ``signal``. Pixels that see
+    no surface of the scene have measured distances as well, without the terms of the ``chain`` and without
+    what these distances have in common beyond the scene's. Where something is spread, also returns what it is
+    undone in.
+    """
+    outside = sees_nothing_described(station, context)
+    if not (outside.any() or nameless.any()):
+        return signal, None
+    amplitude, seen = light(station, signal.amplitude), station.count > 0
+    measured = np.where(seen, station.distance, signal.distance)
+    terms = chain.evaluated(measured, np.where(seen & (amplitude > 0), amplitude, 1.0), context).total
+    before = Signal(measured - terms, amplitude)
+    spreading = [effect for effect in effects if effect.spreads and isinstance(effect, ComplexEffect)]
+    undone = None
+    if spreading:
+        phasor = to_phasor(before.distance, before.amplitude, context.ambiguity)
+        for effect in reversed(spreading):
+            phasor = effect.invert(phasor, context)
+        before = from_phasor(phasor, before, context)
+        undone = Undescribed(phasor, nameless, outside)
+    common = _in_common(before, signal, context)
+    result = Signal(
+        np.where(outside, before.distance - common, signal.distance),
+        np.where(outside | nameless, before.amplitude, signal.amplitude),
+    )
+    return result, undone
+
+
+def _in_common(before: Signal, signal: Signal, context: Context) -> float:
+    """Return the mean [m] of measured distances less those of the scene, modulo the ambiguity range."""
+    difference = (before.distance - signal.distance)[signal.amplitude > 0]
+    turns = np.exp(2j * np.pi * difference[np.isfinite(difference)] / context.ambiguity)
+    return float(np.angle(turns.sum()) * context.ambiguity / (2 * np.pi))
