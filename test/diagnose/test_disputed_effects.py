@@ -23,7 +23,7 @@ from rim_camera_ros.select.candidates import candidates, form_blocks
 from rim_camera_ros.select.compare import NOT_IN_ALL_POSES, ONCE_FITTED, Refused
 from rim_camera_ros.select.evidence import folds_of
 from rim_camera_ros.select.exploration import Exploration, explore, explored, further_equations
-from rim_camera_ros.select.moved_poses import moved_beside_physics
+from rim_camera_ros.select.moved_poses import moved_given_physics
 
 from ..calibrate.helpers import camera, record, scene
 
@@ -132,7 +132,7 @@ def test_moved_poses_stand_out_beside_the_form_of_an_effect(tmp_path: Path) -> N
     _, result = beside_a_strange_emitter(tmp_path, STRANGE, growth=0.15, poses=(2, 9, 17))
     may = few_of(result.problem.dataset)
     assert may.most == 3
-    moved = moved_beside_physics(result.explorations[-1], may)
+    moved = moved_given_physics(result.explorations[-1], may)
     assert {2, 17} <= {pose for _, pose in (one.placement for one in moved)} <= {2, 9, 17}
     _, none = beside_a_strange_emitter(tmp_path, STRANGE, growth=0.15, poses=())
-    assert moved_beside_physics(none.explorations[-1], may) == []
+    assert moved_given_physics(none.explorations[-1], may) == []

@@ -176,11 +176,11 @@ def test_the_map_of_gains_is_what_pixels_have_beside_their_neighbours(tmp_path: 
     assert found is not None
     expected = own.copy()
     expected[1:-1, 1:-1] -= (own[:-2, 1:-1] + own[2:, 1:-1] + own[1:-1, :-2] + own[1:-1, 2:]) / 4
-    seen = np.isfinite(found.beside_neighbours)
+    seen = np.isfinite(found.relative_to_neighbours)
     assert seen.sum() > 500
     assert not seen[0].any()
-    assert np.std((found.beside_neighbours - expected)[seen]) < 0.012
-    assert np.corrcoef(found.beside_neighbours[seen], expected[seen])[0, 1] > 0.97
+    assert np.std((found.relative_to_neighbours - expected)[seen]) < 0.012
+    assert np.corrcoef(found.relative_to_neighbours[seen], expected[seen])[0, 1] > 0.97
 
 
 @pytest.mark.parametrize(

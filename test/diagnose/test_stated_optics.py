@@ -48,7 +48,7 @@ def test_a_surface_that_stands_elsewhere_comes_before_free_optics(
     told = replace(camera(tmp_path), covariance=stated)
     inputs: Any = Inputs(SimpleNamespace(notes=[]), scene(tmp_path), told)  # type: ignore[arg-type]
     data = record(told, scene(tmp_path), poses=2)
-    begin: Any = SimpleNamespace(dataset=data, problem=None, beside_second_camera=False, variance=None)
+    begin: Any = SimpleNamespace(dataset=data, problem=None, sees_second_camera=False, variance=None)
     fitted = SimpleNamespace(fit=SimpleNamespace(camera=told))
     result: Any = SimpleNamespace(explorations=[fitted], forget=lambda: None)
     there = Hypothesis(DEPTH, "wall", 90.0, 5.0, share=share or 0.0, against_physics=True)

@@ -207,11 +207,11 @@ def test_parameters_without_significance_are_left_out() -> None:
     lens = Optics(fx=199.9, fy=199.9, cx=90.0, cy=82.4, d=(-0.11, 0.0, 0.0, 0.0, 0.0))
     observations = seen(field(), stations(rng), rng, optics=lens)
     optics, covariance, report = estimate_optics(observations, start=replace(START, fy=205.0))
-    assert {name for one in report.left_out for name in one.parameters} == {"k3", "k2", "p1", "p2", "fy"}
-    assert [one.parameters for one in report.left_out].index(("k3",)) < [
-        one.parameters for one in report.left_out
+    assert {name for one in report.insignificant for name in one.parameters} == {"k3", "k2", "p1", "p2", "fy"}
+    assert [one.parameters for one in report.insignificant].index(("k3",)) < [
+        one.parameters for one in report.insignificant
     ].index(("k2",))
-    assert all(one.probability > 0.05 for one in report.left_out)
+    assert all(one.probability > 0.05 for one in report.insignificant)
     assert optics.d[1:] == (0.0, 0.0, 0.0, 0.0)
     assert optics.fy == pytest.approx(optics.fx, rel=1e-12)
     assert covariance.parameters == ("optics.fx", "optics.fy", "optics.cx", "optics.cy", "optics.d.0")
@@ -222,7 +222,7 @@ def test_parameters_without_significance_are_left_out() -> None:
         assert abs(value - true) < 3 * covariance.sigma(path)
     assert set(covariance.parameters) <= set(camera_numbers(camera(optics)))
     assert "no significant change: p1 and p2 (kept as given, F = " in report.text()
-    assert report.summary()["left_out"] == [name for one in report.left_out for name in one.parameters]
+    assert report.summary()["left_out"] == [name for one in report.insignificant for name in one.parameters]
 
 
 def test_a_lens_with_everything_keeps_everything() -> None:
@@ -230,7 +230,7 @@ def test_a_lens_with_everything_keeps_everything() -> None:
     lens = replace(SR3000, fy=203.4)
     observations = seen(field(), stations(rng), rng, sigma=0.01, optics=lens)
     optics, covariance, report = estimate_optics(observations, start=START)
-    assert report.left_out == ()
+    assert report.insignificant == ()
     assert np.abs((vector(optics) - vector(lens)) / np.sqrt(np.diag(covariance.matrix))).max() < 3.5
 
 

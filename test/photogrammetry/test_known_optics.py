@@ -29,7 +29,7 @@ def weak(seed: int, count: int = 4) -> Observations:
 
 def test_a_distortion_that_the_recording_does_not_tell_stays_as_it_is_known() -> None:
     optics, covariance, report = estimate_optics(weak(3), start=SR3000)
-    left = {name for group in report.left_out for name in group.parameters}
+    left = {name for group in report.insignificant for name in group.parameters}
     assert {"k2", "k3", "p1", "p2"} <= left
     for name in left - {"fy"}:
         i = OPTICS_PARAMETERS.index(name)
@@ -49,7 +49,7 @@ def test_a_covariance_is_knowledge_beside_the_recording() -> None:
     alone, own, report = estimate_optics(observations, start=start, significance=None)
     told = OpticsCovariance(OPTICS_PATHS, known)
     optics, covariance, both = estimate_optics(observations, start=start, known=told)
-    assert both.left_out == ()
+    assert both.insignificant == ()
     inverse = np.linalg.inv(own.matrix), np.linalg.inv(known)
     expected = np.linalg.inv(inverse[0] + inverse[1])
     mean = expected @ (inverse[0] @ vector(alone) + inverse[1] @ vector(start))

@@ -22,7 +22,7 @@ from rim_camera_ros.select.moved_poses import (
     MayHaveMoved,
     MovedPose,
     moved_before_physics,
-    moved_beside_physics,
+    moved_given_physics,
     moved_poses,
 )
 
@@ -126,4 +126,4 @@ def test_what_many_poses_show_beside_physics_is_physics(
 ) -> None:
     monkeypatch.setattr(module, "moved_poses", lambda *_, most, **__: POSES[:most])
     step: Any = SimpleNamespace(conditional=None)
-    assert moved_beside_physics(step, MayHaveMoved(most, 20.0)) == expected
+    assert moved_given_physics(step, MayHaveMoved(most, 20.0)) == expected
