@@ -201,7 +201,7 @@ def test_a_result_that_is_not_to_be_used_says_so_first() -> None:
         assert covariance.sigma(path) == pytest.approx(stated.sigma(path), rel=1e-3)
 
 
-def test_parameters_without_significance_are_left_out() -> None:
+def test_parameters_without_significance_are_not_estimated() -> None:
     """A lens with k1 only and square pixels."""
     rng = np.random.default_rng(13)
     lens = Optics(fx=199.9, fy=199.9, cx=90.0, cy=82.4, d=(-0.11, 0.0, 0.0, 0.0, 0.0))
@@ -234,7 +234,7 @@ def test_a_lens_with_everything_keeps_everything() -> None:
     assert np.abs((vector(optics) - vector(lens)) / np.sqrt(np.diag(covariance.matrix))).max() < 3.5
 
 
-def test_parameters_that_are_not_asked_for_stay() -> None:
+def test_parameters_that_are_not_requested_stay() -> None:
     rng = np.random.default_rng(15)
     observations = seen(field(), stations(rng), rng)
     start = replace(SR3000, fx=210.0, fy=210.0 * 1.001, cx=88.0)
@@ -313,7 +313,7 @@ def test_one_station() -> None:
         estimate_optics(only(lambda one: one.station == 3), start=START)
 
 
-def test_a_station_with_few_targets_is_left_out() -> None:
+def test_a_station_with_few_targets_is_excluded() -> None:
     kept = ("t11", "t12", "t21")
     _, _, report = estimate_optics(only(lambda one: one.station != 2 or one.target in kept), start=START)
     assert "station 2 excluded: 3 targets, at least 4 are needed" in report.notes
