@@ -93,8 +93,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(argv: list[str]) -> int:
     """Parse the command line, which imports the command, and do the work."""
-    if completion.asked_for():
-        named = completion.command_asked_for(COMMANDS)
+    if completion.requested():
+        named = completion.command_to_complete(COMMANDS)
         completion.complete(completion.parser_of_names(COMMANDS) if named is None else parser((named,)))
     command = argv[0] if argv and not argv[0].startswith("-") else None
     if command is not None and command not in COMMANDS:

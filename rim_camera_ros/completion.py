@@ -12,16 +12,16 @@ from collections.abc import Callable, Iterable
 from rim_camera_ros.errors import RimError
 
 #: Variable that argcomplete sets where the shell requests completions.
-_ASKED = "_ARGCOMPLETE"
+_VARIABLE = "_ARGCOMPLETE"
 Completer = Callable[..., Iterable[str]]
 
 
-def asked_for() -> bool:
+def requested() -> bool:
     """Whether this process was started to complete a command line, not to run it."""
-    return _ASKED in os.environ
+    return _VARIABLE in os.environ
 
 
-def command_asked_for(known: Iterable[str]) -> str | None:
+def command_to_complete(known: Iterable[str]) -> str | None:
     """Return the command in the line that is completed, None where there is none yet."""
     words = os.environ.get("COMP_LINE", "").split(" ")
     return next((one for one in known if [one] == words[1:2] and len(words) > 2), None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-#: Verdicts that name something that was left out.
+#: Verdicts that name something that was omitted.
 _NAMING = ("missing_physics", "unknown_physics")
 
 

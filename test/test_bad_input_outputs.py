@@ -91,7 +91,7 @@ def test_two_outputs_of_one_name(
     )  # fmt: skip
 
 
-def test_a_folder_that_may_not_be_written_to_is_told_before_the_work(
+def test_a_folder_that_may_not_be_written_to_is_reported_before_the_work(
     refused: Callable[..., None], tmp_path: Path, camera: Path, bag: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = os.open

@@ -38,8 +38,8 @@ def test_names_of_the_default_namespace() -> None:
         "depth": "/camera/depth/image_raw",
     }
     assert topics.truth("board") == "/ground_truth/board/pose"
-    assert topics.info_beside("distance") == "/camera/distance/camera_info"
-    assert topics.info_beside("depth") == "/camera/depth/camera_info"
+    assert topics.paired_info("distance") == "/camera/distance/camera_info"
+    assert topics.paired_info("depth") == "/camera/depth/camera_info"
     assert not set(RAW_ROLES) & {"truth", "truth_with_covariance"}
     assert topics.truth("board", role="truth_with_covariance") == "/ground_truth/board/pose_with_covariance"
 

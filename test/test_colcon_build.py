@@ -98,7 +98,7 @@ def test_every_file_is_shared(prefix: Path, folder: str) -> None:
 
 
 def test_every_module_is_installed(prefix: Path) -> None:
-    """A subpackage without __init__.py or a data file that package_data misses would be left out."""
+    """A subpackage without __init__.py or a data file that package_data misses would not be installed."""
     (installed,) = prefix.glob(f"lib/python3*/site-packages/{NAME}")
     assert sorted(sources(installed)) == sorted(sources(ROOT / NAME))
 

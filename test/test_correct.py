@@ -276,7 +276,7 @@ def test_images_of_another_sensor() -> None:
 
 
 def test_flags_of_single_pixels() -> None:
-    """1 low amplitude, 2 saturated, 16 no measurement; NaN in all three, and finite beside them."""
+    """1 low amplitude, 2 saturated, 16 no measurement; NaN in all three, and finite elsewhere."""
     cam = replace(camera(saturation=30000.0), minimum_amplitude=50.0)
     distance = np.full(cam.shape, 20000, np.uint16)
     amplitude = np.full(cam.shape, 900, np.uint16)

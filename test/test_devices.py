@@ -179,7 +179,7 @@ def test_closing_ends_the_wait_in_another_thread(camera: Camera) -> None:
     assert device.next_frame() is not None
 
 
-def test_scenes_that_cannot_be_simulated_are_told_on_opening(camera: Camera) -> None:
+def test_scenes_that_cannot_be_simulated_are_reported_on_opening(camera: Camera) -> None:
     with pytest.raises(InputError, match="no ray of the camera meets a surface"):
         Simulator(scene(z=-2.0), camera).open()
     nameless = Scene((Surface(name="board", type="plane", pose="truth"),))

@@ -176,7 +176,7 @@ def test_a_recording_that_begins_anew() -> None:
 
 
 class Camera:
-    """A device that delivers what it is told to: frames, None or errors."""
+    """A device that delivers what the test gives it: frames, None or errors."""
 
     frame_rate = 1.0
 
@@ -214,7 +214,7 @@ class Camera:
 
 
 class Log:
-    """A listener that writes down what it is told."""
+    """A listener that writes down what it receives."""
 
     def __init__(self, enough: int = 100) -> None:
         self.said: list[Any] = []

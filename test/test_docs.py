@@ -195,7 +195,7 @@ def test_every_page_is_reached_from_the_readme() -> None:
     assert sorted(str(one.relative_to(ROOT)) for one in set(PAGES) - reached if "docs" in one.parts) == []
 
 
-def test_what_only_pip_has_is_left_out_of_rosdep_and_installed_by_pip() -> None:
+def test_what_only_pip_has_is_skipped_by_rosdep_and_installed_by_pip() -> None:
     keys = re.findall(r"<exec_depend>(python3-(\w+)-pip)</exec_depend>", (ROOT / "package.xml").read_text())
     assert keys
     for page in ("README.md", "docs/nodes.md"):

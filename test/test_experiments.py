@@ -68,7 +68,7 @@ def gon(pose: Pose) -> float:
 # --- all of them ----------------------------------------------------------------------------------
 
 
-def test_experiments_are_found_by_name_beside_the_other_scenes() -> None:
+def test_experiments_are_found_by_name_as_the_other_scenes_are() -> None:
     others = {one.stem for one in (share_folder() / "config").glob("*.yaml")}
     assert not others & set(NAMES)
     assert set(NAMES) | {"wall", "room"} <= set(shipped("config"))

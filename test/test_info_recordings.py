@@ -1,4 +1,4 @@
-"""``rim info`` of recordings: what is computed, and what is told of recordings that are not whole."""
+"""``rim info`` of recordings: what is computed, and what is reported of recordings that are not whole."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_distances_that_wrap_are_not_noise(
     assert row["sigma"] == pytest.approx(20.0 * LSB, rel=0.05)
 
 
-def test_a_scene_that_moves_is_told(
+def test_a_scene_that_moves_is_reported(
     capsys: Capture, facts: Callable[..., dict[str, Any]], tmp_path: Path, camera: Path
 ) -> None:
     bag = write_bag(tmp_path / "bag", list(noisy(30, sigma=10.0, amplitude=500, speed=40.0)))
@@ -193,7 +193,7 @@ def test_frames_in_groups_are_none_that_are_missing(
     assert "are missing" not in text
 
 
-def test_a_camera_of_another_modulation_is_told(capsys: Capture, tmp_path: Path, camera: Path) -> None:
+def test_a_camera_of_another_modulation_is_reported(capsys: Capture, tmp_path: Path, camera: Path) -> None:
     bag = write_bag(tmp_path / "bag", [raw_frame(10**9, modulation_frequency=30e6)])
     status, out, _ = run(capsys, "info", bag, "--camera", camera)
     assert status == 0
@@ -224,7 +224,7 @@ def test_a_corrected_recording(
     assert "corrected frames, no raw ones" in run(capsys, "info", out)[1]
 
 
-def test_a_truncated_recording_is_told_as_far_as_it_goes(capsys: Capture, tmp_path: Path) -> None:
+def test_a_truncated_recording_is_reported_as_far_as_it_goes(capsys: Capture, tmp_path: Path) -> None:
     frames = list(noisy(40, sigma=5.0, amplitude=700, shape=(72, 88)))
     whole = next(write_bag(tmp_path / "bag", frames).glob("*.mcap")).read_bytes()
     cut = tmp_path / "cut.mcap"

@@ -255,7 +255,7 @@ def test_noise_that_is_not_the_stated_one_is_found_out(ratio: float) -> None:
 
 
 def test_a_message_that_is_seen_again_tells_nothing_new() -> None:
-    """A topic at 1 Hz beside frames at 25 Hz: the result is that of 1 Hz."""
+    """A topic at 1 Hz with frames at 25 Hz: the result is that of 1 Hz."""
     rng = np.random.default_rng(6)
     slow = np.arange(0, 600, 1.0)
     readings = NOMINAL + SIGMA * rng.standard_normal(len(slow))

@@ -74,9 +74,9 @@ def test_the_wheel_holds_what_the_program_reads(environment: Path) -> None:
 
 def test_rim_simulates_and_corrects(environment: Path) -> None:
     assert sys.version_info[:2] >= (3, 12)
-    told = rim(environment, "info", "sr3000")
-    assert "SR-3000" in told
-    assert "176 x 144" in told
+    output = rim(environment, "info", "sr3000")
+    assert "SR-3000" in output
+    assert "176 x 144" in output
     rim(environment, "simulate", "wall", "--camera", "sr3000", "--frames", "3", "--out", "bag")
     assert "3 frames" in rim(environment, "info", "bag")
     rim(environment, "correct", "bag", "--camera", "sr3000", "--out", "corrected", "--ply", "cloud.ply")

@@ -285,7 +285,7 @@ def integration_times():
     made = Experiment(
         """
 Integration times (Kahlmann 2007, sec. 3.3.2): a board of 1.0 x 0.8 m with grey fields at 1.3, 2.2 and 3.6 m; at each the settings 16, 60, 100, 100,
-60, 16, so that a slow drift cancels, and many amplitudes at each setting, so that an offset of the setting is told from that
+60, 16, so that a slow drift cancels, and many amplitudes at each setting, so that an offset of the setting is distinguished from that
 of the amplitude. Determines: integration_time_offset, amplitude_offset, noise.
 """,
         [

@@ -21,7 +21,7 @@ UNDO = {
     "exact": "exactly, from one frame",
     "planes": "on planes, from one frame: the normals come from the frame itself",
     "partial": "as far as one frame tells",
-    "none": "not from one frame: pixels are flagged where they can be told, the rest stays",
+    "none": "not from one frame: pixels are flagged where they can be detected, the rest stays",
 }
 
 ADDING = """## Adding one

@@ -220,7 +220,7 @@ class Topics:
         """Roles that make up or accompany a raw frame, other than poses."""
         return tuple(role for role in self.roles if role in {*RAW_ROLES, *FURTHER_IMAGES, *SAMPLES})
 
-    def info_beside(self, role: str) -> str:
+    def paired_info(self, role: str) -> str:
         """Return the camera_info topic that image_transport pairs with the role's image."""
         return self[role].rpartition("/")[0] + "/camera_info"
 
@@ -257,7 +257,7 @@ def resolve(topics: Topics, types: Mapping[str, str]) -> tuple[Topics, list[str]
             assumptions.append(f"{found[0]} is the amplitude{eight}, as a ROS 1 SwissRanger driver names it")
     topics = replace(topics, overrides=overrides)
     if "camera_info" not in overrides and topics["camera_info"] not in types:
-        paired = topics.info_beside("distance")
+        paired = topics.paired_info("distance")
         if paired in types and paired not in overrides.values():
             topics = replace(topics, overrides={**overrides, "camera_info": paired})
     return topics, assumptions

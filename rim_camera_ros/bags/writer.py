@@ -222,7 +222,7 @@ class RecordingWriter:
                 self._write_role(role, stamp, make(value, stamp, self.frame_id))
 
     def _write_intrinsics(self, intrinsics: Intrinsics, stamp: int, roles: tuple[str, ...]) -> None:
-        topics = (self.topics["camera_info"], *(self.topics.info_beside(role) for role in roles))
+        topics = (self.topics["camera_info"], *(self.topics.paired_info(role) for role in roles))
         for topic in dict.fromkeys(topics):
             if self._once(topic):
                 message = messages.camera_info_message(intrinsics, stamp, self.frame_id)

@@ -32,7 +32,7 @@ Array = NDArray[Any]
 FAR_POSE = 0.3
 WHOLE_SCENE = 0.8
 #: Share of the poses that may be excluded before the scene is refused.
-MOST_LEFT_OUT = 0.2
+MOST_EXCLUDED = 0.2
 #: Spread of the distances that a pixel sees over the poses [m], below which they are all the same.
 LEAST_DEPTH = 0.05
 #: Changes of a surface's recorded pose up to which it counts as fixed: [m], and of its normal [rad].
@@ -213,10 +213,10 @@ def with_plausible_poses(dataset: Dataset, scene: Scene, camera: Camera, tick: C
     off = np.where(np.abs(off) > np.abs(value - centre), value - centre, off)
     far = np.abs(off) > FAR_POSE
     if far.any():
-        off = _beside_amplitudes(setting, value, np.array([one[3] for one in found]), off)
+        off = _deviations_given_amplitudes(setting, value, np.array([one[3] for one in found]), off)
         far = np.abs(off) > FAR_POSE
     if far.any():
-        predicted = _beside_predictions(dataset, scene, camera, tick)
+        predicted = _deviations_given_camera(dataset, scene, camera, tick)
         rest = np.array([predicted.get((one[0], one[4]), 0.0) for one in found])
         off = np.where(np.abs(rest) < np.abs(off), rest, off)
         far = np.abs(off) > FAR_POSE
@@ -232,7 +232,7 @@ def with_plausible_poses(dataset: Dataset, scene: Scene, camera: Camera, tick: C
     more = f" and {int(far.sum()) - _NAMED} more" if far.sum() > _NAMED else ""
     which = "; ".join(named) + more
     file = dataset.files[next(iter(left))] if dataset.files else None
-    if len(bad) > max(1, MOST_LEFT_OUT * dataset.poses) or len(bad) == dataset.poses:
+    if len(bad) > max(1, MOST_EXCLUDED * dataset.poses) or len(bad) == dataset.poses:
         raise InputError(
             f"{len(bad)} of {dataset.poses} poses are off from what was recorded: {which}",
             file=file,
@@ -247,7 +247,7 @@ def with_plausible_poses(dataset: Dataset, scene: Scene, camera: Camera, tick: C
     )
 
 
-def _beside_amplitudes(setting: Array, value: Array, amplitude: Array, off: Array) -> Array:
+def _deviations_given_amplitudes(setting: Array, value: Array, amplitude: Array, off: Array) -> Array:
     """Return the deviations of poses, or those from a line over the inverse of the amplitude where smaller.
 
     The line of each setting is Siegel's, for which up to half of the poses may be outliers. Deviations of
@@ -266,7 +266,7 @@ def _beside_amplitudes(setting: Array, value: Array, amplitude: Array, off: Arra
     return result
 
 
-def _beside_predictions(
+def _deviations_given_camera(
     dataset: Dataset, scene: Scene, camera: Camera, tick: Callable[[], None]
 ) -> dict[tuple[int, str], float]:
     """Return the median residual [m] of each station and surface by the camera file, less that of all.

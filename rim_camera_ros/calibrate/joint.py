@@ -52,7 +52,7 @@ Key = tuple[int, int]
 MOST_VALUES = 3_000_000
 #: Reasons to keep an effect as in the file: the recordings do not determine it, or it was not requested.
 _KEPT_UNDETERMINED = "as in the file: these recordings do not determine it"
-_KEPT_UNASKED = "as in the file: not among --effects"
+_KEPT_NOT_REQUESTED = "as in the file: not among --effects"
 _LAMBERT = (
     "the surfaces do not reflect as Lambert says: their light over the angle of incidence is fitted as a "
     "curve, "
@@ -166,7 +166,7 @@ def exactly(
     camera, unseen = _with_absent(
         problem, camera if begin is None else begin, facts, names, folds, views, say
     )
-    kept = {name: _KEPT_UNASKED for name in camera.effects if name not in names and _is_fitted(name)}
+    kept = {name: _KEPT_NOT_REQUESTED for name in camera.effects if name not in names and _is_fitted(name)}
     pool = [
         candidate for candidate in candidates(camera, facts) if candidate.effect not in (*geometry, *unseen)
     ]

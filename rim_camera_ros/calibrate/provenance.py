@@ -61,13 +61,13 @@ def provenance(
     camera: str,
     scene: str | None,
     fitted: Sequence[str],
-    left_out: Mapping[str, str],
+    not_fitted: Mapping[str, str],
     accuracy: Mapping[str, Any],
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the section ``provenance`` of a calibrated camera file, plain data.
 
-    ``left_out`` states for each effect why it is not among the ``fitted``.
+    ``not_fitted`` states for each effect why it is not among the ``fitted``.
     """
     found: dict[str, Any] = {
         "program": f"rim_camera_ros {__version__}",
@@ -82,7 +82,7 @@ def provenance(
         for source in sources
     ]
     found["fitted"] = list(fitted)
-    found["left_out"] = dict(left_out)
+    found["left_out"] = dict(not_fitted)
     found["accuracy"] = dict(accuracy)
     if notes:
         found["notes"] = list(notes)

@@ -265,7 +265,7 @@ def _finished(
             camera=request.camera_name,
             scene=request.scene_name,
             fitted=[_INTEGRAL] if only_integral else sorted({_owner(path) for path in paths}),
-            left_out={status.effect: status.text for status in statuses if status.status != "fitted"},
+            not_fitted={status.effect: status.text for status in statuses if status.status != "fitted"},
             accuracy=_stated_accuracy(by_table, None)
             if only_integral and by_table
             else _stated_accuracy(accuracy, solution),

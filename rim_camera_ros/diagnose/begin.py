@@ -95,7 +95,7 @@ class Begun:
     seed: int
 
     @property
-    def beside_second_camera(self) -> bool:
+    def sees_second_camera(self) -> bool:
         """Whether there is light of a second camera: many effects can imitate its pattern and phase."""
         return self.variance.pixels_vary_together
 
@@ -115,7 +115,7 @@ class Begun:
         In none where another simulation is compared, which has the same poses; with the light of a second
         camera, which can look like anything; or where first frames differ, which are in the means of poses.
         """
-        nothing = self.beside_second_camera or self.variance.begins or inputs.against is not None
+        nothing = self.sees_second_camera or self.variance.begins or inputs.against is not None
         return NONE_MOVED if nothing else few_of(self.dataset)
 
 
@@ -161,7 +161,7 @@ def begun(inputs: Inputs) -> Begun:
 def searched(inputs: Inputs, begin: Begun) -> Result | None:
     """Return the result of a search for missing physics; None where nothing can be fitted."""
     smooth = [] if begin.one_pose else [*single_terms(begin.samples), *gradient_terms(begin.samples)]
-    nothing = begin.beside_second_camera or (begin.one_pose and len(begin.dataset.stations) < 2)
+    nothing = begin.sees_second_camera or (begin.one_pose and len(begin.dataset.stations) < 2)
     try:
         return search(
             begin.problem,

@@ -60,14 +60,14 @@ def compare_setups(dataset: Dataset, scene: Scene, camera: Camera) -> list[Hypot
     if near is not None and near.at is not None:
         around = refined(near.at, near, lambda trials: _compared(trials, files, given, poses, views))
         best = _best_of_each([*best, *around])
-    board = _board_beside(best)
+    board = _board_of_other_size(best)
     if board is not None:
         other = of_any_sides(files, board, lambda trials: _compared(trials, files, given, poses, views))
         best = _best_of_each([other, *best])
     return by_gain(_decided(best, dataset, scene, camera))
 
 
-def _board_beside(best: Sequence[Hypothesis]) -> Hypothesis | None:
+def _board_of_other_size(best: Sequence[Hypothesis]) -> Hypothesis | None:
     """Return the board of another size for a leader whose other pattern explains too little, or None."""
     leader = best[0]
     if not leader.is_better or leader.wins or not leader.is_repainted:

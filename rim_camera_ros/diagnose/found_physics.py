@@ -27,7 +27,7 @@ from rim_camera_ros.select.exploration import Exploration
 
 #: Ratio of the gain of a term outside the vocabulary to that of the named ones above which it replaces them.
 _BEYOND_NAMED = 1.2
-_BESIDE_A_SECOND_CAMERA = (
+_LIGHT_OF_SECOND_CAMERA = (
     "there is light of a second camera: nothing else can be determined; record with it switched off"
 )
 
@@ -91,12 +91,12 @@ def physics_of(inputs: Inputs, begin: Begun, result: Result) -> FoundPhysics:
     Raises `RimError`, or numpy's LinAlgError, where unknown physics cannot be described.
     """
     dataset, camera = begin.dataset, inputs.camera
-    if begin.beside_second_camera:
-        dataset = replace(dataset, notes=[*dataset.notes, _BESIDE_A_SECOND_CAMERA])
+    if begin.sees_second_camera:
+        dataset = replace(dataset, notes=[*dataset.notes, _LIGHT_OF_SECOND_CAMERA])
     inputs.say("looking for what no named effect explains")
-    nothing = begin.beside_second_camera or begin.one_pose or bool(result.moved)
+    nothing = begin.sees_second_camera or begin.one_pose or bool(result.moved)
     rest = None if nothing else best_rest(result, begin.samples, inputs.seed)
-    variance = _variance_beside(result.explorations[-1].fit, camera)
+    variance = _variance_given_response(result.explorations[-1].fit, camera)
     noise = camera.noise.floor / camera.sensor.lsb
     codes = missing_codes(dataset.codes, noise=noise)
     if codes is not None and codes.is_fine_grid(noise):
@@ -108,7 +108,7 @@ def physics_of(inputs: Inputs, begin: Begun, result: Result) -> FoundPhysics:
     return FoundPhysics(result, dataset, rest, described, variance, codes)
 
 
-def _variance_beside(fitted: Fit, camera: Camera) -> Variance:
+def _variance_given_response(fitted: Fit, camera: Camera) -> Variance:
     """Return the evidence of repeated frames, given the response of the camera that a fit found."""
     variance = examine_variance(fitted.forward)
     responds = response_of(fitted.camera) is not None and response_of(camera) is None

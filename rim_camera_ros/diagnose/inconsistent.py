@@ -18,7 +18,7 @@ from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.evidence import folds_of
 from rim_camera_ros.select.exploration import explore
-from rim_camera_ros.select.moved_poses import moved_beside_physics
+from rim_camera_ros.select.moved_poses import moved_given_physics
 
 
 def with_setups(diagnosis: Diagnosis, setups: list[Hypothesis]) -> Diagnosis:
@@ -90,7 +90,7 @@ def hopeless(
     frozen = replace(problem, effects=(), gain=False, robust=False)
     folds = folds_of(problem.dataset)
     step = explore(frozen, camera, [], folds, replicates=0, iterations=0, seed=seed)
-    moved = moved_beside_physics(step, few_of(problem.dataset))
+    moved = moved_given_physics(step, few_of(problem.dataset))
     setup = check_setup(step.fit, moved=moved)
     reason = (
         reason

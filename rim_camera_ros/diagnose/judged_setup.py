@@ -26,7 +26,7 @@ from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.select.candidates import SHARE
 from rim_camera_ros.select.compare import Result
-from rim_camera_ros.select.moved_poses import moved_beside_physics, total_gain
+from rim_camera_ros.select.moved_poses import moved_given_physics, total_gain
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def judged_setup(inputs: Inputs, begin: Begun, found: FoundPhysics, setups: list
     if not moved and found.described is None:
         disputed = disputed_effect(result)
         extra = [] if disputed is None else found.final.spans[disputed]
-        moved = moved_beside_physics(found.final, begin.may_have_moved(inputs), extra=extra)
+        moved = moved_given_physics(found.final, begin.may_have_moved(inputs), extra=extra)
         form_size = SHARE * found.final.conditional.relative_size(extra)
     setup = check_setup(
         conditional,
@@ -68,7 +68,7 @@ def judged_setup(inputs: Inputs, begin: Begun, found: FoundPhysics, setups: list
     setups, winner = held_against(setups, problem, camera, found=best_fit.camera)
     reason = setup.reason if winner is None else winner.reason
     something = bool(result.found) or found.rest is not None
-    if reason is None and inputs.against is None and not begin.beside_second_camera and something:
+    if reason is None and inputs.against is None and not begin.sees_second_camera and something:
         elsewhere, setups = surface_elsewhere(result, best_fit, problem, camera, setups, inputs.say)
         reason = None if elsewhere is None else elsewhere.reason
     if reason is None and found.described is None:

@@ -37,7 +37,7 @@ class Proposal:
     gain: float
 
 
-def told_apart(
+def distinguishing_experiments(
     step: Exploration,
     effects: Sequence[str],
     scenes: Mapping[str, Scene],

@@ -88,7 +88,7 @@ def with_variance(
     return verdict, missing, model
 
 
-def beside_unknown(
+def separate_unknown(
     missing: Sequence[Missing], camera: Camera
 ) -> tuple[list[Missing], list[Adjusted], list[str]]:
     """Return unknown physics alone, another noise as adjusted, and notes on the other entries.

@@ -31,14 +31,15 @@ class GainSpread:
     """1-sigma of the gains of neighbouring pixels: ``found``, its lower limit ``least``, and ``stated``.
 
     ``lines`` is the lower limit of the 1-sigma of gains that whole rows or columns share, apart from the mean
-    of their pixels' own gains. ``beside_neighbours`` (H, W) is by how much each pixel is brighter than the
-    mean of its four neighbours [relative], as a mean over the poses; NaN where less than two poses show it.
+    of their pixels' own gains. ``relative_to_neighbours`` (H, W) is by how much each pixel is brighter than
+    the mean of its four neighbours [relative], as a mean over the poses; NaN where less than two poses show
+    it.
     """
 
     found: float
     least: float
     stated: float
-    beside_neighbours: Array = field(repr=False, compare=False)
+    relative_to_neighbours: Array = field(repr=False, compare=False)
     lines: float = 0.0
 
     @property
@@ -76,7 +77,7 @@ def spread_of_gains(fitted: Fit) -> GainSpread | None:
         apart, count = placed.setdefault(
             (prediction.station.recording, prediction.station.placed), (np.zeros(shape), np.zeros(shape))
         )
-        own = _beside_neighbours(light, prediction.view.geometry.tile)
+        own = _relative_to_neighbours(light, prediction.view.geometry.tile)
         seen = np.isfinite(own)
         apart[seen] += own[seen]
         count += seen
@@ -143,7 +144,7 @@ def _mean_product(products: Array, pairs: Array) -> tuple[float, float]:
     return mean, mean - PAIRED_ERRORS * error
 
 
-def _beside_neighbours(image: Array, tile: Array) -> Array:
+def _relative_to_neighbours(image: Array, tile: Array) -> Array:
     """Return an image less the mean of its four neighbours (H, W), NaN where they see another tile."""
     result = np.full(image.shape, np.nan)
     inner = (slice(1, -1), slice(1, -1))

@@ -123,7 +123,7 @@ def _without_stated_optics(
     fitted = result.explorations[-1].fit
     # another board than the stated one moves the optics by hundreds of sigmas
     setups, other = held_against(setups, problem, camera, found=fitted.camera)
-    if other is None and inputs.against is None and not begin.beside_second_camera:
+    if other is None and inputs.against is None and not begin.sees_second_camera:
         # so does a displaced surface, if it explains most; otherwise free optics may reveal physics
         surface, further = surface_elsewhere(result, fitted, problem, camera, setups, inputs.say)
         if surface is not None and surface.wins:
@@ -153,7 +153,7 @@ def _once_more(
         found.result.forget()
         kept = judged.without_bad_poses(begin.problem.dataset)
         return _diagnosed(replace(inputs, dataset=kept, setups=None, spare=spare - bad))
-    explains = found.is_modelled and not begin.beside_second_camera
+    explains = found.is_modelled and not begin.sees_second_camera
     if inputs.correlated_error or judged.winner is not None or not (judged.reason is not None or explains):
         return None
     size = likely_correlated_error(begin.problem, found.best_fit)

@@ -12,7 +12,7 @@ from rim_camera_ros.effects.candidate import Facts
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Problem
-from rim_camera_ros.select.moved_poses import moved_beside_physics
+from rim_camera_ros.select.moved_poses import moved_given_physics
 from rim_camera_ros.select.search import search
 
 
@@ -38,7 +38,7 @@ def left_by_chance(files: Files, *, seed: int, threads: int) -> float | None:
             views=forward.views,
         ).explorations[0]
         beyond = (
-            check_setup(step.fit, moved=moved_beside_physics(step, few_of(dataset))).reason
+            check_setup(step.fit, moved=moved_given_physics(step, few_of(dataset))).reason
             or reflectivities_beyond(step.fit, scene)
             or common_pose_beyond(step.fit, camera)
             or (None if camera.covariance is None else optics_beyond(step.fit))

@@ -14,7 +14,7 @@ from rim_camera_ros.diagnose.adjusted import Adjusted, adjusted_terms, beyond_fi
 from rim_camera_ros.diagnose.described import of_correlated_errors, unexplained
 from rim_camera_ros.diagnose.found_physics import FoundPhysics
 from rim_camera_ros.diagnose.intervals import distances_known_to, intervals_of, uncertainty_of
-from rim_camera_ros.diagnose.menu import recommended, told_apart
+from rim_camera_ros.diagnose.menu import distinguishing_experiments, recommended
 from rim_camera_ros.diagnose.naming import (
     first_frames,
     large_gains,
@@ -27,7 +27,7 @@ from rim_camera_ros.diagnose.naming import (
     unseen_effects,
     with_unknown,
 )
-from rim_camera_ros.diagnose.noise_verdict import OF_NOISE, beside_unknown, with_variance
+from rim_camera_ros.diagnose.noise_verdict import OF_NOISE, separate_unknown, with_variance
 from rim_camera_ros.diagnose.pixel_gains import GainSpread
 from rim_camera_ros.diagnose.result import Diagnosis, Missing, Ranked
 from rim_camera_ros.diagnose.second_camera import second_camera, with_second_camera
@@ -64,9 +64,9 @@ _LITTLE = (
     "{0} would explain {1.explained:.0%} of what does not fit (chi-square of all errors of held-out poses "
     "{1.judged[0]:.3g} -> {1.judged[1]:.3g}): most of what is missing is something else"
 )
-_BESIDE_LARGE_GAINS = "not named, as light that goes from pixel to pixel may look like it"
-_BESIDE_FIRST_FRAMES = "not named, as the means of first frames that differ may look like it"
-_BESIDE_CODES = "not named, as missing counts may look like it; mend those first"
+_NOT_NAMED_GIVEN_LARGE_GAINS = "not named, as light that goes from pixel to pixel may look like it"
+_NOT_NAMED_GIVEN_FIRST_FRAMES = "not named, as the means of first frames that differ may look like it"
+_NOT_NAMED_GIVEN_CODES = "not named, as missing counts may look like it; mend those first"
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def verdict_of(found: Findings, say: Callable[[str], None]) -> Diagnosis:
         names = sorted({finding.effect, *finding.ties})
         if finding.ties and names in draft.ties:
             at = found.result.explorations[finding.step]
-            proposals = told_apart(at, names, shipped_experiments(), progress=say)
+            proposals = distinguishing_experiments(at, names, shipped_experiments(), progress=say)
             advice[tuple(names)] = recommended(proposals, threshold=at.threshold)
     unknown = found.described if draft.verdict == "unknown_physics" else None
     table = None if unknown is None else unknown.fit
@@ -300,7 +300,7 @@ def _of_variance(draft: _Draft, found: Findings) -> None:
 def _unknown_alone(draft: _Draft, found: Findings) -> None:
     """With unknown physics, name nothing else as missing."""
     if draft.verdict == "unknown_physics":
-        draft.missing, further, notes = beside_unknown(draft.missing, found.camera)
+        draft.missing, further, notes = separate_unknown(draft.missing, found.camera)
         draft.adjusted, draft.notes = [*draft.adjusted, *further], [*draft.notes, *notes]
 
 
@@ -313,7 +313,7 @@ def _first_frames(draft: _Draft, found: Findings) -> None:
     draft.missing, draft.model = [first_frames()], found.camera
     draft.where = of_residuals(found.baseline.fit)
     if names:
-        draft.notes.append(f"{_BESIDE_FIRST_FRAMES}: {', '.join(names)}")
+        draft.notes.append(f"{_NOT_NAMED_GIVEN_FIRST_FRAMES}: {', '.join(names)}")
 
 
 def _large_gains(draft: _Draft, found: Findings) -> None:
@@ -333,13 +333,13 @@ def _large_gains(draft: _Draft, found: Findings) -> None:
         return
     draft.verdict, draft.missing, draft.model = "unknown_physics", [said], found.camera
     draft.adjusted, draft.ties = [], []
-    brighter = found.gains.beside_neighbours
+    brighter = found.gains.relative_to_neighbours
     # noise is circular in the complex plane: a relative amplitude corresponds to a phase, and so to metres
     draft.where = of_values(
         found.baseline.fit, lambda predicted: brighter * (predicted.context.ambiguity / (2 * np.pi))
     )
     if names:
-        draft.notes.append(f"{_BESIDE_LARGE_GAINS}: {', '.join(names)}")
+        draft.notes.append(f"{_NOT_NAMED_GIVEN_LARGE_GAINS}: {', '.join(names)}")
 
 
 def _codes_first(draft: _Draft, found: Findings) -> None:
@@ -351,4 +351,4 @@ def _codes_first(draft: _Draft, found: Findings) -> None:
     draft.missing = [missing_codes_of(found.codes, found.camera)]
     draft.model, draft.where = found.camera, of_residuals(found.fitted)
     if names:
-        draft.notes.append(f"{_BESIDE_CODES}: {', '.join(names)}")
+        draft.notes.append(f"{_NOT_NAMED_GIVEN_CODES}: {', '.join(names)}")

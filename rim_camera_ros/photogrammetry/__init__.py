@@ -10,7 +10,12 @@ from rim_camera_ros.photogrammetry.circles import Ellipse, find_circles
 from rim_camera_ros.photogrammetry.estimate import estimate_optics
 from rim_camera_ros.photogrammetry.observe import observe
 from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS, ellipse_centre_offset
-from rim_camera_ros.photogrammetry.report import LeftOut, OpticsCovariance, OpticsReport, RejectedPoint
+from rim_camera_ros.photogrammetry.report import (
+    InsignificantParameters,
+    OpticsCovariance,
+    OpticsReport,
+    RejectedPoint,
+)
 from rim_camera_ros.photogrammetry.targets import Distance, ImagePoint, Observations, Target, TargetField
 
 __all__ = [
@@ -19,7 +24,7 @@ __all__ = [
     "Distance",
     "Ellipse",
     "ImagePoint",
-    "LeftOut",
+    "InsignificantParameters",
     "Observations",
     "OpticsCovariance",
     "OpticsReport",

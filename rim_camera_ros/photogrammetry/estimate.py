@@ -24,7 +24,12 @@ from rim_camera_ros.photogrammetry.checks import (
 )
 from rim_camera_ros.photogrammetry.known_optics import departure_note, prior_of
 from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS, optics_of, optics_vector
-from rim_camera_ros.photogrammetry.report import LeftOut, OpticsCovariance, OpticsReport, RejectedPoint
+from rim_camera_ros.photogrammetry.report import (
+    InsignificantParameters,
+    OpticsCovariance,
+    OpticsReport,
+    RejectedPoint,
+)
 from rim_camera_ros.photogrammetry.significance import least_significant, returned
 from rim_camera_ros.photogrammetry.summarise import Labels, correlation_of, covariance_of, report_on
 from rim_camera_ros.photogrammetry.targets import Distance, ImagePoint, Observations
@@ -100,9 +105,9 @@ def estimate_optics(
         scaled = replace(prior, root=adjusted.sigma_zero * prior.root)
         block = replace(block, bundle=replace(block.bundle, prior=scaled))
         adjusted = _adjusted(block, adjusted.state, estimated, "squared")
-    left_out: list[LeftOut] = []
+    insignificant: list[InsignificantParameters] = []
     while significance is not None and (group := least_significant(adjusted, start, significance, before)):
-        left_out.append(group)
+        insignificant.append(group)
         estimated = tuple(name for name in estimated if name not in group.parameters)
         adjusted = _adjusted(block, returned(adjusted.state, group.parameters, start), estimated, "squared")
     check_directions(adjusted.state.targets, adjusted.state.rotations)
@@ -118,7 +123,7 @@ def estimate_optics(
         points=block.points,
         stations=block.stations,
         names=block.names,
-        left_out=tuple(left_out),
+        insignificant=tuple(insignificant),
         rejected=tuple(rejected),
         doubts=doubts(len(rejected), len(block.points), adjusted.sigma_zero),
         notes=notes,

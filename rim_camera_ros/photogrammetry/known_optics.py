@@ -24,7 +24,7 @@ _FLATTEST = 1e-6
 #: Departures from the stated optics are noted where their probability by chance is below this.
 _SURPRISE = 1e-3
 #: Directions count in that test if the observations reduce their prior variance at least by this share.
-_LEAST_TOLD = 1e-3
+_LEAST_REDUCTION = 1e-3
 
 
 def stated_optics(camera: Camera) -> OpticsCovariance | None:
@@ -70,7 +70,7 @@ def departure_note(optics: Array, covariance: OpticsCovariance, prior: Prior) ->
     at = [OPTICS_PATHS.index(path) for path in covariance.parameters]
     root = prior.root[:, at]
     left, directions = np.linalg.eigh(root @ covariance.matrix @ root.T)
-    informed = left < 1 - _LEAST_TOLD
+    informed = left < 1 - _LEAST_REDUCTION
     departures = directions.T @ prior.root @ (optics - prior.mean)
     square, count = float(np.sum(departures[informed] ** 2 / (1 - left[informed]))), int(informed.sum())
     if not count or square <= chi2.isf(_SURPRISE, count):

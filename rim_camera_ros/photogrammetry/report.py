@@ -35,7 +35,7 @@ class OpticsCovariance:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class InsignificantParameters:
     """Parameters without a significant departure from the start, with F of the test and its probability."""
 
     parameters: tuple[str, ...]
@@ -76,7 +76,7 @@ class OpticsReport:
     station_rms: Mapping[int, float]
     correlations: tuple[tuple[str, str, float], ...]
     pose_correlations: tuple[tuple[str, str, float], ...]
-    left_out: tuple[LeftOut, ...]
+    insignificant: tuple[InsignificantParameters, ...]
     rejected: tuple[RejectedPoint, ...]
     poses: Mapping[int, Pose]
     targets: Mapping[str, tuple[float, float, float]]
@@ -97,7 +97,7 @@ class OpticsReport:
             lines.append(
                 f"  {name:<3} {value:>14.8g}  " + (f"+- {sigma:.2g}" if sigma is not None else "held")
             )
-        for left in self.left_out:
+        for left in self.insignificant:
             names = " and ".join(left.parameters)
             what = f"kept as given, F = {left.statistic:.2f}, probability {left.probability:.2f}"
             lines.append(f"  no significant change: {names} ({what})")
@@ -122,7 +122,7 @@ class OpticsReport:
             "sigma_zero": self.sigma_zero,
             "residual_rms_px": self.residual_rms,
             "sigmas": dict(self.sigmas),
-            "left_out": [name for one in self.left_out for name in one.parameters],
+            "left_out": [name for one in self.insignificant for name in one.parameters],
             "correlations": [f"{one} - {other}: {value:+.3f}" for one, other, value in self.correlations],
             "rejected": len(self.rejected),
             "region": list(self.region),

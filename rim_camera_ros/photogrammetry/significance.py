@@ -10,7 +10,7 @@ from scipy.special import fdtrc
 from rim_camera_ros.optics import Optics
 from rim_camera_ros.photogrammetry.bundle import Adjusted, State
 from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS, optics_vector
-from rim_camera_ros.photogrammetry.report import LeftOut
+from rim_camera_ros.photogrammetry.report import InsignificantParameters
 
 
 def _groups(estimated: Sequence[str]) -> list[tuple[str, ...]]:
@@ -33,7 +33,7 @@ def _groups(estimated: Sequence[str]) -> list[tuple[str, ...]]:
 
 def least_significant(
     adjusted: Adjusted, start: Optics, significance: float, known: Sequence[str] = ()
-) -> LeftOut | None:
+) -> InsignificantParameters | None:
     """Return the group whose departure from ``start`` is least significant; None if all are significant.
 
     Its probability by chance exceeds ``significance``.
@@ -50,7 +50,7 @@ def least_significant(
         optics = adjusted.state.optics
         transfer[i, j] = optics[1] / optics[0] - start.fy / start.fx
     covariance = transfer @ adjusted.optics_covariance @ transfer.T
-    worst: LeftOut | None = None
+    worst: InsignificantParameters | None = None
     for group in _groups([name for name in adjusted.estimated if name not in known]):
         where = [adjusted.estimated.index(name) for name in group]
         value = np.array([values[name] for name in group])
@@ -58,7 +58,7 @@ def least_significant(
         statistic = float(value @ weight) / len(group)
         probability = float(fdtrc(len(group), max(adjusted.redundancy, 1), statistic))
         if probability > significance and (worst is None or probability > worst.probability):
-            worst = LeftOut(group, statistic, probability)
+            worst = InsignificantParameters(group, statistic, probability)
     return worst
 
 

@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.photogrammetry.bundle import Adjusted
 from rim_camera_ros.photogrammetry.projection import OPTICS_PARAMETERS, OPTICS_PATHS
-from rim_camera_ros.photogrammetry.report import LeftOut, OpticsCovariance, OpticsReport, RejectedPoint
+from rim_camera_ros.photogrammetry.report import (
+    InsignificantParameters,
+    OpticsCovariance,
+    OpticsReport,
+    RejectedPoint,
+)
 from rim_camera_ros.photogrammetry.targets import ImagePoint
 from rim_camera_ros.rotations import quaternion
 
@@ -59,7 +64,7 @@ def report_on(
     points: Sequence[ImagePoint],
     stations: Sequence[int],
     names: Sequence[str],
-    left_out: tuple[LeftOut, ...],
+    insignificant: tuple[InsignificantParameters, ...],
     rejected: tuple[RejectedPoint, ...],
     doubts: Sequence[str],
     notes: Sequence[str],
@@ -87,7 +92,7 @@ def report_on(
         station_rms={station: float(np.sqrt(square[at == station].mean() / 2)) for station in stations},
         correlations=_strong_pairs(covariance, by_path, tied="fy" not in adjusted.estimated),
         pose_correlations=_strongest_with_poses(adjusted, Labels(adjusted.estimated, stations, names)),
-        left_out=left_out,
+        insignificant=insignificant,
         rejected=rejected,
         poses=MappingProxyType(poses),
         targets={name: _triple(state.targets[i]) for i, name in enumerate(names)},

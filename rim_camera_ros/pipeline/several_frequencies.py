@@ -49,7 +49,7 @@ class SeveralSimulations:
         first = Simulation(camera.channels[0], scene, notes=self.notes, **options)
         self.channels = [
             first,
-            *(first.beside(channel, i) for i, channel in enumerate(camera.channels[1:], 1)),
+            *(first.with_camera(channel, i) for i, channel in enumerate(camera.channels[1:], 1)),
         ]
         self._stated = " ".join(f"{channel.sensor.modulation_frequency:.10g}" for channel in camera.channels)
 

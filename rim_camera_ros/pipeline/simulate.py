@@ -85,7 +85,7 @@ class Simulation:
         self._kept: _Kept | None = None
         self._around: tuple[Geometry, FootprintLight] | None = None
 
-    def beside(self, camera: Camera, stream: int) -> Simulation:
+    def with_camera(self, camera: Camera, stream: int) -> Simulation:
         """Return a simulation of another camera in the same place, with the same power but its own noise.
 
         ``stream``: a different number for each. The geometry of the pixels is computed once for both.

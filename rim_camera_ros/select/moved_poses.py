@@ -130,7 +130,7 @@ def moved_before_physics(step: Exploration, may: MayHaveMoved) -> list[MovedPose
     return found if total_gain(found) > max(rivals) + may.least_gain else []
 
 
-def moved_beside_physics(
+def moved_given_physics(
     step: Exploration, may: MayHaveMoved, *, extra: Sequence[int] = ()
 ) -> list[MovedPose]:
     """Return the displaced surfaces conditional on the physics found and on changes of its forms.

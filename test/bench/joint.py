@@ -56,7 +56,7 @@ class Work:
 
 
 def work(samples: int = 1_000_000) -> Work:
-    """Return ``samples`` distances of a plane at `POSES` poses, each told with the instrument's errors."""
+    """Return ``samples`` distances of a plane at `POSES` poses, each with the errors of the instrument."""
     camera = Camera(
         sensor=Sensor(
             width=WIDTH,
@@ -136,7 +136,7 @@ class Model:
         self._u, self._v = u - camera.optics.cx, v - camera.optics.cy
 
     def distances(self, numbers: Array, pose: Pose, errors: Array) -> Array:
-        """Return what is measured (H, W) [m] of a plane, its told pose wrong by offset [m] and tilts [rad].
+        """Return what is measured (H, W) [m] of a plane, its stated pose wrong by offset [m] and tilts [rad].
 
         Linear in the errors, as in the adjustment.
         """

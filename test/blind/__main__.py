@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def chosen(options: argparse.Namespace) -> list[Case]:
-    """The cases that the options ask for.
+    """The cases that the options request.
 
     Raises
     ------

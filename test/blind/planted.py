@@ -1,11 +1,11 @@
-"""Effects put into real recordings by the forward chain: does a diagnosis name them beside what is there?
+"""Effects put into real recordings by the forward chain: does a diagnosis name them with what is there?
 
 `python -m test.blind.planted FOLDER --out DIR` takes FOLDER/recording with FOLDER/camera.yaml and a scene
 file. Its even frames make a camera file by calibration; its odd frames are diagnosed with that file as
 they are (the null), and once with each effect in them. One line a case goes to DIR/results.jsonl, the
 table to DIR/summary.md.
 
-The smallest visible size of an effect is that at which it adds as much to chi-square, beside offsets of
+The smallest visible size of an effect is that at which it adds as much to chi-square, given offsets of
 pixels and offset and tilts of each pose, as stays unexplained without it; effects are put in at 1.5 times it.
 Where that is more than any camera has, the recording does not show the effect, which is said and not judged.
 Counts are whole numbers already: those of the changed distances are rounded with a dither of half a count, or
@@ -114,7 +114,7 @@ def _context(frame: RawFrame, camera: Camera) -> Context:
 
 
 def visible(frames: Sequence[RawFrame], name: str, camera: Camera) -> float:
-    """Return the mean square of an effect at its small size, in sigmas, beside offsets and tilts."""
+    """Return the mean square of an effect at its small size, in sigmas, given offsets and tilts."""
     make, small, _ = EFFECTS[name]
     effect = make(small, camera, level_of(frames))
     parts = []
@@ -187,7 +187,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _all_errors(fit: Mapping[str, Any]) -> float:
-    """Return chi-square per value beside what `visible` allows for, not beside smooth errors of the poses."""
+    """Return chi-square per value given what `visible` allows for, not given smooth errors of the poses."""
     every = fit["chi2_all_after"]
     return float(fit["chi2_after"] if every is None else every)
 
@@ -260,7 +260,7 @@ def _said(folder: Path, frames: Sequence[RawFrame], scene: Path) -> dict[str, An
 
 
 def judged(line: Mapping[str, Any], null: Mapping[str, Any]) -> tuple[str, list[str]]:
-    """Return how an effect was named ("named", "tied", "no") and the names that are wrong, beside the null's.
+    """Return how an effect was named ("named", "tied", "no") and the wrong names that the null has not.
 
     A known term that moved is named as well: what was put in may be of its kind.
     """

@@ -113,14 +113,14 @@ def truth_of(result: Result) -> frozenset[str]:
 
 
 def named_right(result: Result) -> bool:
-    """The named effects are exactly those left out; of a null, the verdict is `consistent`."""
+    """The named effects are exactly those omitted; of a null, the verdict is `consistent`."""
     if not truth_of(result):
         return bool(_report(result)["verdict"] == CONSISTENT)
     return frozenset(named(result)) == truth_of(result)
 
 
 def named_wrongly(result: Result) -> bool:
-    """An effect is named that was not left out; `unknown` is not a name."""
+    """An effect is named that was not omitted; `unknown` is not a name."""
     return bool(frozenset(named(result)) - truth_of(result) - {UNKNOWN})
 
 

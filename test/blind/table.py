@@ -236,7 +236,7 @@ def is_concealed(result: Result) -> bool:
 
 
 def _by_effect(results: Sequence[Result]) -> list[tuple[str, dict[str, Rate], Rate]]:
-    """Named right per truth: by scene, and in all; faint cases left out."""
+    """Named right per truth: by scene, and in all; faint cases excluded."""
     scenes: dict[str, dict[str, list[bool]]] = defaultdict(lambda: defaultdict(list))
     for one in results:
         if one["case"]["kind"] != FAINT:
@@ -271,7 +271,7 @@ WHO = ("rim diagnose", "independent BIC", "correlation")
 
 
 def confusion(results: Iterable[Result], who: str) -> dict[str, Counter[str]]:
-    """Counts of what is named first, by truth: single effects, `null`, `outside`; faint cases left out."""
+    """Counts of what is named first, by truth: single effects, `null`, `outside`; faint cases excluded."""
     counts: dict[str, Counter[str]] = defaultdict(Counter)
     key = {"independent BIC": "bic", "correlation": "correlation"}.get(who)
     for one in results:

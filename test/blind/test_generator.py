@@ -102,10 +102,10 @@ def test_moved_camera_sees_the_wall_nearer():
 def test_pose_errors_have_the_stated_size_and_heavier_tails():
     count = 20000
     true = Poses(np.tile([0.0, 0.0, 2.0], (count, 1)), np.tile(np.eye(3), (count, 1, 1)))
-    told = reference_error(np.random.default_rng(1), true, (0.001, 0.0006))
-    offset = told.position[:, 2] - 2.0
+    stated = reference_error(np.random.default_rng(1), true, (0.001, 0.0006))
+    offset = stated.position[:, 2] - 2.0
     assert offset.std() == pytest.approx(0.001, rel=0.03)
-    assert told.rotation[:, 0, 2].std() == pytest.approx(0.0006, rel=0.03)
+    assert stated.rotation[:, 0, 2].std() == pytest.approx(0.0006, rel=0.03)
     # kurtosis of Student t with 8 degrees of freedom: 3 + 6 / (8 - 4)
     assert np.mean(offset**4) / np.mean(offset**2) ** 2 == pytest.approx(4.5, abs=0.6)
 
@@ -440,7 +440,7 @@ def test_noise_is_what_the_camera_file_says(folder):
     assert images["amplitude"][images["amplitude"] > 0].min() >= 40
 
 
-def test_null_is_explained_by_the_camera_file_at_the_told_poses(folder):
+def test_null_is_explained_by_the_camera_file_at_the_stated_poses(folder):
     truth = make_case(folder / "null", tier="null", masked=False, scene="whitedist", seed=9, size=SMALL)
     world = world_of("whitedist", seed=9)
     world = World(world.camera, draw_scene("whitedist", 9))

@@ -202,7 +202,7 @@ def test_sections_that_are_merely_wrong():
     assert named_right(
         result(("noise",), (), verdict="wrong_parameters", adjusted=("amplitude_offset", "noise"))
     )
-    # beside another verdict, or for an effect that was left out, `adjusted` names nothing
+    # with another verdict, or for an effect that was omitted, `adjusted` names nothing
     assert not named_right(result(("noise",), (), verdict="consistent", adjusted=("noise",)))
     assert named(result(said=("scattering",), adjusted=("noise",))) == ("scattering",)
     assert not named_right(result(("scattering",), (), verdict="wrong_parameters", adjusted=("scattering",)))
@@ -227,7 +227,7 @@ def test_rivals_and_confidence():
     assert not inside_rivals(result(said=("multipath",), ties=[("noise", "scattering")]))
     assert not confidently_wrong(result(said=("multipath",), probability=0.4))
     assert not confidently_wrong(result(said=("unknown",)))
-    # what stands beside the leader is claimed, whatever its share
+    # what is named in addition to the leader is claimed, whatever its share
     assert confidently_wrong(result(said=("scattering", "multipath"), probability=0.0))
 
 

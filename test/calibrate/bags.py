@@ -32,9 +32,9 @@ def frames(
     wrong: float = 1.0,
     off: dict[int, float] | None = None,
 ) -> Iterator[RawFrame]:
-    """Yield frames of a board; poses are told with the instrument's error times ``wrong``.
+    """Yield frames of a board; poses are recorded with the instrument's error times ``wrong``.
 
-    ``tilt`` in degrees; ``off`` adds metres to what is told of some poses' depth.
+    ``tilt`` in degrees; ``off`` adds metres to the recorded depth of some poses.
     """
     rng = np.random.default_rng([seed, 23])
     simulation = Simulation(truth, board, seed=seed)
@@ -45,7 +45,7 @@ def frames(
         error = wrong * rng.standard_normal(3) * np.array([POSE_SIGMA[0], POSE_SIGMA[1], POSE_SIGMA[1]])
         turned = rotation @ rotation_matrix(_unit(error[1] / 2, error[2] / 2))
         true = _pose(position + error[0] * rotation[:, 2], turned)
-        told = _pose(position + np.array([0.0, 0.0, (off or {}).get(number, 0.0)]), rotation)
+        stated = _pose(position + np.array([0.0, 0.0, (off or {}).get(number, 0.0)]), rotation)
         stamp = 1_000_000_000 + number * 55_000_000_000
         settings = Settings(
             integration_time=(16.0, 60.0, 100.0)[number % 3],
@@ -61,7 +61,7 @@ def frames(
                 station=number,
                 pose_stamp=stamp,
             )
-            yield replace(simulation.frame(exposure), truth={"board": told}, device=device)
+            yield replace(simulation.frame(exposure), truth={"board": stated}, device=device)
 
 
 def write(path: Path, recorded: Iterator[RawFrame] | list[RawFrame]) -> Path:

@@ -96,8 +96,8 @@ def write_floor(
 ) -> None:
     """Write a recording of a tiled floor by a camera with its effects, each pose of so many frames.
 
-    The poses that it tells err along the normal by ``wrong`` [m], 1 sigma. From the first frame of a
-    pose to its last the floor falls by ``drift`` [m], and turns by as many thirds of a radian: untold.
+    The poses that it states err along the normal by ``wrong`` [m], 1 sigma. From the first frame of a
+    pose to its last the floor falls by ``drift`` [m], and turns by as many thirds of a radian: not stated.
     """
     scene = load_scene(floor_scene(folder, TILES))
     rng = np.random.default_rng([seed, 5])
@@ -107,7 +107,7 @@ def write_floor(
         for number in range(poses):
             pose, stamp = floor_pose(rng), (number + 1) * 1_000_000_000
             along = wrong * rng.standard_normal() * rotation_matrix(pose.orientation)[:, 2]
-            told = replace(pose, position=tuple((np.array(pose.position) + along).tolist()))
+            stated = replace(pose, position=tuple((np.array(pose.position) + along).tolist()))
             for k in range(frames):
                 moved = drift * (k - (frames - 1) / 2) / max(frames - 1, 1)
                 frame = simulation.frame(
@@ -119,4 +119,4 @@ def write_floor(
                         pose_stamp=stamp,
                     )
                 )
-                writer.write_raw(replace(frame, truth={"floor": told}))
+                writer.write_raw(replace(frame, truth={"floor": stated}))

@@ -1,4 +1,4 @@
-"""A small simulated laboratory: a board of patches at poses told with the instrument's error."""
+"""A small simulated laboratory: a board of patches at poses recorded with the instrument's error."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def record(
     wrong: float = 1.0,
     roll: float = 0.0,
 ) -> Dataset:
-    """Stations of a simulated recording; poses are told wrongly by ``wrong`` times the instrument's sigma.
+    """Stations of a simulated recording; recorded poses are wrong by ``wrong`` times the instrument's sigma.
 
     Boards are rolled by up to ``roll`` degrees either way.
     """
@@ -72,7 +72,7 @@ def record(
     simulation = Simulation(truth, board, seed=seed)
     recorded: list[RawFrame] = []
     for station in range(poses):
-        told, true = _poses(rng, wrong, roll)
+        stated, true = _poses(rng, wrong, roll)
         settings = Settings(
             integration_time=(16.0, 60.0, 100.0)[station % 3],
             modulation_frequency=20e6,
@@ -88,13 +88,13 @@ def record(
                 station=station,
                 pose_stamp=stamp,
             )
-            recorded.append(replace(simulation.frame(exposure), truth={"board": told}))
+            recorded.append(replace(simulation.frame(exposure), truth={"board": stated}))
     stations = list(reduce_frames(recorded, truth))
     return Dataset(stations, ["simulated"], [], len(recorded))
 
 
-def told_wrongly(data: Dataset, number: int, by: float) -> Dataset:
-    """The dataset with the pose of one station told so far off along the axis [m]."""
+def with_wrong_pose(data: Dataset, number: int, by: float) -> Dataset:
+    """The dataset with the recorded pose of one station so far off along the axis [m]."""
     one = data.stations[number]
     x, y, z = one.truth["board"].position
     moved = Pose((x, y, z + by), one.truth["board"].orientation)
@@ -104,7 +104,7 @@ def told_wrongly(data: Dataset, number: int, by: float) -> Dataset:
 
 
 def _poses(rng: np.random.Generator, wrong: float, roll: float) -> tuple[Pose, Pose]:
-    """A pose as told, and as it is."""
+    """A pose as stated, and as it is."""
     turn = np.radians(rng.uniform(-35, 35, 2))
     half = turn / 2
     about_axis = float(np.sin(np.radians(rng.uniform(-roll, roll)) / 2)) if roll else 0.0
@@ -114,32 +114,32 @@ def _poses(rng: np.random.Generator, wrong: float, roll: float) -> tuple[Pose, P
     error = wrong * rng.standard_normal(3) * np.array([POSE_SIGMA[0], POSE_SIGMA[1], POSE_SIGMA[1]])
     small = rotation @ rotation_matrix((error[1] / 2, error[2] / 2, 0.0, 1.0))
     moved = position + error[0] * rotation[:, 2]
-    told = Pose((float(position[0]), float(position[1]), float(position[2])), quaternion(rotation))
-    return told, Pose((float(moved[0]), float(moved[1]), float(moved[2])), quaternion(small))
+    stated = Pose((float(position[0]), float(position[1]), float(position[2])), quaternion(rotation))
+    return stated, Pose((float(moved[0]), float(moved[1]), float(moved[2])), quaternion(small))
 
 
-def with_footprints(told: Camera, board: Scene, data: Dataset, width: float, seed: int) -> Dataset:
+def with_footprints(stated: Camera, board: Scene, data: Dataset, width: float, seed: int) -> Dataset:
     """The stations anew, one frame each, noise and all: light averaged over squares of ``width`` [px].
 
     S = mean of gain T rho cos(incidence) / d^2 exp(i 2 pi d / L), by 9 x 9 rays a pixel.
     """
     rng = np.random.default_rng(seed)
-    down, across = np.gradient(told.rays, axis=0), np.gradient(told.rays, axis=1)
-    period = told.sensor.ambiguity
+    down, across = np.gradient(stated.rays, axis=0), np.gradient(stated.rays, axis=1)
+    period = stated.sensor.ambiguity
     frames = []
     for one in data.stations:
         time = one.settings.integration_time
         assert time is not None
-        image = np.zeros(told.shape, complex)
+        image = np.zeros(stated.shape, complex)
         for dv, du in np.ndindex(9, 9):
-            rays = told.rays + width / 9 * ((dv - 4) * down + (du - 4) * across)
+            rays = stated.rays + width / 9 * ((dv - 4) * down + (du - 4) * across)
             seen = see(board, board.poses_for(one.truth), rays / np.linalg.norm(rays, axis=-1, keepdims=True))
-            light = told.radiometry.gain * time * seen.reflectivity * seen.cos_incidence / seen.distance**2
+            light = stated.radiometry.gain * time * seen.reflectivity * seen.cos_incidence / seen.distance**2
             phasor = light * np.exp(2j * np.pi / period * seen.distance)
             image += np.where(seen.hit, phasor, 0.0) / 81
         amplitude, phase = np.abs(image), np.angle(image)
-        relative = 2 * np.pi / period * told.noise.sigma_distance(np.maximum(amplitude, 1.0))
-        noise = relative * rng.normal(size=(2, *told.shape))
+        relative = 2 * np.pi / period * stated.noise.sigma_distance(np.maximum(amplitude, 1.0))
+        noise = relative * rng.normal(size=(2, *stated.shape))
         turns = np.mod((phase + noise[0]) / (2 * np.pi), 1.0)
         frames.append(
             RawFrame(
@@ -151,4 +151,4 @@ def with_footprints(told: Camera, board: Scene, data: Dataset, width: float, see
                 pose_stamps=dict.fromkeys(one.truth, one.stamp),
             )
         )
-    return Dataset(list(reduce_frames(frames, told)), ["simulated"], [], len(frames))
+    return Dataset(list(reduce_frames(frames, stated)), ["simulated"], [], len(frames))

@@ -23,9 +23,9 @@ def test_an_error_that_grows_as_the_light_goes_is_no_wrong_pose(tmp_path: Path, 
     truth = camera(tmp_path, AmplitudeOffset(rows))
     board = scene(tmp_path)
     data = record(truth, board, poses=36, frames=1, seed=4)
-    told = data.stations[7].truth["board"]
-    x, y, z = told.position
-    moved = replace(told, position=(x, y, z + wrong))
+    stated = data.stations[7].truth["board"]
+    x, y, z = stated.position
+    moved = replace(stated, position=(x, y, z + wrong))
     data.stations[7] = replace(data.stations[7], truth={"board": moved})
     plain = replace(truth, effects={})
     kept = with_plausible_poses(data, board, plain, lambda: None)

@@ -119,7 +119,7 @@ def called_by_a_worker_that_dies_once(marker: Path, function: Callable[[Any], An
 
 @pytest.mark.slow
 def test_candidates_are_fitted_as_on_one_machine_though_a_worker_is_lost(tmp_path: Path) -> None:
-    """A cyclic error and a wrong scale, each fitted beside the camera as it is, to the last bit."""
+    """A cyclic error and a wrong scale, each fitted in addition to the camera as it is, to the last bit."""
     distributed = pytest.importorskip("distributed", reason="dask.distributed is an optional extra")
     board = scene(tmp_path)
     data = record(camera(tmp_path, CYCLIC), board, poses=12, seed=3)

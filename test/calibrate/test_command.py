@@ -28,7 +28,7 @@ from .bags import frames, write
 from .helpers import SCENE, camera, scene
 
 TRUE = CyclicError((Harmonic(4, 0.012, 0.8),))
-TOLD = CyclicError((Harmonic(4, 0.008, 0.5),))
+STATED = CyclicError((Harmonic(4, 0.008, 0.5),))
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     truth: Camera = camera(folder, TRUE)
     (folder / "scene.yaml").write_text(SCENE)
     write(folder / "bag", frames(truth, scene(folder), poses=15, repeats=3, seed=2))
-    save_camera(replace(truth, effects={"cyclic_error": TOLD}), folder / "start.yaml")
+    save_camera(replace(truth, effects={"cyclic_error": STATED}), folder / "start.yaml")
     return folder
 
 
@@ -283,14 +283,14 @@ def test_offsets_of_pixels_alone(folder: Path, capsys: pytest.CaptureFixture[str
     assert out.splitlines()[-1].startswith("written: ")
     found = load_camera(own / "c.yaml")
     assert "fixed_pattern_offset" in found.effects
-    assert found.effects["cyclic_error"] == TOLD
+    assert found.effects["cyclic_error"] == STATED
 
 
 @pytest.mark.long
-def test_what_speaks_for_an_effect_that_is_left_out_is_said_without_units_of_evidence(
+def test_what_speaks_for_an_effect_that_is_not_fitted_is_said_without_units_of_evidence(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A cyclic error of 12 mm beside a scale, which alone was asked for; 10 nats are a factor of 22,026."""
+    """A cyclic error of 12 mm and a scale, which alone was requested; 10 nats are a factor of 22,026."""
     assert likelier(10.0) == "held-out poses are 10^4 times as probable"
     plain = replace(load_camera(folder / "start.yaml"), effects={})
     save_camera(plain, folder / "plain.yaml")
@@ -330,7 +330,7 @@ def test_a_picture_that_fails_loses_no_calibration(
 
 @pytest.mark.long
 def test_a_table_alone_states_its_own_errors(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The effects that it replaces are told as left out, and nothing of their fit stands beside it."""
+    """The effects that it replaces are reported as not fitted, and nothing of their fit is in the file."""
     words = arguments(folder, "--effects", "integral_table", out="table.yaml")
     status, _, error = run(capsys, *words)
     # of so few poses it is worse than nothing

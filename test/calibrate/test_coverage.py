@@ -60,7 +60,7 @@ def drawn_effects(rng: np.random.Generator) -> list[Effect]:
     ]
 
 
-def told_effects() -> list[Effect]:
+def start_effects() -> list[Effect]:
     """What every calibration starts from."""
     rows = MappingProxyType({t: Hyperbola(20.0, 1.0) for t in (16.0, 60.0, 100.0)})
     return [
@@ -106,7 +106,7 @@ def calibrated(folder: Path, seed: int) -> tuple[dict[str, float], float]:
         truth, with_imperfect_reflectivities(board, rng), poses=24, frames=4, seed=seed, wrong=np.sqrt(0.5)
     )
     dataset = with_imperfections(recorded, rng)
-    start = with_effects(truth, {one.name: one for one in told_effects()})
+    start = with_effects(truth, {one.name: one for one in start_effects()})
     noise = fit_noise(dataset, start)
     assert noise is not None
     facts = Facts.of(dataset, moves=False, surfaces=1, camera=start)
@@ -140,7 +140,7 @@ def test_two_calibrations_with_drawn_parameters(tmp_path: Path) -> None:
 def test_intervals_cover(tmp_path: Path) -> None:
     """95 % intervals hold in 93-99 % of all cases, and for no parameter in fewer than 89 %.
 
-    They are wide: errors of single poses keep their stated sigma beside the share that all poses have.
+    They are wide: errors of single poses keep their stated sigma in addition to the share of all poses.
     """
     runs = 200
     inside: dict[str, list[bool]] = {}

@@ -20,7 +20,7 @@ SHIFT = (3.1, -4.6)
 
 def test_the_term_is_that_of_a_driver_with_another_principal_point(tmp_path: Path) -> None:
     """Depth by the driver's pinhole, distance by ours; the test's camera has no distortion."""
-    told = camera(tmp_path)
+    stated = camera(tmp_path)
     distance = np.linspace(0.7, 3.9, 44 * 36).reshape(36, 44)
     rows, columns = np.mgrid[:36, :44]
 
@@ -30,16 +30,16 @@ def test_the_term_is_that_of_a_driver_with_another_principal_point(tmp_path: Pat
     depth = distance / length(21.7 + 3.1, 17.4 - 4.6)
     converted = depth * length(21.7, 17.4)
     light = Signal(distance, np.full(distance.shape, 900.0))
-    after = DistanceScale(0.0, SHIFT).simulate(light, Context(told))
+    after = DistanceScale(0.0, SHIFT).simulate(light, Context(stated))
     assert after.measured == pytest.approx(converted, abs=1e-9)
     assert np.ptp(after.measured - distance) > 0.1
 
 
 def test_the_search_finds_it(tmp_path: Path) -> None:
-    told, board = camera(tmp_path), scene(tmp_path)
+    stated, board = camera(tmp_path), scene(tmp_path)
     data = record(camera(tmp_path, DistanceScale(0.004, SHIFT)), board, poses=16, seed=4)
-    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
-    result = search(Problem(data, board), told, facts)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=stated)
+    result = search(Problem(data, board), stated, facts)
     assert [one.effect for one in result.found] == ["distance_scale"]
     fitted = result.fit
     for path, true in zip(("scale", "principal_point.0", "principal_point.1"), (0.004, *SHIFT), strict=True):

@@ -93,10 +93,10 @@ def sealed(camera: Camera) -> str:
 
 
 def record(camera: Camera, name: str, path: Path, *, seed: int) -> Path:
-    """Simulate an experiment; its poses are told with the errors that its scene states."""
+    """Simulate an experiment; its poses are recorded with the errors that its scene states."""
     scene = load_scene(find_scene(name))
     rng = np.random.default_rng([seed, 7])
-    told: dict[tuple[str, Pose], Pose] = {}
+    stated: dict[tuple[str, Pose], Pose] = {}
     simulation = Simulation(camera, scene, seed=seed)
     with RecordingWriter(path) as writer:
         for exposure in Timeline(scene, camera):
@@ -104,14 +104,14 @@ def record(camera: Camera, name: str, path: Path, *, seed: int) -> Path:
             for surface in scene.surfaces:
                 pose = exposure.poses[surface.name]
                 key = (surface.name, pose)
-                if key not in told:
-                    told[key] = _told(surface, pose, rng)
-                poses[surface.name] = told[key]
+                if key not in stated:
+                    stated[key] = _with_stated_error(surface, pose, rng)
+                poses[surface.name] = stated[key]
             writer.write_raw(replace(simulation.frame(exposure), truth=poses))
     return path
 
 
-def _told(surface: Surface, pose: Pose, rng: np.random.Generator) -> Pose:
+def _with_stated_error(surface: Surface, pose: Pose, rng: np.random.Generator) -> Pose:
     offset, tilt = surface.pose_sigma
     rotation = rotation_matrix(pose.orientation)
     position = np.array(pose.position) + offset * rng.standard_normal() * rotation[:, 2]

@@ -120,7 +120,7 @@ def test_a_search_is_by_every_second_pixel(tmp_path: Path, monkeypatch: pytest.M
     harmonic = found.camera.effects["cyclic_error"].harmonics[0]  # type: ignore[attr-defined]
     assert harmonic.amplitude == pytest.approx(0.013, abs=4 * found.sigma[path])
     kernels = found.camera.effects["scattering"].kernels  # type: ignore[attr-defined]
-    # beside it there may be a wide one of less than a hundredth
+    # in addition there may be a wide one of less than a hundredth
     strongest = max(kernels, key=lambda one: one.weight)
     assert strongest.weight == pytest.approx(0.08, rel=0.1)
     # on the grid that was fitted it is 3 px wide

@@ -1,4 +1,4 @@
-"""A calibration that should not be used is refused with the reason; it is written where that is asked for."""
+"""A calibration that should not be used is refused with the reason; it is written where that is requested."""
 
 from __future__ import annotations
 

@@ -144,7 +144,7 @@ def test_region_is_where_half_the_pixels_are_seen() -> None:
     assert region(np.zeros((4, 5), bool)) is None
 
 
-def test_the_rest_is_absent_or_not_to_be_told(result: Calibration) -> None:
+def test_the_rest_is_absent_or_undetermined(result: Calibration) -> None:
     said = {one.effect: one for one in result.statuses}
     assert said["cyclic_error"].status == said["amplitude_offset"].status == "fitted"
     assert said["warm_up_drift"].status == "absent"
@@ -199,7 +199,7 @@ def test_a_table_by_position_describes_errors_by_position(folder: Path, given: C
     assert np.std(context_free + pattern - true) < 0.004
 
 
-def test_exactly_the_effects_that_are_asked_for(
+def test_exactly_the_effects_that_are_requested(
     folder: Path, bag: Path, given: Camera, truth: Camera
 ) -> None:
     start = with_effects(given, {"amplitude_offset": given.effects["amplitude_offset"]})
@@ -213,7 +213,7 @@ def test_exactly_the_effects_that_are_asked_for(
     assert harmonic.amplitude == pytest.approx(0.013, abs=4 * sigma)
 
 
-def test_effects_that_are_not_asked_for_stay(folder: Path, bag: Path, given: Camera, truth: Camera) -> None:
+def test_effects_that_are_not_requested_stay(folder: Path, bag: Path, given: Camera, truth: Camera) -> None:
     found = calibrate(Request((bag,), given, scene(folder), effects=("amplitude_offset",)), integral=False)
     assert found.camera.effects["cyclic_error"] == given.effects["cyclic_error"]
     said = {one.effect: one.text for one in found.statuses}

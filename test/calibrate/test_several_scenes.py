@@ -82,8 +82,8 @@ def _drift(effect: object, first: float, last: float) -> float:
 def test_the_scale_of_the_reference(tmp_path: Path, pixels: tuple[int, int, int, int] | None) -> None:
     path = ReferencePath(nominal=0.852, scale=0.81, pixels=pixels)
     truth = camera(tmp_path, *TRUE, path)
-    told = {} if pixels is None else {"reference_path": replace(path, nominal=0.84, scale=1.0)}
-    start = with_effects(truth, {"cyclic_error": TRUE[0], "warm_up_drift": TRUE[1], **told})
+    stated = {} if pixels is None else {"reference_path": replace(path, nominal=0.84, scale=1.0)}
+    start = with_effects(truth, {"cyclic_error": TRUE[0], "warm_up_drift": TRUE[1], **stated})
     found = calibrated(tmp_path, truth, start)
     fitted = found.camera.effects["reference_path"]
     assert isinstance(fitted, ReferencePath)

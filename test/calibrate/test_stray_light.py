@@ -39,14 +39,14 @@ def lit(data: Dataset, phasors: np.ndarray) -> Dataset:
 
 
 def test_its_stated_size_explains_it(tmp_path: Path) -> None:
-    told, board = camera(tmp_path), scene(tmp_path)
+    known, board = camera(tmp_path), scene(tmp_path)
     rng = np.random.default_rng(7)
-    plain = record(told, board, poses=16, seed=3)
+    plain = record(known, board, poses=16, seed=3)
     phasors = SIZE * (rng.standard_normal((16, 2)) @ np.array([1, 1j]))
     data = lit(plain, phasors)
-    null = fit(Problem(plain, board), told)
-    without = fit(Problem(data, board), told)
-    stated = fit(Problem(data, board, stray_light=SIZE), told)
+    null = fit(Problem(plain, board), known)
+    without = fit(Problem(data, board), known)
+    stated = fit(Problem(data, board, stray_light=SIZE), known)
     # two values less a pose
     assert stated.chi_square / stated.rows == pytest.approx(null.chi_square / null.rows, rel=0.02)
     assert without.chi_square > 1.5 * null.chi_square

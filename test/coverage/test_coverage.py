@@ -131,8 +131,8 @@ def test_another_grey_level_is_what_a_wall_of_one_lacks(tmp_path: Path) -> None:
     every = np.ones(camera.shape, bool).ravel()
 
     def equations(recorded: Station, scene: Scene, gain_sigma: float) -> NormalEquations:
-        told = replace(camera, radiometry=replace(camera.radiometry, gain_sigma=gain_sigma))
-        return accumulate(Forward(Dataset([recorded]), scene, told), blocks, seen=every)
+        stated = replace(camera, radiometry=replace(camera.radiometry, gain_sigma=gain_sigma))
+        return accumulate(Forward(Dataset([recorded]), scene, stated), blocks, seen=every)
 
     target = uniform(wall, 0.5)
     second = replace(station(target, 21_000_000_000), recording=1)
@@ -161,7 +161,7 @@ def test_a_board_of_one_grey_level_is_to_be_followed_by_another(tmp_path: Path) 
 
 
 def test_grey_levels_that_a_board_has_are_not_offered(tmp_path: Path) -> None:
-    """Nor those beside them by less than twice what is known of both, 10 % each."""
+    """Nor those that differ from them by less than twice the sigma of both, 10 % each."""
     camera, board = helpers.camera(tmp_path), helpers.scene(tmp_path)
     last = stations(tmp_path, 1.3)[0]
 

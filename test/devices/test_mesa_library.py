@@ -66,7 +66,7 @@ def test_what_the_camera_says_of_itself(library: str, control: Control) -> None:
     camera.close()
 
 
-def test_bytes_that_are_missing_are_told(library: str, control: Control) -> None:
+def test_bytes_that_are_missing_are_reported(library: str, control: Control) -> None:
     camera = MesaLibrary(library).open()
     control.set(fault="short")
     with pytest.raises(ShortFrame, match=r"^a frame has 76032 bytes instead of 101376$"):
@@ -97,7 +97,7 @@ def test_the_library_is_found_by_the_environment(
     assert probe_library(None) == {"file": library, "version": "1.0.14.747"}
 
 
-def test_an_absent_library_is_told(control: Control, tmp_path: Path) -> None:
+def test_an_absent_library_is_reported(control: Control, tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"^/no/libmesasr.so: the vendor's library is not installed \(give the"
     ):
@@ -110,7 +110,7 @@ def test_an_absent_library_is_told(control: Control, tmp_path: Path) -> None:
             probe_library(None)
 
 
-def test_something_else_than_the_library_is_told(library: str, control: Control, tmp_path: Path) -> None:
+def test_something_else_than_the_library_is_reported(library: str, control: Control, tmp_path: Path) -> None:
     text = tmp_path / "libtext.so"
     text.write_text("no library")
     with pytest.raises(InputError, match=rf"^{text}: cannot be loaded: .*(too short|invalid ELF header)"):

@@ -151,7 +151,7 @@ def test_the_library_does_not_write_to_standard_output(make: Make, capfd: pytest
     assert "a library that writes to standard output" in err
 
 
-def test_frames_that_are_not_taken_are_left_out_and_counted(
+def test_frames_that_are_not_taken_are_skipped_and_counted(
     make: Make, control: Control, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sr3000, "_STALE", 0)
@@ -187,7 +187,7 @@ def test_raw_is_the_default_and_other_modes_are_recorded(make: Make) -> None:
     assert is_as_stated(frame, mode=0)
 
 
-def test_a_mode_that_is_not_taken_is_told(make: Make, control: Control) -> None:
+def test_a_mode_that_is_not_taken_is_reported(make: Make, control: Control) -> None:
     control.set(stuck_mode=4)
     device = make()
     device.open()

@@ -1,4 +1,4 @@
-"""What goes wrong with a camera: every fault is told in words, and frames come again when it has gone."""
+"""What goes wrong with a camera: every fault is reported in words, and frames come again when it has gone."""
 
 from __future__ import annotations
 
@@ -68,7 +68,9 @@ def without_pyusb(monkeypatch: pytest.MonkeyPatch) -> UsbCameras:
         ("null_image", r"^libmesasr has no image 0 \(SR_GetImage returned NULL\)$"),
     ],
 )
-def test_a_fault_is_told_and_frames_come_again(make: Make, control: Control, fault: str, text: str) -> None:
+def test_a_fault_is_reported_and_frames_come_again(
+    make: Make, control: Control, fault: str, text: str
+) -> None:
     device = make(settings=CameraSettings(integration_time=41, amplitude_threshold=2500), watchdog=0.5)
     device.open()
     first = frame_of(device)
@@ -88,7 +90,7 @@ def test_a_fault_is_told_and_frames_come_again(make: Make, control: Control, fau
     assert is_as_stated(frame)
 
 
-def test_single_short_frames_are_left_out_and_counted(make: Make, control: Control) -> None:
+def test_single_short_frames_are_dropped_and_counted(make: Make, control: Control) -> None:
     device = make()
     device.open()
     frame_of(device)
@@ -286,7 +288,7 @@ def test_the_second_hang_resets_the_camera(library: str, control: Control) -> No
 
 
 @pytest.mark.parametrize("pyusb", [True, False])
-def test_a_fault_is_told_once_and_looking_becomes_slower(
+def test_a_fault_is_reported_once_and_looking_becomes_slower(
     library: str, control: Control, monkeypatch: pytest.MonkeyPatch, pyusb: bool
 ) -> None:
     if pyusb:
@@ -297,7 +299,7 @@ def test_a_fault_is_told_once_and_looking_becomes_slower(
     device.open()
     frame_of(device)
     control.set(plugged=0)
-    told = {str(fault_of(device))}
+    reported = {str(fault_of(device))}
     taken: list[RawFrame | RimError | None] = []
 
     def take() -> None:
@@ -319,7 +321,7 @@ def test_a_fault_is_told_once_and_looking_becomes_slower(
         thread.join()
     again = [str(one) for one in taken if isinstance(one, RimError)]
     assert len(again) == len(set(again)) <= 1  # without pyusb: the transfer failed, then opening failed
-    assert told.isdisjoint(again)
+    assert reported.isdisjoint(again)
     assert device._pause == 0.0
 
 

@@ -261,7 +261,7 @@ def test_info_usb_takes_no_camera_file(capsys: pytest.CaptureFixture[str]) -> No
     assert err == "rim: --camera: usb takes no camera file (leave --camera out)\n"
 
 
-def test_a_file_named_usb_is_told_by_its_path(
+def test_a_file_named_usb_is_given_by_its_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "usb").write_bytes((ROOT / "calibration" / "sr2.yaml").read_bytes())

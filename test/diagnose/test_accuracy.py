@@ -30,7 +30,7 @@ def of_table(folder: Path, offsets: np.ndarray, *, knots: int) -> tuple[Accuracy
     known = replace(camera(folder), noise=Noise(floor=0.003, shot=0.0, amplitude=0.0))
     data = record(known, board, poses=len(offsets), frames=3, seed=5, wrong=0.0)
     moved = [replace(one, distance=one.distance + d) for one, d in zip(data.stations, offsets, strict=True)]
-    # poses that are told well leave an offset to the table
+    # poses that are stated accurately leave an offset to the table
     sure = replace(board, surfaces=(replace(board.surfaces[0], pose_sigma=(1e-4, 5e-4)),))
     problem = Problem(replace(data, stations=moved), sure)
     facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=known)
@@ -79,7 +79,7 @@ def test_without_a_table_nothing_is_said_of_one() -> None:
 def test_poses_that_are_alike_do_not_trade_with_the_pattern(
     tmp_path: Path, sigma: tuple[float, float]
 ) -> None:
-    """Nothing is left out: what remains of held-out poses is the noise, however badly poses are known."""
+    """No effect is missing: what remains of held-out poses is the noise, however badly poses are known."""
     known = floor_camera(tmp_path, scale=4)
     write_floor(tmp_path / "bag", known, tmp_path, poses=14, seed=3, wrong=0.004)
     board = load_scene(floor_scene(tmp_path, UNKNOWN, sigma=sigma))

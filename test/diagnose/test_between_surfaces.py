@@ -40,11 +40,11 @@ AMBIGUITY = 299_792_458.0 / 40e6
 RAYS = 7
 
 
-def sampled(told: Camera, scene: Scene, poses: Any) -> np.ndarray:
+def sampled(stated: Camera, scene: Scene, poses: Any) -> np.ndarray:
     """Complex image (H, W): the mean over the rays of each pixel of 1 / d^2 in the phase of d."""
-    sensor, o = told.sensor, told.optics
+    sensor, o = stated.sensor, stated.optics
     fine = replace(
-        told,
+        stated,
         sensor=replace(sensor, width=sensor.width * RAYS, height=sensor.height * RAYS),
         optics=Optics(
             fx=o.fx * RAYS, fy=o.fy * RAYS, cx=(o.cx + 0.5) * RAYS - 0.5, cy=(o.cy + 0.5) * RAYS - 0.5
@@ -79,18 +79,18 @@ def recorded(tmp_path: Path) -> tuple[Dataset, Scene, Camera, list[np.ndarray]]:
 
 
 def test_where_pixels_are_mixed(recorded: tuple[Dataset, Scene, Camera, list[np.ndarray]]) -> None:
-    data, scene, told, moved = recorded
-    forward = Forward(data, scene, told)
+    data, scene, stated, moved = recorded
+    forward = Forward(data, scene, stated)
     forward.amplitude_model = AmplitudeModel({}, 0.05)
     fitted: Any = SimpleNamespace(
-        forward=forward, camera=told, scene=scene, pattern=np.zeros(told.shape), nuisances={}
+        forward=forward, camera=stated, scene=scene, pattern=np.zeros(stated.shape), nuisances={}
     )
-    wanted, blurred = np.zeros(told.shape), np.zeros(told.shape)
+    wanted, blurred = np.zeros(stated.shape), np.zeros(stated.shape)
     for one, true in zip(forward.predictions(), moved, strict=True):
         sigma = np.hypot(0.003, 6.0 / np.maximum(one.amplitude, 1.0))
         wanted += np.nan_to_num(true / sigma) ** 2
-        blurred += (contribution(one, "mixed_pixels", told) / sigma) ** 2
-    found = of_terms(fitted, ["mixed_pixels"], told).pixels
+        blurred += (contribution(one, "mixed_pixels", stated) / sigma) ** 2
+    found = of_terms(fitted, ["mixed_pixels"], stated).pixels
     overlap = intersection_over_union(region(found), region(wanted))
     assert region(wanted).mean() < 0.5
     assert overlap > 0.6
@@ -103,14 +103,14 @@ def test_a_pixel_that_sees_the_other_surface_is_not_mixed(
     recorded: tuple[Dataset, Scene, Camera, list[np.ndarray]],
 ) -> None:
     """It is metres off, as a pose that is a tenth of a pixel off makes it, yet measures one surface."""
-    data, scene, told, _ = recorded
-    forward = Forward(data, scene, told)
+    data, scene, stated, _ = recorded
+    forward = Forward(data, scene, stated)
     forward.amplitude_model = AmplitudeModel({}, 0.05)
     one = next(iter(forward.predictions()))
     board = one.view.geometry.surface == 1
     row, column = np.argwhere(board[:, :-1] & ~board[:, 1:])[5]
     behind = one.view.geometry.distance[row - 1 : row + 2, column - 1 : column + 2].max()
-    nothing = np.zeros(told.shape)
+    nothing = np.zeros(stated.shape)
     own = one.view.geometry.distance
     results = {}
     for part in (0.0, 0.3, 1.0):
@@ -134,7 +134,7 @@ def test_a_pixel_that_sees_the_other_surface_is_not_mixed(
         assert found == pytest.approx(expected * np.sqrt(0.015**2 - 0.003**2), rel=1e-3)
     one.sigma[row, column] = sigma
     light[board] /= 1000.0
-    # in less light than predicted it is so much less beside its noise
+    # in less light than predicted it is so much less compared with its noise
     one.residual[row, column] = 0.3 * step
     one.station.amplitude[row, column] *= 0.5
     sigmas = [np.hypot(0.003, 6.0 / (one.model_amplitude[row, column] * share)) for share in (1.0, 0.5)]

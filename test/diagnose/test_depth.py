@@ -1,4 +1,4 @@
-"""A board that stands elsewhere than its poses say: found beside the offsets of all pixels."""
+"""A board that stands elsewhere than its poses say: found given the offsets of all pixels."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_the_normal_of_a_pose_points_away_from_the_camera() -> None:
 
 
 @pytest.mark.long
-def test_a_depth_is_measured_beside_offsets_of_pixels(tmp_path: Path) -> None:
+def test_a_depth_is_measured_given_offsets_of_pixels(tmp_path: Path) -> None:
     given, board = camera(tmp_path), scene(tmp_path)
     data = displaced(record(given, board, poses=16, seed=5), (0.0, 0.0, -0.045))
     result = diagnose(data, board, given)
@@ -81,8 +81,8 @@ def test_a_file_states_its_known_terms_of_a_surface_elsewhere_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Fits begin at what the files as given make of a sinusoid; priors stay about the file's."""
-    told = CyclicError((Harmonic(4, 0.008, 0.7),))
-    given, board = camera(tmp_path, told), scene(tmp_path)
+    stated = CyclicError((Harmonic(4, 0.008, 0.7),))
+    given, board = camera(tmp_path, stated), scene(tmp_path)
     data = displaced(record(cyclic(given), board, poses=16, seed=5), (0.0, 0.0, -0.045))
     problem = Problem(data, board)
     facts = Facts.of(data, moves=False, surfaces=1, camera=given)
@@ -99,4 +99,4 @@ def test_a_file_states_its_known_terms_of_a_surface_elsewhere_too(
     assert all(problem.origin is given for problem, _ in calls)
     start = calls[1][1].effects["cyclic_error"]
     assert start == result.fit.camera.effects["cyclic_error"]
-    assert start != told
+    assert start != stated

@@ -23,7 +23,7 @@ from rim_camera_ros.select.candidates import candidates, form_blocks
 from rim_camera_ros.select.compare import NOT_IN_ALL_POSES, ONCE_FITTED, Refused
 from rim_camera_ros.select.evidence import folds_of
 from rim_camera_ros.select.exploration import Exploration, explore, explored, further_equations
-from rim_camera_ros.select.moved_poses import moved_beside_physics
+from rim_camera_ros.select.moved_poses import moved_given_physics
 
 from ..calibrate.helpers import camera, record, scene
 
@@ -39,7 +39,7 @@ def moved(data: Dataset, poses: tuple[int, ...], metres: float) -> Dataset:
 
 
 @pytest.mark.parametrize(
-    ("scale", "poses", "why", "alone", "beside"),
+    ("scale", "poses", "why", "alone", "conditional"),
     [
         (
             0.006,
@@ -54,20 +54,20 @@ def moved(data: Dataset, poses: tuple[int, ...], metres: float) -> Dataset:
     ],
 )
 def test_poses_are_to_blame_for_what_no_disputed_effect_takes_up(
-    tmp_path: Path, scale: float, poses: tuple[int, ...], why: str, alone: bool, beside: bool
+    tmp_path: Path, scale: float, poses: tuple[int, ...], why: str, alone: bool, conditional: bool
 ) -> None:
-    board, told = scene(tmp_path), camera(tmp_path)
-    truth = camera(tmp_path, DistanceScale(scale)) if scale else told
+    board, stated = scene(tmp_path), camera(tmp_path)
+    truth = camera(tmp_path, DistanceScale(scale)) if scale else stated
     data = moved(record(truth, board, poses=24, seed=9), poses, 0.03)
-    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
-    pool = candidates(told, facts, effects=["distance_scale"])
+    facts = Facts.of(data, moves=False, surfaces=1, camera=stated)
+    pool = candidates(stated, facts, effects=["distance_scale"])
     problem = Problem(data, board)
-    step = explore(problem, told, pool, folds_of(data), replicates=0)
+    step = explore(problem, stated, pool, folds_of(data), replicates=0)
     refused = [Refused("distance_scale", 60.0, 20.0, why)]
     result: Any = SimpleNamespace(explorations=[step], refused=refused, problem=problem)
-    assert (poses_beyond(step.fit, told, {}) is not None) is alone
-    said = poses_beyond(conditional_on_physics(result), told, {(0, 9): 12.0})
-    assert (said is not None) is beside
+    assert (poses_beyond(step.fit, stated, {}) is not None) is alone
+    said = poses_beyond(conditional_on_physics(result), stated, {(0, 9): 12.0})
+    assert (said is not None) is conditional
     if said is not None:
         assert "times what is stated, most of all 9: these stand elsewhere" in said
     result.refused = []
@@ -78,15 +78,17 @@ def test_poses_are_to_blame_for_what_no_disputed_effect_takes_up(
 STRANGE = EmitterOffset((0.25, -0.15, 0.06))
 
 
-def beside_a_strange_emitter(
+def with_strange_emitter(
     folder: Path, emitter: EmitterOffset, *, growth: float, poses: tuple[int, ...]
 ) -> tuple[Exploration, Any]:
     """The fit of an emitter whose effect grows with distance [1/m], and a search that ended there.
 
     The board of some ``poses`` stood 30 mm nearer.
     """
-    board, told = scene(folder), camera(folder)
-    without, with_emitter = (record(one, board, poses=24, seed=9) for one in (told, camera(folder, emitter)))
+    board, stated = scene(folder), camera(folder)
+    without, with_emitter = (
+        record(one, board, poses=24, seed=9) for one in (stated, camera(folder, emitter))
+    )
     stations = []
     for one, other in zip(without.stations, with_emitter.stations, strict=True):
         change = (other.distance - one.distance) * (1.0 + growth * (one.distance - 2.5))
@@ -99,40 +101,40 @@ def beside_a_strange_emitter(
     return step, SimpleNamespace(explorations=[step], refused=[], problem=problem)
 
 
-@pytest.mark.parametrize(("poses", "beside"), [((), False), ((2, 9, 17), True)])
+@pytest.mark.parametrize(("poses", "conditional"), [((), False), ((2, 9, 17), True)])
 def test_poses_are_not_to_blame_for_what_the_form_of_an_effect_leaves(
-    tmp_path: Path, poses: tuple[int, ...], beside: bool
+    tmp_path: Path, poses: tuple[int, ...], conditional: bool
 ) -> None:
     """It tilts poses otherwise; moved poses are no form of it."""
     emitter = EmitterOffset((0.25, -0.15, 0.06))
-    step, result = beside_a_strange_emitter(tmp_path, emitter, growth=0.3, poses=poses)
+    step, result = with_strange_emitter(tmp_path, emitter, growth=0.3, poses=poses)
     assert poses_beyond(step.fit, camera(tmp_path), {}) is not None
-    assert (poses_beyond(conditional_on_physics(result), camera(tmp_path), {}) is not None) is beside
+    assert (poses_beyond(conditional_on_physics(result), camera(tmp_path), {}) is not None) is conditional
 
 
-@pytest.mark.parametrize(("poses", "beside"), [((), False), (tuple(range(24)), True)])
+@pytest.mark.parametrize(("poses", "conditional"), [((), False), (tuple(range(24)), True)])
 def test_a_surface_is_not_to_blame_for_what_the_form_of_an_effect_leaves(
-    tmp_path: Path, poses: tuple[int, ...], beside: bool
+    tmp_path: Path, poses: tuple[int, ...], conditional: bool
 ) -> None:
     """It shifts all poses alike; a board that stands 30 mm nearer in all of them is no form of it."""
     emitter = EmitterOffset((0.1, -0.06, 0.02))
-    step, result = beside_a_strange_emitter(tmp_path, emitter, growth=0.4, poses=poses)
+    step, result = with_strange_emitter(tmp_path, emitter, growth=0.4, poses=poses)
     assert common_pose_beyond(step.fit, camera(tmp_path)) is not None
-    assert (common_pose_beyond(conditional_on_physics(result), camera(tmp_path)) is not None) is beside
+    assert (common_pose_beyond(conditional_on_physics(result), camera(tmp_path)) is not None) is conditional
 
 
 def test_what_the_form_of_an_effect_leaves_makes_no_pose_stand_out(tmp_path: Path) -> None:
     """Residuals and errors conditional on changes of the form, against the fit without them."""
-    step, result = beside_a_strange_emitter(tmp_path, STRANGE, growth=0.15, poses=())
+    step, result = with_strange_emitter(tmp_path, STRANGE, growth=0.15, poses=())
     alone, conditional = check_poses(step.fit), check_poses(conditional_on_physics(result))
     assert max(one.chi_square for one in conditional) < max(one.chi_square for one in alone) - 0.3
 
 
-def test_moved_poses_stand_out_beside_the_form_of_an_effect(tmp_path: Path) -> None:
-    _, result = beside_a_strange_emitter(tmp_path, STRANGE, growth=0.15, poses=(2, 9, 17))
+def test_moved_poses_stand_out_given_the_form_of_an_effect(tmp_path: Path) -> None:
+    _, result = with_strange_emitter(tmp_path, STRANGE, growth=0.15, poses=(2, 9, 17))
     may = few_of(result.problem.dataset)
     assert may.most == 3
-    moved = moved_beside_physics(result.explorations[-1], may)
+    moved = moved_given_physics(result.explorations[-1], may)
     assert {2, 17} <= {pose for _, pose in (one.placement for one in moved)} <= {2, 9, 17}
-    _, none = beside_a_strange_emitter(tmp_path, STRANGE, growth=0.15, poses=())
-    assert moved_beside_physics(none.explorations[-1], may) == []
+    _, none = with_strange_emitter(tmp_path, STRANGE, growth=0.15, poses=())
+    assert moved_given_physics(none.explorations[-1], may) == []

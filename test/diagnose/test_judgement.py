@@ -53,7 +53,7 @@ def variance(ratio: float) -> Variance:
         ("unknown_physics", 1.3, ["noise"]),
     ],
 )
-def test_noise_beside_unknown_physics_must_be_far_off(
+def test_noise_with_unknown_physics_must_be_far_off(
     tmp_path: Path, verdict: str, ratio: float, named: list[str]
 ) -> None:
     unknown = Missing("unknown", 1.0, {}, {}, "", covariates=("row",))
@@ -194,7 +194,7 @@ def test_what_comes_with_unmodulated_light_is_its_own_shift(
 @pytest.mark.parametrize(
     ("on_top", "ratio", "only"), [(130.0, 1.09, True), (130.0, 1.0, False), (1300.0, 1.09, False)]
 )
-def test_what_is_nothing_beside_the_noise_is_no_unknown_physics(
+def test_what_is_nothing_compared_with_the_noise_is_no_unknown_physics(
     on_top: float, ratio: float, only: bool
 ) -> None:
     scores = SimpleNamespace(chi_square=lambda: (1.0, 460_000))
@@ -262,7 +262,7 @@ def test_names_are_as_certain_as_they_explain_what_does_not_fit(
 
 
 def test_what_names_explain_is_of_all_errors() -> None:
-    """Beside errors that neighbours share, which take up most of an effect, it would be 17 %."""
+    """Given errors that neighbours share, which take up most of an effect, it would be 17 %."""
     found = Accuracy(0.012, 0.011, 0.008, 1.32, 1.27, True, all_before=3.0, all_after=1.66)
     assert found.explained == pytest.approx(1.34 / 2.0)
     assert re.search("or something else is missing", found.notes()[0])

@@ -1,4 +1,4 @@
-"""To what the distances of an effect are known, beside offsets of pixels, which its parameters trade with."""
+"""To what the distances of an effect are known, given offsets of pixels, which its parameters trade with."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def test_differences_of_settings_are_known_far_better_than_the_offset_of_each(tm
 
 @pytest.mark.long
 def test_the_sentence_says_it(tmp_path: Path) -> None:
-    board, told = scene(tmp_path), camera(tmp_path)
+    board, stated = scene(tmp_path), camera(tmp_path)
     truth = camera(tmp_path, IntegrationTimeOffset(MappingProxyType(TRUE)))
-    found = diagnose(record(truth, board, poses=18, seed=3), board, told)
+    found = diagnose(record(truth, board, poses=18, seed=3), board, stated)
     (one,) = found.missing
     said = re.search(
         r"\(99 % of them less\), known to ([\d.]+) mm \(1 sigma\) apart from offsets of the pixels",

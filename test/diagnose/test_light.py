@@ -118,8 +118,10 @@ def test_a_response_of_another_form_is_a_response(tmp_path: Path) -> None:
     # what is said of it: 5 %, 50 % and 95 % of the amplitudes, to a factor on the light
     said = re.fullmatch(r".*: (.*) counts of light are published as (.*)", result.missing[0].sentence)
     assert said is not None
-    light, told = (np.array([float(x.replace(",", "")) for x in one.split(" / ")]) for one in said.groups())
-    factor = told / light / (told / true_light(told))
+    light, published = (
+        np.array([float(x.replace(",", "")) for x in one.split(" / ")]) for one in said.groups()
+    )
+    factor = published / light / (published / true_light(published))
     assert factor / factor[1] == pytest.approx([1.0, 1.0, 1.0], abs=0.02)
     assert result.accuracy.chi2_after == pytest.approx(1.0, abs=0.05)
 
@@ -128,7 +130,7 @@ def test_a_response_of_another_form_is_a_response(tmp_path: Path) -> None:
 @pytest.mark.xfail(
     reason="thresholds are of the stated noise: a drift of 0.5 mm is named with three times it"
 )
-def test_too_much_noise_is_told_as_large_as_it_is(tmp_path: Path) -> None:
+def test_too_much_noise_is_reported_as_large_as_it_is(tmp_path: Path) -> None:
     """It lifts dark amplitudes, which a response takes up; that must not make the noise look smaller."""
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
     loud = replace(truth, noise=replace(truth.noise, amplitude=3.0 * truth.noise.amplitude))
@@ -139,15 +141,15 @@ def test_too_much_noise_is_told_as_large_as_it_is(tmp_path: Path) -> None:
 
 def test_noise_stays_that_of_least_squares_where_a_part_of_it_is_none(tmp_path: Path) -> None:
     """Photons alone, where the file has an amplitude's part as well: that is held at 0."""
-    told = replace(camera(tmp_path), noise=Noise(floor=0.004, shot=0.05, amplitude=10.0))
+    stated = replace(camera(tmp_path), noise=Noise(floor=0.004, shot=0.05, amplitude=10.0))
     rng = np.random.default_rng(0)
     light = np.exp(rng.uniform(np.log(200), np.log(4000), 20_000))
     freedom = np.full(light.size, 9.0)
-    rounding = told.sensor.lsb**2 / 12
+    rounding = stated.sensor.lsb**2 / 12
     true = Noise(floor=0.006, shot=0.15, amplitude=0.0).sigma_distance(light) ** 2 + rounding
     measured = true * rng.chisquare(9, light.size) / 9
-    model = told.noise.sigma_distance(light) ** 2 + rounding
-    found = _fitted_noise(light, measured, model, freedom, told)
+    model = stated.noise.sigma_distance(light) ** 2 + rounding
+    found = _fitted_noise(light, measured, model, freedom, stated)
     weight = np.sqrt(freedom) / model
     terms = np.stack([np.ones_like(light), light**-2, 1 / light], axis=1) * weight[:, None]
     size = np.linalg.norm(terms, axis=0)
@@ -161,8 +163,8 @@ def test_noise_stays_that_of_least_squares_where_a_part_of_it_is_none(tmp_path: 
 def test_the_scale_of_the_light_is_free_where_the_response_is_not_known(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
     data = record(truth, board, seed=34)
-    told = replace(truth, noise=replace(truth.noise, amplitude=truth.noise.amplitude / 1.1))
-    forward = Forward(data, board, told)
+    stated = replace(truth, noise=replace(truth.noise, amplitude=truth.noise.amplitude / 1.1))
+    forward = Forward(data, board, stated)
     forward.estimate_amplitudes()
     assert examine_variance(forward).noise_is_wrong
     free = examine_variance(forward, free_scale=True)
@@ -178,10 +180,10 @@ def test_the_scale_of_the_light_is_free_where_the_response_is_not_known(tmp_path
         assert examine_variance(forward, free_scale=True).noise_is_wrong
 
 
-@pytest.mark.parametrize(("frames", "told"), [(4, 4), (8, 8), (60, 8)])
-def test_what_pixels_share_is_known_from_eight_frames(tmp_path: Path, frames: int, told: int) -> None:
+@pytest.mark.parametrize(("frames", "kept"), [(4, 4), (8, 8), (60, 8)])
+def test_what_pixels_share_is_known_from_eight_frames(tmp_path: Path, frames: int, kept: int) -> None:
     """1 / sqrt(N (n - 1)) of N stations: longer ones keep eight frames for it."""
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
     forward = Forward(record(truth, board, poses=6, frames=frames, seed=36), board, truth)
     forward.estimate_amplitudes()
-    assert examine_variance(forward).common_sigma == pytest.approx((6 * (told - 1)) ** -0.5, rel=0.02)
+    assert examine_variance(forward).common_sigma == pytest.approx((6 * (kept - 1)) ** -0.5, rel=0.02)

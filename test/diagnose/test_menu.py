@@ -55,7 +55,7 @@ def test_rivals_speak_against_themselves_where_they_do_not_show() -> None:
     assert _gain(left, spans, free, 1, 0) == pytest.approx(0.5 * 9 * 0.5**2)
 
 
-def test_rivals_that_look_alike_are_not_told_apart() -> None:
+def test_rivals_that_look_alike_are_not_distinguished() -> None:
     left = np.array([[4.0, 6.0], [6.0, 9.0]])  # the second is the first, times 1.5
     same = [(np.array([1.5]), NARROW), (np.array([1.0]), NARROW)]
     assert _gain(left, [[0], [1]], same, 0, 1) == pytest.approx(0.0, abs=1e-9)

@@ -69,8 +69,8 @@ def test_gains_are_found_as_large_as_they_are(tmp_path: Path, size: float, beyon
 def test_gains_that_are_stated_as_none_are_known_as_well_as_amplitudes_are(
     tmp_path: Path, size: float, beyond: bool
 ) -> None:
-    told, board = camera(tmp_path), scene(tmp_path)
-    model = replace(told, radiometry=replace(told.radiometry, pattern_sigma=0.0))
+    stated, board = camera(tmp_path), scene(tmp_path)
+    model = replace(stated, radiometry=replace(stated.radiometry, pattern_sigma=0.0))
     gains = np.exp(size * np.random.default_rng(5).standard_normal(model.shape))
     data = brighter(record(model, board, poses=12, seed=6), gains)
     found = spread_of_gains(fit(Problem(data, board), model))
@@ -80,7 +80,7 @@ def test_gains_that_are_stated_as_none_are_known_as_well_as_amplitudes_are(
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize(("size", "beyond"), [(0.0, False), (0.015, False), (0.09, True)])
-def test_gains_of_rows_or_columns_are_told_from_those_of_their_pixels(
+def test_gains_of_rows_or_columns_are_distinguished_from_those_of_their_pixels(
     tmp_path: Path, axis: int, size: float, beyond: bool
 ) -> None:
     """Within what single pixels may have, but no mean of 40 of them is as large."""
@@ -97,7 +97,7 @@ def test_gains_of_rows_or_columns_are_told_from_those_of_their_pixels(
         assert 0.035 < found.lines < 0.09
 
 
-def test_what_all_pixels_have_beside_their_neighbours_is_no_gain_of_lines() -> None:
+def test_what_all_pixels_have_relative_to_their_neighbours_is_no_gain_of_lines() -> None:
     """Light through a coarse grid: pixels of a board that moves are darker than those beside them."""
     rng = np.random.default_rng(5)
     images = []
@@ -110,7 +110,7 @@ def test_what_all_pixels_have_beside_their_neighbours_is_no_gain_of_lines() -> N
     rows = 0.08 * rng.standard_normal((40, 1))
     striped = [one + rows for one in images]
     assert _of_lines(striped, 0) == 0.0
-    # as they are beside neighbours: the least that a standard deviation of 0.08 may be
+    # relative to their neighbours: the least that a standard deviation of 0.08 may be
     assert 0.03 < _of_lines(striped, 1) * np.sqrt(0.375) < 0.09
 
 
@@ -151,7 +151,7 @@ def test_columns_that_take_light_from_their_neighbours_are_unknown_physics(tmp_p
     found = diagnose(data, board, model)
     assert found.verdict == "unknown_physics"
     (said,) = found.missing
-    # half the columns are brighter by ln 1.3; of the two sides of a pixel's four neighbours it is told
+    # half the columns are brighter by ln 1.3: two of a pixel's four neighbours differ from it
     expected = np.log(1.3) / 2 / np.sqrt(1.25)
     size = float(said.sentence.split("of their neighbours by ")[1].split("%")[0]) / 100
     assert 0.6 * np.log(1.3) / 2 < size < 1.03 * np.log(1.3) / 2
@@ -168,7 +168,7 @@ def test_columns_that_take_light_from_their_neighbours_are_unknown_physics(tmp_p
     assert seen.size > 0.7 * model.shape[0] * model.shape[1]
 
 
-def test_the_map_of_gains_is_what_pixels_have_beside_their_neighbours(tmp_path: Path) -> None:
+def test_the_map_of_gains_is_what_pixels_have_relative_to_their_neighbours(tmp_path: Path) -> None:
     model, board = camera(tmp_path), scene(tmp_path)
     own = 0.05 * np.random.default_rng(8).standard_normal(model.shape)
     data = brighter(record(model, board, poses=12, seed=6), np.exp(own))
@@ -176,11 +176,11 @@ def test_the_map_of_gains_is_what_pixels_have_beside_their_neighbours(tmp_path: 
     assert found is not None
     expected = own.copy()
     expected[1:-1, 1:-1] -= (own[:-2, 1:-1] + own[2:, 1:-1] + own[1:-1, :-2] + own[1:-1, 2:]) / 4
-    seen = np.isfinite(found.beside_neighbours)
+    seen = np.isfinite(found.relative_to_neighbours)
     assert seen.sum() > 500
     assert not seen[0].any()
-    assert np.std((found.beside_neighbours - expected)[seen]) < 0.012
-    assert np.corrcoef(found.beside_neighbours[seen], expected[seen])[0, 1] > 0.97
+    assert np.std((found.relative_to_neighbours - expected)[seen]) < 0.012
+    assert np.corrcoef(found.relative_to_neighbours[seen], expected[seen])[0, 1] > 0.97
 
 
 @pytest.mark.parametrize(

@@ -92,7 +92,7 @@ def agrees(found: Files) -> None:
 
 
 @pytest.mark.long
-def test_a_wrong_focal_length_is_told_as_what_it_is(tmp_path: Path) -> None:
+def test_a_wrong_focal_length_is_reported_as_what_it_is(tmp_path: Path) -> None:
     """The first that is found stands in for it, and is dropped: what is left has gained it all."""
     found = diagnosed(tmp_path, CAMERA, CAMERA.replace("fx: 30.0, fy: 30.0", "fx: 31.0, fy: 31.0"))
     assert found.missing == ["camera_constant"]
@@ -118,7 +118,7 @@ def test_a_gain_within_what_reflectivities_allow_is_no_fault(tmp_path: Path) -> 
 
 
 @pytest.mark.long
-def test_another_noise_beside_known_unmodulated_light(tmp_path: Path) -> None:
+def test_another_noise_given_known_unmodulated_light(tmp_path: Path) -> None:
     """What the light adds is not the noise section's: of one frame 0.3^2 (A + 3000) / A^2 and a floor."""
     known = CAMERA.replace("shot: 0.0, amplitude: 4.0", "shot: 0.3, amplitude: 0.0")
     known += "effects: {background_light: {level: 3000.0, offset: 0.0}}\n"
@@ -132,7 +132,7 @@ def test_another_noise_beside_known_unmodulated_light(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_second_table_is_not_told_as_the_first(tmp_path: Path) -> None:
+def test_a_second_table_is_not_reported_as_the_first(tmp_path: Path) -> None:
     table = (
         "effects: {empirical: {covariates: [amplitude], knots: [[100, 1000, 5000]], "
         "values: [0, 1.0e-4, 0]}}\n"
@@ -151,7 +151,7 @@ def test_a_second_table_is_not_told_as_the_first(tmp_path: Path) -> None:
     assert "a camera file has one table, and this one&#39;s is of amplitude" in text
 
 
-def test_another_noise_beside_unknown_physics_is_adjusted(tmp_path: Path) -> None:
+def test_another_noise_with_unknown_physics_is_adjusted(tmp_path: Path) -> None:
     """With the verdict unknown_physics the report names one thing as missing."""
     true = (
         "effects: {empirical: {covariates: [height], knots: [[-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5]], "
@@ -167,7 +167,7 @@ def test_another_noise_beside_unknown_physics_is_adjusted(tmp_path: Path) -> Non
 
 
 @pytest.mark.long
-def test_counts_left_out_hide_what_is_beside_them(tmp_path: Path) -> None:
+def test_missing_counts_hide_what_else_is_missing(tmp_path: Path) -> None:
     found = diagnosed(
         tmp_path,
         CAMERA,
@@ -183,7 +183,9 @@ def test_counts_left_out_hide_what_is_beside_them(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_large_sensor_is_told_in_its_own_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_sensor_is_reported_in_its_own_pixels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(decimation, "MANY_PIXELS", 1000)
     monkeypatch.setattr(decimation, "_COARSE_PIXELS", 600)
     known = CAMERA.replace("width: 24, height: 20", "width: 48, height: 40")
@@ -198,8 +200,8 @@ def test_a_large_sensor_is_told_in_its_own_pixels(tmp_path: Path, monkeypatch: p
 
 def test_curves_over_angles_are_no_lists() -> None:
     values = {"diffuse.10": 0.1, "diffuse.20": 0.2, "d.1": -0.3, "d.0": 0.2, "fx": 50.0}
-    told = {"diffuse": {"10": 0.1, "20": 0.2}, "d": [0.2, -0.3], "fx": 50.0}
-    assert _nested(values) == told
+    expected = {"diffuse": {"10": 0.1, "20": 0.2}, "d": [0.2, -0.3], "fx": 50.0}
+    assert _nested(values) == expected
 
 
 def test_numbers_in_pixels_of_both_grids() -> None:
@@ -263,12 +265,12 @@ def test_a_formula_over_rows_is_one_of_the_whole_sensor(tmp_path: Path) -> None:
     small = added(decimation.decimated_camera(camera, 4), table)
     full = decimation.full_camera(small, camera, 4)
     said = "0.002 +0.0004 x -1e-06 x^2 [m], x = row"
-    told = full_grid.restated(Missing("unknown", 1.0, {}, {}, f"by {said}", formula=said), small, full, 4)
-    assert told.formula is not None
-    assert told.sentence == f"by {told.formula}"
+    restated = full_grid.restated(Missing("unknown", 1.0, {}, {}, f"by {said}", formula=said), small, full, 4)
+    assert restated.formula is not None
+    assert restated.sentence == f"by {restated.formula}"
     x = np.arange(0.0, 120.0, 7.0)
     # every fourth row from the third on
-    shown = formulas.formula_curve(told.formula, 4 * x + 2)
+    shown = formulas.formula_curve(restated.formula, 4 * x + 2)
     wanted = 0.002 + 0.0004 * x - 1e-6 * x**2
     assert shown == pytest.approx(wanted, abs=0.015 * np.ptp(wanted))
     of_light = replace(table, covariates=("amplitude",))

@@ -28,9 +28,9 @@ def with_light(amplitude: float, frequency: float = 20.0e6) -> str:
     return f"{CAMERA}{CYCLIC[: CYCLIC.rindex('}')]}, {light}}}\n"
 
 
-def diagnosed(folder: Path, told: str, true: str, *, scene: str | None = None) -> dict[str, Any]:
+def diagnosed(folder: Path, stated: str, true: str, *, scene: str | None = None) -> dict[str, Any]:
     (folder / "scene.yaml").write_text(scene_text() if scene is None else scene)
-    (folder / "camera.yaml").write_text(told)
+    (folder / "camera.yaml").write_text(stated)
     (folder / "true.yaml").write_text(true)
     run("simulate", folder / "scene.yaml", camera=folder / "true.yaml", out=folder / "bag", seed=3)
     words = {"camera": folder / "camera.yaml", "scene": folder / "scene.yaml", "out": folder / "out"}

@@ -26,14 +26,14 @@ from rim_camera_ros.select.evidence import Scores, folds_of
 from rim_camera_ros.select.exploration import Exploration
 from rim_camera_ros.select.moved_poses import moved_poses
 
-from ..calibrate.helpers import camera, record, scene, told_wrongly
+from ..calibrate.helpers import camera, record, scene, with_wrong_pose
 from .helpers import CAMERA, run, scene_text
 
 
-def test_the_poses_of_a_placement_that_was_told_wrongly_are_those_to_blame(tmp_path: Path) -> None:
-    """16 placements, told three times each: poses 15, 16 and 17 share the error of the sixth."""
+def test_the_poses_of_a_placement_that_was_recorded_wrongly_are_those_to_blame(tmp_path: Path) -> None:
+    """16 placements, recorded three times each: poses 15, 16 and 17 share the error of the sixth."""
     truth, board = camera(tmp_path), scene(tmp_path)
-    data = told_wrongly(record(truth, board, poses=16, seed=3), 5, 0.06)
+    data = with_wrong_pose(record(truth, board, poses=16, seed=3), 5, 0.06)
     again = [
         replace(one, pose=3 * k + j, placement=k, time=3.0 * k + j)
         for k, one in enumerate(data.stations)
@@ -224,7 +224,7 @@ def test_a_recording_is_no_simulation_of_itself(tmp_path: Path, capsys: pytest.C
 
 @pytest.mark.long
 def test_no_solution_is_no_page_of_warnings(tmp_path: Path) -> None:
-    """A board that is told to stand still while it moved, without a warning of scipy."""
+    """A board that stands still by the scene file while it moved, without a warning of scipy."""
     truth, board = camera(tmp_path), scene(tmp_path)
     data = record(truth, board, poses=10, seed=10)
     wrong = Pose((0.0, 0.0, 1.5))

@@ -24,7 +24,7 @@ SLOPE = 2.0e-5
 
 def explored(tmp_path: Path, *, slope: float, seed: int) -> Exploration:
     """Smooth terms of a recording with slope (T - 20) (column - 21.5), by a camera file without it."""
-    told, board = camera(tmp_path), scene(tmp_path)
+    stated, board = camera(tmp_path), scene(tmp_path)
     half = slope * 4.0 * 21.5
     gradient = Empirical(
         ("ambient_temperature", "column"),
@@ -32,11 +32,11 @@ def explored(tmp_path: Path, *, slope: float, seed: int) -> Exploration:
         NestedList(np.array([[half, -half], [-half, half]])),
     )
     data = record(camera(tmp_path, gradient), board, poses=24, seed=seed)
-    forward = Forward(data, board, told)
+    forward = Forward(data, board, stated)
     forward.estimate_amplitudes()
     samples = axes_of(forward)
     further = [*single_terms(samples), *gradient_terms(samples)]
-    return explore(Problem(data, board), told, [], folds_of(data), further=further)
+    return explore(Problem(data, board), stated, [], folds_of(data), further=further)
 
 
 def above(step: Exploration) -> dict[str, float]:

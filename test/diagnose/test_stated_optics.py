@@ -22,7 +22,9 @@ from ..calibrate.helpers import camera, record, scene
 
 @pytest.mark.long
 @pytest.mark.parametrize(("factor", "named"), [(1.002, []), (1.06, ["camera_constant"])])
-def test_a_camera_constant_beside_its_stated_sigma(tmp_path: Path, factor: float, named: list[str]) -> None:
+def test_a_camera_constant_compared_with_its_stated_sigma(
+    tmp_path: Path, factor: float, named: list[str]
+) -> None:
     """Of 0.3 %: wrong by 0.2 % nothing is missing, by 6 % it is named whatever the file states."""
     truth, board = camera(tmp_path), scene(tmp_path)
     data = record(truth, board, poses=20, seed=3)
@@ -45,11 +47,11 @@ def test_a_surface_that_stands_elsewhere_comes_before_free_optics(
     """Where it explains most of what does not fit: by free optics physics may explain more."""
     optics = ("optics.fx", "optics.fy")
     stated = Covariance(optics, ArrayFile("covariance.npy", np.diag([0.01, 0.01])))
-    told = replace(camera(tmp_path), covariance=stated)
-    inputs: Any = Inputs(SimpleNamespace(notes=[]), scene(tmp_path), told)  # type: ignore[arg-type]
-    data = record(told, scene(tmp_path), poses=2)
-    begin: Any = SimpleNamespace(dataset=data, problem=None, beside_second_camera=False, variance=None)
-    fitted = SimpleNamespace(fit=SimpleNamespace(camera=told))
+    known = replace(camera(tmp_path), covariance=stated)
+    inputs: Any = Inputs(SimpleNamespace(notes=[]), scene(tmp_path), known)  # type: ignore[arg-type]
+    data = record(known, scene(tmp_path), poses=2)
+    begin: Any = SimpleNamespace(dataset=data, problem=None, sees_second_camera=False, variance=None)
+    fitted = SimpleNamespace(fit=SimpleNamespace(camera=known))
     result: Any = SimpleNamespace(explorations=[fitted], forget=lambda: None)
     there = Hypothesis(DEPTH, "wall", 90.0, 5.0, share=share or 0.0, against_physics=True)
     elsewhere = (None, []) if share is None else (there, [there])

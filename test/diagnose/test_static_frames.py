@@ -59,7 +59,7 @@ def frames_of(
     return np.array(result)
 
 
-def test_light_and_tilts_are_told_apart() -> None:
+def test_light_and_tilts_are_distinguished() -> None:
     rng = np.random.default_rng(9)
     ambiguity = 5.0
     second, moving, still = (
@@ -132,11 +132,11 @@ def test_by_how_much_the_first_frame_stands_out() -> None:
 
 
 @pytest.mark.parametrize("count", [3, 5, 8])
-def test_a_drift_and_frames_that_begin_otherwise_are_told_apart(count: int) -> None:
-    """Beside light that changes independently: steady drifts, random walks, and first frames that differ."""
+def test_a_drift_and_frames_that_begin_otherwise_are_distinguished(count: int) -> None:
+    """With light that changes independently: steady drifts, random walks, and first frames that differ."""
     rng = np.random.default_rng(count)
 
-    def beside_noise(courses: NDArray[np.float64]) -> Movement:
+    def with_noise(courses: NDArray[np.float64]) -> Movement:
         stations = []
         for course in courses:
             frames = frames_of(rng)[:count]
@@ -149,10 +149,10 @@ def test_a_drift_and_frames_that_begin_otherwise_are_told_apart(count: int) -> N
     first = np.zeros((40, count))
     first[:, 0] = 1.0
     for courses in (ramp, walk):
-        drift = beside_noise(courses)
+        drift = with_noise(courses)
         assert drift.first == pytest.approx(drift.first_in_drift, abs=0.07)
         assert abs(drift.first - drift.first_in_drift) < abs(drift.first - drift.first_where_it_begins)
-    begun = beside_noise(first)
+    begun = with_noise(first)
     assert begun.first == pytest.approx(begun.first_where_it_begins, abs=0.15)
     assert abs(begun.first - begun.first_where_it_begins) < abs(begun.first - begun.first_in_drift)
 
@@ -203,8 +203,8 @@ def test_a_second_camera_before_a_floor_is_still_one(tmp_path: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("counts", [4.0, 4.0028])
-def test_a_step_that_is_small_beside_the_noise_is_a_note(counts: float, tmp_path: Path) -> None:
-    """0.31 mm beside 2 mm: it had been all that was said, "unknown physics: counts that never occur"."""
+def test_a_step_that_is_small_compared_with_the_noise_is_a_note(counts: float, tmp_path: Path) -> None:
+    """0.31 mm against 2 mm: it had been all that was said, "unknown physics: counts that never occur"."""
     floor_camera(tmp_path, scale=2)
     path = tmp_path / "camera.yaml"
     # the step is that of 16 bits over c / (2 f) then

@@ -67,8 +67,8 @@ def test_what_nothing_explains_is_not_consistent(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_wrong_parameters_are_not_called_missing_physics(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
-    told = with_numbers(truth, {"effects.cyclic_error.harmonics.0.amplitude": 0.025})
-    result = diagnose(record(truth, board, seed=22), board, told)
+    stated = with_numbers(truth, {"effects.cyclic_error.harmonics.0.amplitude": 0.025})
+    result = diagnose(record(truth, board, seed=22), board, stated)
     assert result.verdict == "wrong_parameters"
     assert [one.effect for one in result.adjusted] == ["cyclic_error"]
     found = result.adjusted[0].after["harmonics.0.amplitude"]
@@ -92,7 +92,7 @@ def test_a_pose_that_is_off_is_no_physics(tmp_path: Path) -> None:
     assert "2 of 24 poses" in result.reason
     report = as_json(result)
     assert report["reason"] == result.reason
-    # the page shows the worst of them: told to be 50 mm farther away, and at its place in the image
+    # the page shows the worst of them: stated to be 50 mm farther away, and at its place in the image
     worst = evidence(result).worst
     assert worst is not None
     assert worst.pose in (4, 9)
@@ -112,7 +112,7 @@ def test_a_pose_that_is_off_is_no_physics(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_one_pose_that_is_off_is_left_out(tmp_path: Path) -> None:
+def test_one_pose_that_is_off_is_excluded(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
     data = record(truth, board, seed=26)
     one = data.stations[7]
@@ -125,10 +125,10 @@ def test_one_pose_that_is_off_is_left_out(tmp_path: Path) -> None:
 
 def test_of_one_pose_nothing_is_named(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
-    told = replace(truth, effects={name: truth.effects[name] for name in ("emission_pattern",)})
+    stated = replace(truth, effects={name: truth.effects[name] for name in ("emission_pattern",)})
     data = record(truth, board, seed=24)
     data.stations = [one for one in data.stations if one.pose == 0]
-    result = diagnose(data, board, told)
+    result = diagnose(data, board, stated)
     assert result.missing == []
     assert not result.accuracy.held_out
     assert any(re.match("only one pose: .* record 20 poses or more", note) for note in result.notes)
@@ -146,12 +146,12 @@ def test_a_small_part_of_the_picture_may_be_described(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_noise_is_examined(tmp_path: Path) -> None:
     truth, board = camera(tmp_path, *KNOWN), scene(tmp_path)
-    told = replace(truth, noise=replace(truth.noise, amplitude=0.7 * truth.noise.amplitude))
-    result = diagnose(record(truth, board, seed=24), board, told)
+    stated = replace(truth, noise=replace(truth.noise, amplitude=0.7 * truth.noise.amplitude))
+    result = diagnose(record(truth, board, seed=24), board, stated)
     assert [one.effect for one in result.missing] == ["noise"]
     assert result.variance.noise.amplitude == pytest.approx(truth.noise.amplitude, rel=0.05)
     # (6^2 - 4.2^2) / A^2 of variance is more than the file says: most of it where it is dark
-    total, count = np.zeros(told.shape), np.zeros(told.shape)
+    total, count = np.zeros(stated.shape), np.zeros(stated.shape)
     for one in result.final.fit.forward.predictions():
         seen = one.view.geometry.hit & (one.station.count > 0)
         at = one.amplitude[seen]
@@ -166,7 +166,7 @@ def test_noise_is_examined(tmp_path: Path) -> None:
 
 
 def test_missing_codes() -> None:
-    """Every code occurs beside frequent ones, where the noise is wide; a staircase leaves codes out."""
+    """Every code occurs beside frequent ones, where the noise is wide; a staircase omits codes."""
     rng = np.random.default_rng(3)
     values = rng.normal(20_000, 40, 100_000)
     smooth = np.bincount(np.rint(values).astype(int), minlength=65536)
@@ -180,7 +180,7 @@ def test_missing_codes() -> None:
 
 
 @pytest.mark.parametrize("to", [-1, 1])
-def test_ranges_of_codes_that_are_left_out(to: int) -> None:
+def test_ranges_of_codes_that_are_missing(to: int) -> None:
     """Two ranges of 600 counts, whose values fall on the code before or after them: 1200 / 16,000 of all."""
     rng = np.random.default_rng(5)
     values = np.rint(rng.uniform(9_000, 25_000, 300_000) + rng.normal(0, 17, 300_000)).astype(int)
@@ -203,8 +203,8 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     camera(tmp_path)
     scene(tmp_path)
     bag = tmp_path / "bag"
-    told = ["--camera", str(tmp_path / "camera.yaml"), "--scene", str(tmp_path / "scene.yaml")]
-    assert main(["diagnose", str(bag), *told, "--out", str(tmp_path / "out")]) == 2
+    options = ["--camera", str(tmp_path / "camera.yaml"), "--scene", str(tmp_path / "scene.yaml")]
+    assert main(["diagnose", str(bag), *options, "--out", str(tmp_path / "out")]) == 2
     message = capsys.readouterr().err
     assert message.startswith("rim: ")
     assert "bag" in message
@@ -230,10 +230,10 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_open_cases(name: str) -> None:
     """Seven recordings of a program that is independent of this one, with functional forms of its own."""
     folder = CASES / name
-    told, setting = load_camera(folder / "camera.yaml"), load_scene(folder / "scene.yaml")
-    data = reduce_recording(folder / "recording", told)
+    stated, setting = load_camera(folder / "camera.yaml"), load_scene(folder / "scene.yaml")
+    data = reduce_recording(folder / "recording", stated)
     data.with_poses(setting)
-    result = diagnose(data, setting, told)
+    result = diagnose(data, setting, stated)
     truth = json.loads((folder / "truth.json").read_text())["effects"]
     named = {one.effect for one in result.missing}
     if truth and truth[0].startswith("unknown"):
@@ -252,19 +252,19 @@ def test_open_cases(name: str) -> None:
         ("-4", r"--without-poses"),
     ],
 )
-def test_poses_to_leave_out_are_numbers(given: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    told = ["bag", "--camera", "sr3000", "--scene", "wall", "--out", "never"]
-    assert main(["diagnose", *told, f"--without-poses={given}"]) == 2
+def test_poses_to_exclude_are_numbers(given: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["bag", "--camera", "sr3000", "--scene", "wall", "--out", "never"]
+    assert main(["diagnose", *options, f"--without-poses={given}"]) == 2
     assert re.search(message, capsys.readouterr().err)
 
 
 @pytest.mark.long
-def test_stray_light_on_a_board_is_told_from_what_darkens_slopes(tmp_path: Path) -> None:
+def test_stray_light_on_a_board_is_distinguished_from_what_darkens_slopes(tmp_path: Path) -> None:
     """From a linear guess its widths once left for good, and surfaces unlike Lambert's took its place."""
     light = Scattering((Kernel(0.05, (5.0, 4.0)), Kernel(0.04, (17.0, 14.0))))
     truth, board = camera(tmp_path, *KNOWN, light), scene(tmp_path)
-    told = camera(tmp_path, *KNOWN)
-    result = diagnose(record(truth, board, seed=27), board, told)
+    stated = camera(tmp_path, *KNOWN)
+    result = diagnose(record(truth, board, seed=27), board, stated)
     assert [one.effect for one in result.missing] == ["scattering"]
     found = result.camera.effects["scattering"]
     assert isinstance(found, Scattering)
@@ -286,7 +286,7 @@ def test_some_poses_must_be_left(
     camera(tmp_path)
     board = scene(tmp_path)
     write(tmp_path / "bag", frames(camera(tmp_path), board, poses=3, repeats=2, seed=3))
-    told = ["--camera", str(tmp_path / "camera.yaml"), "--scene", str(tmp_path / "scene.yaml")]
+    options = ["--camera", str(tmp_path / "camera.yaml"), "--scene", str(tmp_path / "scene.yaml")]
     out = ["--out", str(tmp_path / "out"), "--quiet"]
-    assert main(["diagnose", str(tmp_path / "bag"), *told, *out, "--without-poses", given]) == 2
+    assert main(["diagnose", str(tmp_path / "bag"), *options, *out, "--without-poses", given]) == 2
     assert re.search(message, capsys.readouterr().err)

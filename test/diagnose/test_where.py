@@ -42,9 +42,9 @@ STRAY = Scattering((Kernel(0.06, (7.0, 9.0)),))
 AMBIGUITY = 299_792_458.0 / 40e6
 
 
-def sigma(told: Camera, amplitude: np.ndarray) -> np.ndarray:
+def sigma(stated: Camera, amplitude: np.ndarray) -> np.ndarray:
     """The test camera's noise [m]: 3 mm and 6 m counts / A."""
-    assert (told.noise.floor, told.noise.shot, told.noise.amplitude) == (0.003, 0.0, 6.0)
+    assert (stated.noise.floor, stated.noise.shot, stated.noise.amplitude) == (0.003, 0.0, 6.0)
     lsb = AMBIGUITY / 65536
     return np.sqrt(0.003**2 + (6.0 / amplitude) ** 2 + lsb**2 / 12)
 
@@ -67,14 +67,14 @@ def expected(forward: Forward, moved: Any) -> tuple[np.ndarray, np.ndarray]:
     return np.divide(total, count, out=total, where=count > 0), count > 0
 
 
-def located(data: Dataset, board: Scene, told: Camera, name: str) -> tuple[Fit, np.ndarray, np.ndarray]:
+def located(data: Dataset, board: Scene, stated: Camera, name: str) -> tuple[Fit, np.ndarray, np.ndarray]:
     """A fit, and where an effect is by its form alone and with the changes of its form."""
     problem, folds = Problem(data, board), folds_of(data)
-    fitted = fit(problem, told, fold_of=folds)
+    fitted = fit(problem, stated, fold_of=folds)
     forms = form_blocks(fitted, [name], [])
     step = explored(further_equations(fitted, forms, folds, problem), [], forms=forms, replicates=0)
     rest = change_of_forms(fitted.camera, [name], step.forms, step.conditional.values())
-    plain, with_rest = (of_terms(fitted, [name], told, rest=one).pixels for one in (None, rest))
+    plain, with_rest = (of_terms(fitted, [name], stated, rest=one).pixels for one in (None, rest))
     return fitted, plain, with_rest
 
 
@@ -102,11 +102,11 @@ def test_a_compressed_amplitude_counts_by_what_it_and_its_response_take(tmp_path
     wanted, seen = expected(forward, moved)
     assert found.pixels[seen] == pytest.approx(wanted[seen], rel=1e-4)
     assert np.sqrt(found.pixels.max()) > 5
-    # beside a term of the distance it counts as before
+    # with a term of the distance it counts as before
     both = with_effects(forward.camera, {**forward.camera.effects, "distance_scale": DistanceScale(1e-9)})
-    beside = Forward(forward.dataset, scene(tmp_path), both)
-    beside.amplitude_model, beside.light_curves = forward.amplitude_model, forward.light_curves
-    fitted = SimpleNamespace(forward=beside, camera=both, scene=scene(tmp_path))
+    combined = Forward(forward.dataset, scene(tmp_path), both)
+    combined.amplitude_model, combined.light_curves = forward.amplitude_model, forward.light_curves
+    fitted = SimpleNamespace(forward=combined, camera=both, scene=scene(tmp_path))
     again = of_terms(fitted, ["distance_scale", "amplitude_nonlinearity"], both)
     assert again.pixels[seen] == pytest.approx(found.pixels[seen], rel=1e-4)
 
@@ -133,14 +133,14 @@ def test_a_beam_counts_by_the_distances_that_move_with_the_amplitude(tmp_path: P
 
     def with_bend(size: float) -> tuple[Forward, np.ndarray]:
         both = with_effects(forward.camera, {**forward.camera.effects, "amplitude_offset": bend(size)})
-        beside = Forward(forward.dataset, fitted.scene, both)
-        beside.amplitude_model = forward.amplitude_model
-        there = SimpleNamespace(forward=beside, camera=both)
-        return beside, of_terms(there, ["emission_pattern"], both).pixels  # type: ignore[arg-type]
+        combined = Forward(forward.dataset, fitted.scene, both)
+        combined.amplitude_model = forward.amplitude_model
+        there = SimpleNamespace(forward=combined, camera=both)
+        return combined, of_terms(there, ["emission_pattern"], both).pixels  # type: ignore[arg-type]
 
-    beside, moved = with_bend(6.0)
+    combined, moved = with_bend(6.0)
     # as far as the amplitude that terms see follows the predicted light
-    wanted, _ = expected(beside, lambda one: share(one) * -6.0 / one.amplitude * one.amplitude_follows)
+    wanted, _ = expected(combined, lambda one: share(one) * -6.0 / one.amplitude * one.amplitude_follows)
     assert moved[seen] == pytest.approx(wanted[seen], rel=0.02, abs=1e-6)
     assert moved[seen].max() < 0.1 * alone[seen].max()
     # by less than half a millimetre they show nothing of it
@@ -162,8 +162,8 @@ def test_what_an_effect_does_beyond_its_form_belongs_to_its_place(tmp_path: Path
     moved = [replace(p.station, distance=p.station.distance + across(p)) for p in forward.predictions()]
     data = replace(data, stations=moved)
     fitted, plain, with_rest = located(data, board, truth, "scattering")
-    told = [change_by(p, "scattering")[0] + across(p) for p in forward.predictions()]
-    numbers = iter(told)
+    changes = [change_by(p, "scattering")[0] + across(p) for p in forward.predictions()]
+    numbers = iter(changes)
     wanted, seen = expected(forward, lambda one: np.nan_to_num(next(numbers)))
     errors = [float(np.std((one - wanted)[seen])) for one in (plain, with_rest)]
     assert errors[1] < 0.5 * errors[0]
@@ -239,15 +239,15 @@ def test_residuals_count_beyond_their_noise_in_the_pixels_in_use(tmp_path: Path)
     """What a scale of distance leaves where it is unknown; a pixel that nobody uses may be anything."""
     truth, board = camera(tmp_path, DistanceScale(0.01)), scene(tmp_path)
     data = record(truth, board, poses=30, frames=2, seed=2, wrong=0.0)
-    told = camera(tmp_path)
-    forward = Forward(data, board, told)
-    forward.masks = [(np.ones(told.shape, bool), np.ones(told.shape, bool)) for _ in data.stations]
+    stated = camera(tmp_path)
+    forward = Forward(data, board, stated)
+    forward.masks = [(np.ones(stated.shape, bool), np.ones(stated.shape, bool)) for _ in data.stations]
     for used, _ in forward.masks:
         used[7, 11] = False
     for one in data.stations:
         one.distance[7, 11] += 3.0
-    nothing = np.zeros(told.shape)
-    fitted: Any = SimpleNamespace(forward=forward, camera=told, scene=board, pattern=nothing, nuisances={})
+    nothing = np.zeros(stated.shape)
+    fitted: Any = SimpleNamespace(forward=forward, camera=stated, scene=board, pattern=nothing, nuisances={})
     found = of_residuals(fitted).pixels
     wanted, seen = expected(forward, lambda one: 0.01 * one.delivered.distance)
     assert found[7, 11] == 0
@@ -259,13 +259,15 @@ def test_residuals_count_beyond_their_noise_in_the_pixels_in_use(tmp_path: Path)
 
 def test_noise_alone_is_left_at_no_time(tmp_path: Path) -> None:
     """Stations of one frame are noisier than those of eight, which is no mismatch."""
-    told, board = camera(tmp_path), scene(tmp_path)
-    parts = [record(told, board, poses=n, frames=k, seed=s, wrong=0.0) for n, k, s in ((2, 1, 4), (12, 8, 5))]
+    stated, board = camera(tmp_path), scene(tmp_path)
+    parts = [
+        record(stated, board, poses=n, frames=k, seed=s, wrong=0.0) for n, k, s in ((2, 1, 4), (12, 8, 5))
+    ]
     late = [replace(one, time=one.time + 900.0) for one in parts[1].stations]
     data = replace(parts[0], stations=[*parts[0].stations, *late])
-    forward = Forward(data, board, told)
+    forward = Forward(data, board, stated)
     fitted: Any = SimpleNamespace(
-        forward=forward, camera=told, scene=board, pattern=np.zeros(told.shape), nuisances={}
+        forward=forward, camera=stated, scene=board, pattern=np.zeros(stated.shape), nuisances={}
     )
     found = of_residuals(fitted)
     assert np.median(found.pixels) < 0.01

@@ -23,7 +23,7 @@ from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.parameters import ArrayFile
 from rim_camera_ros.select.search import search
 
-from ..calibrate.helpers import camera, record, scene, told_wrongly
+from ..calibrate.helpers import camera, record, scene, with_wrong_pose
 
 
 def cyclic(amplitude: float) -> CyclicError:
@@ -39,7 +39,7 @@ def cyclic(amplitude: float) -> CyclicError:
 def test_only_the_term_that_is_wrong_is_adjusted(
     tmp_path: Path, stated: float, verdict: str, adjusted: list[str]
 ) -> None:
-    """Of 12 mm and 16 mm stated; the scale beside it is as the file says."""
+    """Of 12 mm and 16 mm stated; the scale, which is known too, is as the file says."""
     board, scale = scene(tmp_path), DistanceScale(0.004)
     data = record(camera(tmp_path, scale, cyclic(0.012)), board, poses=20, seed=5)
     result = diagnose(data, board, camera(tmp_path, scale, cyclic(stated)))
@@ -60,13 +60,13 @@ def test_an_error_of_amplitudes_that_is_stated_is_not_estimated(tmp_path: Path) 
 
 @pytest.mark.long
 def test_poses_that_moved_are_a_set_up_however_many_rounds_find_them(tmp_path: Path) -> None:
-    """Two of twenty by 60 and 25 mm: one alone is left out with a note, two are too many for that."""
+    """Two of twenty by 60 and 25 mm: one alone is excluded with a note, two are too many for that."""
     board, truth = scene(tmp_path), camera(tmp_path)
     data = record(truth, board, poses=20, seed=3)
-    single = diagnose(told_wrongly(data, 5, 0.06), board, truth)
+    single = diagnose(with_wrong_pose(data, 5, 0.06), board, truth)
     assert single.verdict == "consistent"
     assert any("poses do not agree" in note for note in single.notes)
-    both = diagnose(told_wrongly(told_wrongly(data, 5, 0.06), 12, -0.025), board, truth)
+    both = diagnose(with_wrong_pose(with_wrong_pose(data, 5, 0.06), 12, -0.025), board, truth)
     assert both.verdict == "inconsistent_setup"
     assert both.setups[0].hypothesis == "pose"
 
@@ -79,7 +79,7 @@ def test_parameters_that_strain_stated_errors_of_poses_gain_less(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stated: float, matter: bool
 ) -> None:
     """What files state of errors that poses share counts as it does where effects enter."""
-    told = camera(tmp_path, cyclic(0.012))
+    known = camera(tmp_path, cyclic(0.012))
 
     def scores(by_fold: list[float], of_statement: float) -> Any:
         return SimpleNamespace(
@@ -89,18 +89,18 @@ def test_parameters_that_strain_stated_errors_of_poses_gain_less(
         )
 
     forward = SimpleNamespace(amplitude_model=SimpleNamespace(tau=0.01), views=None)
-    fitted = SimpleNamespace(camera=told, forward=forward)
+    fitted = SimpleNamespace(camera=known, forward=forward)
     last = SimpleNamespace(fit=fitted, scores=scores([4.0, 5.0, 3.0, 4.0, 4.0], stated), threshold=8.0)
     result: Any = SimpleNamespace(
         explorations=[last],
         fit=fitted,
-        problem=Problem(record(told, scene(tmp_path), poses=2), scene(tmp_path)),
+        problem=Problem(record(known, scene(tmp_path), poses=2), scene(tmp_path)),
     )
     monkeypatch.setattr(adjusting, "beyond_file", lambda one, other: True)
     as_stated = SimpleNamespace(scores=scores([0.0] * 5, 0.0))
     monkeypatch.setattr(adjusting, "explore", lambda *args, **settings: as_stated)
     moved = Adjusted("cyclic_error", {"harmonics.0.amplitude": 0.012}, {"harmonics.0.amplitude": 0.01})
-    assert parameters_matter(told, result, [moved]) is matter
+    assert parameters_matter(known, result, [moved]) is matter
 
 
 @pytest.mark.long
@@ -139,16 +139,16 @@ def test_without_a_covariance_a_file_is_known_as_by_plain_least_squares(tmp_path
 
 def test_what_the_file_knows_is_said_also_where_effects_were_withdrawn(tmp_path: Path) -> None:
     """A search lets go of the sums of each pixel of its first fit once an effect has joined."""
-    told = camera(tmp_path, cyclic(0.011))
+    stated = camera(tmp_path, cyclic(0.011))
     truth = camera(tmp_path, cyclic(0.011), DistanceScale(0.02))
     board = scene(tmp_path)
     data = record(truth, board, poses=10, seed=6)
-    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=stated)
     problem = Problem(data, board)
-    untouched = search(problem, told, facts, effects=["distance_scale"], most=0).fit
-    result = search(problem, told, facts, effects=["distance_scale"])
+    untouched = search(problem, stated, facts, effects=["distance_scale"], most=0).fit
+    result = search(problem, stated, facts, effects=["distance_scale"])
     assert [one.effect for one in result.found] == ["distance_scale"]
     left = result.withdrawn().fit
     own = [k for k, path in enumerate(left.parameters) if path.startswith("effects.cyclic_error.")]
-    known = file_covariance(told, left, own)
-    assert known == pytest.approx(file_covariance(told, untouched, own), rel=1e-6)
+    known = file_covariance(stated, left, own)
+    assert known == pytest.approx(file_covariance(stated, untouched, own), rel=1e-6)

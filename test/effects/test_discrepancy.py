@@ -1,4 +1,4 @@
-"""What the form of an effect may do otherwise, beside the smooth factors that all effects share."""
+"""What the form of an effect may do otherwise, in addition to the smooth factors that all effects share."""
 
 from __future__ import annotations
 

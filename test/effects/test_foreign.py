@@ -114,13 +114,13 @@ def _installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.mark.usefixtures("_installed")
 def test_an_effect_of_another_package_is_found_and_fitted(tmp_path: Path) -> None:
-    told, board = camera(tmp_path), scene(tmp_path)
+    stated, board = camera(tmp_path), scene(tmp_path)
     truth = camera(tmp_path, BrightDelay(2.3e-4))
     data = record(truth, board)
     problem = Problem(data, board)
-    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=stated)
     rivals = ["amplitude_offset", "cyclic_error", "distance_scale", "incidence_angle", BrightDelay.name]
-    result = search(problem, told, facts, effects=rivals)
+    result = search(problem, stated, facts, effects=rivals)
     assert [one.effect for one in result.found] == [BrightDelay.name]
     fitted = result.camera.effects[BrightDelay.name]
     assert isinstance(fitted, BrightDelay)
@@ -129,7 +129,7 @@ def test_an_effect_of_another_package_is_found_and_fitted(tmp_path: Path) -> Non
     assert sigma < 2e-5
     # among the ranks of a first exploration as every other effect, and not found where it is not
     assert BrightDelay.name in result.explorations[0].best()
-    nothing = search(Problem(record(told, board, seed=3), board), told, facts, effects=rivals)
+    nothing = search(Problem(record(stated, board, seed=3), board), stated, facts, effects=rivals)
     assert nothing.found == []
 
 

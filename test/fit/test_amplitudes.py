@@ -39,12 +39,13 @@ def test_amplitudes_beyond_what_a_response_can_reach_tell_no_power(tmp_path: Pat
 
 def test_gains_of_pixels_are_those_of_readings_whatever_the_response(tmp_path: Path) -> None:
     """Ln P = g + ln R(A): derivatives by a response hold no gain, which a prior of gains would pull at."""
-    told, board = camera(tmp_path, AmplitudeNonlinearity(compression=3e-5)), scene(tmp_path)
-    data = record(told, board, poses=2, frames=2, seed=3)
-    gains = 0.05 * np.random.default_rng(8).standard_normal(told.shape)
-    forward = Forward(data, board, told)
+    stated, board = camera(tmp_path, AmplitudeNonlinearity(compression=3e-5)), scene(tmp_path)
+    data = record(stated, board, poses=2, frames=2, seed=3)
+    gains = 0.05 * np.random.default_rng(8).standard_normal(stated.shape)
+    forward = Forward(data, board, stated)
     plain, uneven = (
-        next(iter(forward.predictions(AmplitudeModel({}, 0.0, one)))) for one in (np.zeros(told.shape), gains)
+        next(iter(forward.predictions(AmplitudeModel({}, 0.0, one))))
+        for one in (np.zeros(stated.shape), gains)
     )
     used = plain.amplitude_used & uneven.amplitude_used
     assert used.sum() > 500
@@ -63,12 +64,12 @@ def test_gains_of_pixels_are_those_of_readings_whatever_the_response(tmp_path: P
 @pytest.mark.parametrize("size", [0.005, 0.015])
 def test_gains_smaller_than_stated_bend_no_response(tmp_path: Path, size: float) -> None:
     """Of 2 % stated: a power above 1 made all gains smaller, which 1,584 of them would be gladly."""
-    told, board = camera(tmp_path, AmplitudeNonlinearity(compression=1e-8)), scene(tmp_path)
-    assert told.radiometry.pattern_sigma == 0.02
-    data = record(told, board, seed=7)
-    gains = size * np.random.default_rng(4).standard_normal(told.shape)
+    stated, board = camera(tmp_path, AmplitudeNonlinearity(compression=1e-8)), scene(tmp_path)
+    assert stated.radiometry.pattern_sigma == 0.02
+    data = record(stated, board, seed=7)
+    gains = size * np.random.default_rng(4).standard_normal(stated.shape)
     data.stations = [replace(one, amplitude=one.amplitude * np.exp(gains)) for one in data.stations]
-    found = fit(Problem(data, board, response=FreeResponse(1000.0)), told)
+    found = fit(Problem(data, board, response=FreeResponse(1000.0)), stated)
     labels = [label for label in RESPONSE if found.sigma[label] < 0.15]
     assert len(labels) >= 4
     ratios = [found.parameters[label] / found.sigma[label] for label in labels]
@@ -76,21 +77,21 @@ def test_gains_smaller_than_stated_bend_no_response(tmp_path: Path, size: float)
 
 
 def test_gains_of_pixels_are_no_error_that_neighbours_share(tmp_path: Path) -> None:
-    told, board = camera(tmp_path), scene(tmp_path)
-    data = record(told, board, seed=7)
-    gains = 0.03 * np.random.default_rng(4).standard_normal(told.shape)
+    stated, board = camera(tmp_path), scene(tmp_path)
+    data = record(stated, board, seed=7)
+    gains = 0.03 * np.random.default_rng(4).standard_normal(stated.shape)
     data.stations = [replace(one, amplitude=one.amplitude * np.exp(gains)) for one in data.stations]
-    forward = Forward(data, board, told)
+    forward = Forward(data, board, stated)
     forward.estimate_amplitudes()
     assert amplitude_error(forward, {}) < 0.01
 
 
 @pytest.mark.parametrize("size", [0.01, 0.03])
 def test_errors_that_the_pixels_of_a_patch_share_are_found(tmp_path: Path, size: float) -> None:
-    told, board = camera(tmp_path), scene(tmp_path)
-    data = record(told, board, seed=7)
+    stated, board = camera(tmp_path), scene(tmp_path)
+    data = record(stated, board, seed=7)
     rng = np.random.default_rng(5)
-    forward = Forward(data, board, told)
+    forward = Forward(data, board, stated)
     forward.estimate_amplitudes()
     quiet = amplitude_error(forward, {})
     stations = []
@@ -105,13 +106,13 @@ def test_errors_that_the_pixels_of_a_patch_share_are_found(tmp_path: Path, size:
 
 def test_a_response_scales_densities_of_independent_amplitudes_as_it_does_noise(tmp_path: Path) -> None:
     """What a response changes in the norm of the likelihood it changes in that of scipy's densities."""
-    told, board = camera(tmp_path), scene(tmp_path)
-    data = record(told, board, poses=2, frames=2, seed=3)
+    stated, board = camera(tmp_path), scene(tmp_path)
+    data = record(stated, board, poses=2, frames=2, seed=3)
     norms, exact = [], []
-    for camera_file in (told, camera(tmp_path, AmplitudeNonlinearity(compression=3e-5))):
+    for camera_file in (stated, camera(tmp_path, AmplitudeNonlinearity(compression=3e-5))):
         forward = Forward(data, board, camera_file)
         # as in all that is compared
-        forward.camera_of_noise = told
+        forward.camera_of_noise = stated
         one = next(iter(forward.predictions(AmplitudeModel())))
         assert one.amplitude_used.sum() > 500
         share = share_of(one, [], gain_sigma=0.0, stray_light=0.0, factors=None)
@@ -124,11 +125,13 @@ def test_a_response_scales_densities_of_independent_amplitudes_as_it_does_noise(
     assert norms[1] - norms[0] == pytest.approx(exact[1] - exact[0], rel=0.01)
 
 
-def test_another_camera_is_compared_beside_the_same_imperfections(tmp_path: Path) -> None:
+def test_another_camera_is_compared_given_the_same_imperfections(tmp_path: Path) -> None:
     """Reflectivities and lobes that were found are no part of the difference between two cameras."""
-    told, board = camera(tmp_path), scene(tmp_path)
+    stated, board = camera(tmp_path), scene(tmp_path)
     bent = record(camera(tmp_path, AmplitudeNonlinearity(compression=2e-5)), board, poses=6, frames=2, seed=5)
-    found = fit(Problem(bent, board, origin=told), camera(tmp_path, AmplitudeNonlinearity(compression=1e-5)))
+    found = fit(
+        Problem(bent, board, origin=stated), camera(tmp_path, AmplitudeNonlinearity(compression=1e-5))
+    )
     curves = found.forward.light_curves
     assert curves is not None
     assert len(curves.values) > 10

@@ -16,13 +16,13 @@ from ..calibrate.bags import frames
 from ..calibrate.helpers import camera, scene
 
 
-def test_a_pose_told_again_unchanged_is_the_same_placement(tmp_path: Path) -> None:
+def test_a_pose_stated_again_unchanged_is_the_same_placement(tmp_path: Path) -> None:
     truth = camera(tmp_path)
     taken = list(frames(truth, scene(tmp_path), poses=4, repeats=2, seed=1))
     first, second, third, fourth = (one.truth for one in taken[::2])
-    # the second pose is told a second time, as it was; the first one comes back later
-    told = [first, second, second, first]
-    again = [replace(one, truth=told[k // 2]) for k, one in enumerate(taken)]
+    # the second pose is stated a second time, as it was; the first one comes back later
+    stated = [first, second, second, first]
+    again = [replace(one, truth=stated[k // 2]) for k, one in enumerate(taken)]
     stations = list(reduce_frames(again, truth))
     assert [one.pose for one in stations] == [0, 1, 2, 3]
     assert [one.placed for one in stations] == [0, 1, 1, 2]
@@ -32,7 +32,7 @@ def test_a_pose_told_again_unchanged_is_the_same_placement(tmp_path: Path) -> No
     assert third != fourth
 
 
-def test_frames_whose_settings_were_lost_are_left_out(tmp_path: Path) -> None:
+def test_frames_whose_settings_were_lost_are_excluded(tmp_path: Path) -> None:
     truth = camera(tmp_path)
     taken = list(frames(truth, scene(tmp_path), poses=3, repeats=4, seed=1))
     without = {0, 1, 6, 11}

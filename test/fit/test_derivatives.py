@@ -50,16 +50,16 @@ def readings(one: Prediction) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("kind", ORDER, ids=lambda kind: str(kind.name))
 def test_derivatives_through_the_chain_are_difference_quotients(kind: type[Effect], tmp_path: Path) -> None:
-    told = camera(tmp_path)
-    others = (AmplitudeOffset.example(told), Scattering((Kernel(0.12, (6.0, 5.0)),)))
-    own = kind.example(told)
-    told = with_effects(told, {one.name: one for one in (*others, own)})
-    board, data = scene(tmp_path), stations_of(told, tmp_path)
-    forward = Forward(data, board, told)
+    stated = camera(tmp_path)
+    others = (AmplitudeOffset.example(stated), Scattering((Kernel(0.12, (6.0, 5.0)),)))
+    own = kind.example(stated)
+    stated = with_effects(stated, {one.name: one for one in (*others, own)})
+    board, data = scene(tmp_path), stations_of(stated, tmp_path)
+    forward = Forward(data, board, stated)
     forward.amplitude_model = AmplitudeModel(tau=ERROR)
     at = list(forward.predictions())
-    numbers = camera_numbers(told)
-    blocks = present_blocks(told, effects=[kind.name])
+    numbers = camera_numbers(stated)
+    blocks = present_blocks(stated, effects=[kind.name])
     for block in blocks:
         columns = [block.columns(one) for one in at]
         for number, regressor in enumerate(block.regressors):
@@ -69,7 +69,7 @@ def test_derivatives_through_the_chain_are_difference_quotients(kind: type[Effec
             moved = []
             for by in (step, -step):
                 other = Forward(
-                    data, board, with_numbers(told, {regressor.label: numbers[regressor.label] + by})
+                    data, board, with_numbers(stated, {regressor.label: numbers[regressor.label] + by})
                 )
                 other.amplitude_model = forward.amplitude_model
                 moved.append(list(other.predictions()))

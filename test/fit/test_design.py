@@ -47,18 +47,18 @@ FACTORS = np.exp(0.06 * np.array([[1.2, -0.7, 0.3], [-1.5, 0.4, -0.2], [0.9, -1.
 
 @pytest.mark.parametrize("seed", [5, 6])
 def test_reflectivities_six_percent_off_are_no_physics(tmp_path: Path, seed: int) -> None:
-    told, board = camera(tmp_path), scene(tmp_path)
-    data = record(told, with_reflectivities(board, FACTORS), seed=seed)
-    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
-    assert search(Problem(data, board), told, facts).found == []
+    stated, board = camera(tmp_path), scene(tmp_path)
+    data = record(stated, with_reflectivities(board, FACTORS), seed=seed)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=stated)
+    assert search(Problem(data, board), stated, facts).found == []
 
 
 def test_reflectivities_are_found_tile_by_tile(tmp_path: Path) -> None:
-    told, board = camera(tmp_path), scene(tmp_path)
-    found = fit(Problem(record(told, with_reflectivities(board, FACTORS), seed=5), board), told)
+    stated, board = camera(tmp_path), scene(tmp_path)
+    found = fit(Problem(record(stated, with_reflectivities(board, FACTORS), seed=5), board), stated)
     logarithms = np.array([found.parameters[f"reflectivity.board.{k}"] for k in range(9)])
     true = np.log(FACTORS).ravel()
-    # the mean of all tiles cannot be told from the gain
+    # the mean of all tiles cannot be distinguished from the gain
     rest = (logarithms - logarithms.mean()) - (true - true.mean())
     sigma = np.array([found.sigma[f"reflectivity.board.{k}"] for k in range(9)])
     assert np.abs(rest / sigma).max() < 3.5
@@ -79,12 +79,12 @@ def test_derivatives_by_reflectivities_are_finite_differences(
     tmp_path: Path, effects: tuple[Effect, ...]
 ) -> None:
     """Of the darkest tile of a board, at the pixels that see it."""
-    told, board = camera(tmp_path, *effects), scene(tmp_path)
+    stated, board = camera(tmp_path, *effects), scene(tmp_path)
     factors = np.ones((3, 3))
     factors[0, 0] = 1.001
-    data = record(told, board, poses=1, seed=2)
+    data = record(stated, board, poses=1, seed=2)
     (before,), (after,) = (
-        list(Forward(data, surfaces, told).predictions())
+        list(Forward(data, surfaces, stated).predictions())
         for surfaces in (board, with_reflectivities(board, factors))
     )
     column = reflectivity_block(board).columns(before)[0]
@@ -101,9 +101,9 @@ def test_derivatives_by_reflectivities_are_finite_differences(
 
 def test_groups_are_summed_as_their_columns_by_themselves_are(tmp_path: Path) -> None:
     """Normal matrix, offsets and gains of pixels, with what tiles have in common by stray light."""
-    told, board = camera(tmp_path, STRAY_LIGHT), scene(tmp_path)
-    told = replace(told, radiometry=replace(told.radiometry, pattern_sigma=0.02))
-    forward = Forward(record(told, board, poses=3, seed=2), board, told)
+    stated, board = camera(tmp_path, STRAY_LIGHT), scene(tmp_path)
+    stated = replace(stated, radiometry=replace(stated.radiometry, pattern_sigma=0.02))
+    forward = Forward(record(stated, board, poses=3, seed=2), board, stated)
     forward.estimate_amplitudes()
     block = reflectivity_block(board)
     one, other = (
@@ -119,11 +119,11 @@ def test_groups_are_summed_as_their_columns_by_themselves_are(tmp_path: Path) ->
 
 
 def test_gains_of_pixels_are_found(tmp_path: Path) -> None:
-    told, board = camera(tmp_path), scene(tmp_path)
-    data = record(told, board, seed=7)
-    gains = 0.03 * np.random.default_rng(4).standard_normal(told.shape)
+    stated, board = camera(tmp_path), scene(tmp_path)
+    data = record(stated, board, seed=7)
+    gains = 0.03 * np.random.default_rng(4).standard_normal(stated.shape)
     data.stations = [replace(one, amplitude=one.amplitude * np.exp(gains)) for one in data.stations]
-    found = fit(Problem(data, board), told).forward.amplitude_model.pixels
+    found = fit(Problem(data, board), stated).forward.amplitude_model.pixels
     assert found is not None
     seen = np.abs(found) > 1e-3
     assert seen.mean() > 0.5
@@ -176,18 +176,18 @@ def test_offset_and_gain_of_a_pixel_are_eliminated_as_a_dense_solution_does() ->
 @pytest.mark.parametrize("gains", [False, True])
 def test_pixels_that_no_station_saw_take_no_part(tmp_path: Path, gains: bool) -> None:
     """The sums of the pixels that were seen alone against those of all pixels."""
-    told, board = camera(tmp_path), scene(tmp_path)
-    told = replace(told, radiometry=replace(told.radiometry, pattern_sigma=0.02 if gains else 0.0))
-    data = record(told, board, seed=7)
-    unseen = np.ones(told.shape, bool)
+    stated, board = camera(tmp_path), scene(tmp_path)
+    stated = replace(stated, radiometry=replace(stated.radiometry, pattern_sigma=0.02 if gains else 0.0))
+    data = record(stated, board, seed=7)
+    unseen = np.ones(stated.shape, bool)
     unseen[5:30, 7:41] = False
     data.stations = [replace(one, count=np.where(unseen, 0, one.count)) for one in data.stations]
-    forward = Forward(data, board, told)
+    forward = Forward(data, board, stated)
     forward.estimate_amplitudes()
     block = reflectivity_block(board)
     assert block is not None
     few = normal_equations.accumulate(forward, [block])
-    everywhere = np.ones(told.shape, bool).ravel()
+    everywhere = np.ones(stated.shape, bool).ravel()
     whole = normal_equations.accumulate(forward, [block], seen=everywhere)
     assert len(few.folds[0].weight) <= 25 * 34 < len(whole.folds[0].weight) == unseen.size
     one, other = few.reduced(), whole.reduced()
@@ -201,25 +201,25 @@ def test_pixels_that_no_station_saw_take_no_part(tmp_path: Path, gains: bool) ->
             np.testing.assert_allclose(mine, theirs, rtol=1e-6, atol=1e-9)
 
 
-def with_covariance(told: Camera) -> Camera:
+def with_covariance(stated: Camera) -> Camera:
     matrix = np.array([[0.09, 0.06], [0.06, 0.05]])
     return replace(
-        told, covariance=Covariance(("optics.fx", "optics.fy"), ArrayFile("covariance.npy", matrix))
+        stated, covariance=Covariance(("optics.fx", "optics.fy"), ArrayFile("covariance.npy", matrix))
     )
 
 
 def test_known_optics_are_the_principal_axes_of_their_covariance(tmp_path: Path) -> None:
-    told, board = with_covariance(camera(tmp_path)), scene(tmp_path)
-    assert told.covariance is not None
-    matrix = told.covariance.matrix.values
-    block = known_optics(told)
+    stated, board = with_covariance(camera(tmp_path)), scene(tmp_path)
+    assert stated.covariance is not None
+    matrix = stated.covariance.matrix.values
+    block = known_optics(stated)
     values, vectors = np.linalg.eigh(matrix)
     assert [one.prior for one in block.regressors] == pytest.approx(np.sqrt(values))
     # along the wider axis: what fx and fy do together, by the rays themselves
-    one = next(Forward(record(told, board, poses=1, frames=1), board, told).predictions())
+    one = next(Forward(record(stated, board, poses=1, frames=1), board, stated).predictions())
     step = 1e-3 * vectors[:, 1]
-    optics = replace(told.optics, fx=told.optics.fx + step[0], fy=told.optics.fy + step[1])
-    rays = pixel_rays(optics, width=told.sensor.width, height=told.sensor.height)
+    optics = replace(stated.optics, fx=stated.optics.fx + step[0], fy=stated.optics.fy + step[1])
+    rays = pixel_rays(optics, width=stated.sensor.width, height=stated.sensor.height)
     geometry = one.view.geometry
     distance = np.einsum("ijk,ijk->ij", geometry.points, geometry.normals)
     moved = distance / np.einsum("ijk,ijk->ij", rays, geometry.normals)
@@ -242,12 +242,12 @@ def test_poses_share_the_stated_part_of_their_errors(tmp_path: Path) -> None:
 
 def test_positions_that_share_a_scale_are_moved_by_it(tmp_path: Path) -> None:
     """Against the predictions for a board that stands 0.1 % farther away at every pose."""
-    told, board = camera(tmp_path), scene(tmp_path)
+    stated, board = camera(tmp_path), scene(tmp_path)
     surface = replace(board.surfaces[0], pose_scale_sigma=0.002, pose_common=0.0, reflectivity_sigma=0.0)
     block = common_pose_block(Scene((surface,)))
     ((label, prior),) = [(regressor.label, regressor.prior) for regressor in block.regressors]
     assert (label, prior) == ("common_pose.board.scale", 0.002)
-    data = record(told, board, poses=3, seed=4)
+    data = record(stated, board, poses=3, seed=4)
 
     def farther(pose: Pose) -> Pose:
         x, y, z = (1.001 * value for value in pose.position)
@@ -260,7 +260,7 @@ def test_positions_that_share_a_scale_are_moved_by_it(tmp_path: Path) -> None:
             for one in data.stations
         ],
     )
-    before, after = (list(Forward(one, Scene((surface,)), told).predictions()) for one in (data, moved))
+    before, after = (list(Forward(one, Scene((surface,)), stated).predictions()) for one in (data, moved))
     for one, other in zip(before, after, strict=True):
         column, _ = block.columns(one)[0]
         used = one.used & other.used
@@ -271,13 +271,13 @@ def test_positions_that_share_a_scale_are_moved_by_it(tmp_path: Path) -> None:
 
 
 def test_a_scale_of_the_camera_is_no_better_known_than_that_of_the_poses(tmp_path: Path) -> None:
-    told, board = camera(tmp_path, DistanceScale(0.0)), scene(tmp_path)
-    data = record(told, board, poses=24, seed=6)
+    stated, board = camera(tmp_path, DistanceScale(0.0)), scene(tmp_path)
+    data = record(stated, board, poses=24, seed=6)
     (prior,) = DistanceScale(0.0).priors().values()
     variances = []
     for scale in (0.0, 0.001):
         surface = replace(board.surfaces[0], pose_scale_sigma=scale)
-        found = fit(Problem(data, Scene((surface,))), told)
+        found = fit(Problem(data, Scene((surface,))), stated)
         variances.append(1 / (found.sigma["effects.distance_scale.scale"] ** -2 - prior**-2))
     # what the recording alone tells of it
     assert variances[1] == pytest.approx(variances[0] + 0.001**2, rel=0.02)
@@ -299,20 +299,20 @@ surfaces:
 
 
 def test_an_unknown_reflectivity_says_nothing_of_amplitudes(tmp_path: Path) -> None:
-    told, board = camera(tmp_path), scene(tmp_path)
-    data = record(told, board, poses=8, seed=3)
+    stated, board = camera(tmp_path), scene(tmp_path)
+    data = record(stated, board, poses=8, seed=3)
     path = tmp_path / "unknown.yaml"
     path.write_text(UNKNOWN)
     unknown = load_scene(path)
-    predictions = list(Forward(data, unknown, told).predictions())
+    predictions = list(Forward(data, unknown, stated).predictions())
     assert not any(one.amplitude_used.any() for one in predictions)
     assert all(one.used.any() for one in predictions)
     for one in predictions:
         assert one.amplitude[one.used] == pytest.approx(one.station.amplitude[one.used], rel=1e-6)
-    found = fit(Problem(data, unknown), told)
+    found = fit(Problem(data, unknown), stated)
     assert found.chi_square / found.rows < 1.05
     with pytest.raises(InputError, match="reflectivity of surface 'board' is unknown"):
-        Simulation(told, unknown)
+        Simulation(stated, unknown)
 
 
 def test_an_unknown_reflectivity_and_a_texture_contradict_each_other(tmp_path: Path) -> None:

@@ -70,9 +70,9 @@ def recorded(true: Camera, scene: Scene) -> Dataset:
 
 
 def test_a_warm_fit_begins_where_the_free_pose_was(tmp_path: Path) -> None:
-    true, told = scenes(tmp_path)
+    true, stated = scenes(tmp_path)
     data = recorded(camera(tmp_path), true)
-    problem = Problem(data, told, effects=())
+    problem = Problem(data, stated, effects=())
     cold = fit(problem, camera(tmp_path), fold_of=folds_of(data))
     assert cold.parameters["scene.wall.z"] == pytest.approx(-AWAY, abs=0.001)
     assert cold.parameters["scene.wall.pitch"] == pytest.approx(-TURNED, abs=0.001)
@@ -89,12 +89,12 @@ def test_a_warm_fit_begins_where_the_free_pose_was(tmp_path: Path) -> None:
 def test_a_search_finds_the_same_wherever_the_file_puts_the_wall(
     tmp_path: Path, effect: Effect | None
 ) -> None:
-    true, told = scenes(tmp_path)
+    true, stated = scenes(tmp_path)
     known = camera(tmp_path)
     data = recorded(known if effect is None else camera(tmp_path, effect), true)
     facts = Facts.of(data, moves=False, surfaces=2, camera=known)
     found, held_out = [], []
-    for scene in (true, told):
+    for scene in (true, stated):
         result = search(
             Problem(data, scene), known, facts, effects=["cyclic_error", "distance_scale"], most=2
         )

@@ -72,14 +72,14 @@ def test_an_amplitude_of_nothing_has_a_finite_prior() -> None:
 
 
 def test_a_small_harmonic_of_the_file_may_have_any_phase(tmp_path: Path) -> None:
-    told, board = camera(tmp_path), scene(tmp_path)
+    plain, board = camera(tmp_path), scene(tmp_path)
 
     def by(amplitude: float, phase: float) -> CyclicError:
         return CyclicError(harmonics=(Harmonic(4, 0.007, 0.6), Harmonic(8, amplitude, phase)))
 
     true, stated = by(0.004, -0.9), by(1e-5, 2.2)
-    data = record(with_effects(told, {true.name: true}), board, poses=16, seed=6)
-    fitted = fit(Problem(data, board), with_effects(told, {stated.name: stated}))
+    data = record(with_effects(plain, {true.name: true}), board, poses=16, seed=6)
+    fitted = fit(Problem(data, board), with_effects(plain, {stated.name: stated}))
     assert fitted.converged
     found = fitted.camera.effects["cyclic_error"]
     assert isinstance(found, CyclicError)
@@ -92,13 +92,13 @@ def test_a_small_harmonic_of_the_file_may_have_any_phase(tmp_path: Path) -> None
 
 
 def test_what_is_found_does_not_depend_on_the_phase_of_a_harmonic_of_nothing(tmp_path: Path) -> None:
-    told, board = camera(tmp_path), scene(tmp_path)
+    plain, board = camera(tmp_path), scene(tmp_path)
     true = CyclicError(harmonics=(Harmonic(4, 0.007, 0.6),))
-    data = record(with_effects(told, {true.name: true}), board, poses=16, seed=3)
+    data = record(with_effects(plain, {true.name: true}), board, poses=16, seed=3)
     found = []
     for phase in (2.2, 0.6, -1.3):
         stated = CyclicError(harmonics=(Harmonic(4, 0.0072, 0.4), Harmonic(8, 1e-6, phase)))
-        fitted = fit(Problem(data, board), with_effects(told, {stated.name: stated}), tolerance=0.01)
+        fitted = fit(Problem(data, board), with_effects(plain, {stated.name: stated}), tolerance=0.01)
         last = fitted.camera.effects["cyclic_error"]
         assert isinstance(last, CyclicError)
         found.append(last.harmonics[1].amplitude * np.exp(1j * last.harmonics[1].phase))

@@ -49,9 +49,9 @@ def test_isotropic_errors_are_those_of_pose_sigma(tmp_path: Path) -> None:
 def test_the_variance_of_distances_is_that_of_moved_poses(tmp_path: Path) -> None:
     board, own = scene(tmp_path), camera(tmp_path)
     station = record(own, board, poses=1, frames=1).stations[0]
-    told = station.truth["board"]
+    stated = station.truth["board"]
     values = _covariance([3e-4, 5e-4, 9e-4, 4e-4, 7e-4, 2e-4], seed=3)
-    view = Views(own, board).view(replace(station, truth={"board": replace(told, covariance=values)}))
+    view = Views(own, board).view(replace(station, truth={"board": replace(stated, covariance=values)}))
     columns = np.array([one.prior * one.distance[10:30:9, 5:40:11].ravel() for one in view.pose_columns])
     # independently: the surface is moved and turned in the optical frame, and seen anew
     step, changes = 1e-6, []
@@ -60,9 +60,9 @@ def test_the_variance_of_distances_is_that_of_moved_poses(tmp_path: Path) -> Non
         for sign in (1, -1):
             move = np.zeros(6)
             move[k] = sign * step
-            position = np.array(told.position) + move[:3]
+            position = np.array(stated.position) + move[:3]
             turn = rotation_matrix((move[3] / 2, move[4] / 2, move[5] / 2, 1.0))
-            matrix = turn @ rotation_matrix(told.orientation)
+            matrix = turn @ rotation_matrix(stated.orientation)
             normal = matrix[:, 2]
             seen.append((position @ normal) / (own.rays @ normal))
         changes.append(((seen[0] - seen[1]) / (2 * step))[10:30:9, 5:40:11].ravel())

@@ -34,7 +34,7 @@ def test_a_pixel_with_next_to_no_light_is_dark() -> None:
     np.testing.assert_allclose(before[2, 3] * inverse[2, 3], 1.0, rtol=1e-6)
 
 
-def test_pixels_of_which_noise_hid_the_dark_frames_are_left_out(tmp_path: Path) -> None:
+def test_pixels_of_which_noise_hid_the_dark_frames_are_excluded(tmp_path: Path) -> None:
     """Means of the frames that are bright enough are too bright, and a term of the amplitude too small."""
     offset = AmplitudeOffset(MappingProxyType({t: Hyperbola(80.0, 1.5) for t in (16.0, 60.0, 100.0)}))
     truth = camera(tmp_path, offset)

@@ -28,13 +28,13 @@ CYCLIC = CyclicError((Harmonic(4, 0.011, 0.7),))
 
 def test_a_fit_ends_at_the_same_place_wherever_it_begins(tmp_path: Path) -> None:
     """Of few poses the pole of a hyperbola is known little better than its prior says (1.2 counts)."""
-    told = camera(tmp_path, CYCLIC, HYPERBOLA)
+    stated = camera(tmp_path, CYCLIC, HYPERBOLA)
     board = scene(tmp_path)
-    data = record(told, board, poses=6, frames=2, seed=4)
+    data = record(stated, board, poses=6, frames=2, seed=4)
     path = "effects.amplitude_offset.hyperbola.100.b"
-    elsewhere = with_numbers(told, {path: 6.0, "effects.cyclic_error.harmonics.0.phase": 1.3})
+    elsewhere = with_numbers(stated, {path: 6.0, "effects.cyclic_error.harmonics.0.phase": 1.3})
     problem = Problem(data, board)
-    about_file = [fit(replace(problem, origin=told), one) for one in (told, elsewhere)]
+    about_file = [fit(replace(problem, origin=stated), one) for one in (stated, elsewhere)]
     about_start = fit(problem, elsewhere)
     first, second = (one.parameters for one in about_file)
     sigma = about_file[0].sigma
@@ -45,11 +45,11 @@ def test_a_fit_ends_at_the_same_place_wherever_it_begins(tmp_path: Path) -> None
 
 
 def test_distances_from_the_file_are_by_the_shortest_turn(tmp_path: Path) -> None:
-    told = camera(tmp_path, CyclicError((Harmonic(4, 0.011, 3.0),)), HYPERBOLA)
+    stated = camera(tmp_path, CyclicError((Harmonic(4, 0.011, 3.0),)), HYPERBOLA)
     phase = "effects.cyclic_error.harmonics.0.phase"
-    start = with_numbers(told, {phase: 3.0 + 0.4 - 2 * np.pi, "optics.fx": 51.5, "radiometry.gain": 99.0})
+    start = with_numbers(stated, {phase: 3.0 + 0.4 - 2 * np.pi, "optics.fx": 51.5, "radiometry.gain": 99.0})
     start = replace(start, effects={**start.effects, "integration_time_offset": offsets(0.03)})
-    moved = moved_from(told, start)
+    moved = moved_from(stated, start)
     # what the file does not have, and the power of the light, have priors of their own
     assert moved == pytest.approx({phase: 0.4, "optics.fx": 1.5})
     assert moved_from(None, start) == moved_from(start, start) == {}
@@ -62,7 +62,7 @@ def offsets(first: float) -> IntegrationTimeOffset:
 def test_what_known_terms_had_taken_up_goes_back_to_the_effect(tmp_path: Path) -> None:
     """The hyperbola of one setting takes up much of an offset of that setting, while that is unknown.
 
-    The differences of the offsets are told apart; a constant in all of them is one of the pixels.
+    The differences of the offsets are determined; a constant in all of them is one of the pixels.
     """
     known: Camera = camera(tmp_path, CYCLIC, HYPERBOLA)
     true = camera(tmp_path, CYCLIC, HYPERBOLA, offsets(0.03))

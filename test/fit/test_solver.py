@@ -150,12 +150,12 @@ def test_nothing_is_found_where_nothing_is_missing(tmp_path: Path) -> None:
     ids=lambda one: one.name,
 )
 def test_what_is_missing_is_found(tmp_path: Path, hidden: Effect) -> None:
-    told = camera(tmp_path, *known())
-    truth = with_effects(told, {**told.effects, hidden.name: hidden})
+    stated = camera(tmp_path, *known())
+    truth = with_effects(stated, {**stated.effects, hidden.name: hidden})
     board = scene(tmp_path)
     data = record(truth, board, seed=8)
-    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
-    result = search(Problem(data, board), told, facts)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=stated)
+    result = search(Problem(data, board), stated, facts)
     assert [one.effect for one in result.found] == [hidden.name]
     assert result.log_likelihood > result.start_log_likelihood + 100
 
@@ -169,7 +169,7 @@ def test_replicates_have_the_covariance_that_they_claim(tmp_path: Path) -> None:
     step = explore(Problem(data, board), truth, candidates(truth, facts), folds_of(data), replicates=0)
     nulls = null_scores(step.scores, replicates=400, seed=2)
     gram = nulls.full.gram
-    # ... and what all poses share beside the noise: errors of reflectivities, poses, optics, a weak lobe
+    # ... and what all poses share, apart from the noise: errors of reflectivities, poses, optics, a weak lobe
     common = [i for i, one in enumerate(nulls.regressors) if one.label.startswith(IMPERFECTIONS)]
     assert len(common) > 10
     claimed = np.diag(gram) + np.sum((gram[:, common] * nulls.prior[common]) ** 2, axis=1)

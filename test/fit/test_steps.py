@@ -70,7 +70,7 @@ def test_the_others_follow_a_parameter_that_may_not_go_as_far() -> None:
 
 @pytest.mark.parametrize("correlation", [0.5, 0.9, 0.99])
 def test_of_two_that_go_too_far_the_farther_is_held_and_the_other_follows(correlation: float) -> None:
-    """Both at once would go uphill: +147 at 0.99, where sigmas of 8 and 1 px are told apart badly."""
+    """Both at once would go uphill: +147 at 0.99, where sigmas of 8 and 1 px are hardly distinguishable."""
     matrix = 100 * np.array([[1.0, correlation], [correlation, 1.0]])
     right = matrix @ np.array([3.0, -3.0])
     nothing: Any = None
@@ -217,7 +217,7 @@ def test_a_step_that_goes_too_far_is_tried_again(tmp_path: Path, monkeypatch: py
 
 
 def test_objectives_fall_by_what_steps_forecast(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also beside errors that all poses share, which every step moves."""
+    """Also given errors that all poses share, which every step moves."""
     truth, board = camera(tmp_path, CyclicError((Harmonic(4, 0.012, 0.6),), (0.0, 0.0))), scene(tmp_path)
     surface = replace(board.surfaces[0], pose_sigma=(0.003, 0.002), pose_common=0.5)
     board = replace(board, surfaces=(surface,))
@@ -286,8 +286,8 @@ def test_no_step_leaves_linear_nuisances_where_they_fit_best() -> None:
 def test_a_parameter_that_the_data_would_take_beyond_what_is_possible_is_said(tmp_path: Path) -> None:
     """Published amplitudes that grow faster than the light: no compression does that, and 0 is the least."""
     board = scene(tmp_path)
-    told = camera(tmp_path, AmplitudeNonlinearity(2e-6))
-    data = record(told, board, poses=12, frames=2, seed=4)
+    stated = camera(tmp_path, AmplitudeNonlinearity(2e-6))
+    data = record(stated, board, poses=12, frames=2, seed=4)
     grown = replace(
         data,
         stations=[
@@ -296,10 +296,10 @@ def test_a_parameter_that_the_data_would_take_beyond_what_is_possible_is_said(tm
         ],
     )
     names = ("amplitude_nonlinearity",)
-    possible = fit(Problem(data, board, effects=names), told)
+    possible = fit(Problem(data, board, effects=names), stated)
     assert possible.at_bounds == {}
     # chi-square is compared by the same noise
-    fitted = fit(Problem(grown, board, effects=names, amplitude_error=0.04), told)
+    fitted = fit(Problem(grown, board, effects=names, amplitude_error=0.04), stated)
     label = "effects.amplitude_nonlinearity.compression"
     assert fitted.parameters[label] == 0.0
     assert [list(fitted.parameters)[i] for i in fitted.at_bounds] == [label]
@@ -350,11 +350,11 @@ def test_nothing_is_stepped_where_nothing_is_free() -> None:
 
 def test_noise_alone_takes_no_parameter_far_beyond_its_bound(tmp_path: Path) -> None:
     """Of a true compression of 0 the data of half of all seeds are for less."""
-    board, told = scene(tmp_path), camera(tmp_path, AmplitudeNonlinearity(0.0))
+    board, stated = scene(tmp_path), camera(tmp_path, AmplitudeNonlinearity(0.0))
     stayed = []
     for seed in range(4):
         data = record(camera(tmp_path), board, poses=10, frames=2, seed=seed)
-        fitted = fit(Problem(data, board, effects=("amplitude_nonlinearity",)), told)
+        fitted = fit(Problem(data, board, effects=("amplitude_nonlinearity",)), stated)
         stayed += fitted.at_bounds.values()
         assert not any("the end of what is possible" in one for one in fitted.notes)
     assert 1 <= len(stayed) <= 3

@@ -153,7 +153,7 @@ def solved(dataset: Dataset, given: Camera, tmp_path: Path) -> tuple[Problem, So
     return problem, Solution(step.fit, step.scores, folds, given)
 
 
-def test_a_curve_that_turns_negative_is_told_from_a_hyperbola(tmp_path: Path) -> None:
+def test_a_curve_that_turns_negative_is_distinguished_from_a_hyperbola(tmp_path: Path) -> None:
     given = camera(tmp_path, hyperbola(9.0))
     curve = Empirical(
         ("amplitude",),

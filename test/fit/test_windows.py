@@ -49,9 +49,9 @@ def small_board(tmp_path: Path) -> Scene:
     return load_scene(path)
 
 
-def forward_of(told: Camera, board: Scene, data: Dataset) -> Forward:
-    result = Forward(data, board, told)
-    gains = np.exp(0.02 * np.random.default_rng(5).standard_normal(told.shape))
+def forward_of(stated: Camera, board: Scene, data: Dataset) -> Forward:
+    result = Forward(data, board, stated)
+    gains = np.exp(0.02 * np.random.default_rng(5).standard_normal(stated.shape))
     poses = {(one.recording, one.pose): 1.0 + 0.01 * one.pose for one in data.stations}
     result.amplitude_model = AmplitudeModel(poses, tau=0.03, pixels=np.log(gains))
     values = {label: 0.01 * (1 + i % 3) for i, label in enumerate([*LOBE, *RESPONSE[:1]])}
@@ -72,11 +72,11 @@ def test_predictions_are_the_same(
     kind: type[Effect], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plain, board = camera(tmp_path), small_board(tmp_path)
-    told = with_effects(plain, {kind.name: kind.example(plain)})
-    data = record(told, board, poses=8, seed=4)
-    in_windows = list(forward_of(told, board, data).predictions())
+    stated = with_effects(plain, {kind.name: kind.example(plain)})
+    data = record(stated, board, poses=8, seed=4)
+    in_windows = list(forward_of(stated, board, data).predictions())
     assert min(windows(in_windows)) < 0.1 < max(windows(in_windows)) == 1.0
-    own = present_blocks(told)
+    own = present_blocks(stated)
     assert all(block.pointwise for block in own)
     columns = [
         [block.columns(one.for_columns(block)) for block in own if not block.in_order] for one in in_windows
@@ -88,9 +88,9 @@ def test_predictions_are_the_same(
             image for signal in (one.delivered, *one.before.values()) for image in vars(signal).values()
         ]
         shapes = {image.shape for image in images if isinstance(image, np.ndarray) and image.ndim == 2}
-        assert shapes == {told.shape}
+        assert shapes == {stated.shape}
     for one, found, expected in zip(
-        in_windows, columns, forward_of(told, board, data).predictions(), strict=True
+        in_windows, columns, forward_of(stated, board, data).predictions(), strict=True
     ):
         assert expected.of_window is None
         assert np.array_equal(one.used, expected.used)
@@ -108,10 +108,10 @@ def test_predictions_are_the_same(
 
 
 def equations(forward: Forward) -> NormalEquations:
-    told, board, data = forward.camera, forward.scene, forward.dataset
-    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
-    blocks = [*present_blocks(told), *imperfection_blocks(told, board, pattern_field=True)]
-    blocks += [pose_block([])] + [one.block for one in (*candidates(told, facts), *edge_candidates())]
+    stated, board, data = forward.camera, forward.scene, forward.dataset
+    facts = Facts.of(data, moves=False, surfaces=1, camera=stated)
+    blocks = [*present_blocks(stated), *imperfection_blocks(stated, board, pattern_field=True)]
+    blocks += [pose_block([])] + [one.block for one in (*candidates(stated, facts), *edge_candidates())]
     folds = {(one.recording, one.pose): one.pose % 3 for one in data.stations}
     return accumulate(forward, blocks, fold_of=folds, stray_light=2.0)
 
@@ -122,13 +122,13 @@ def test_equations_are_the_same(
 ) -> None:
     """Of a camera with all that acts on each pixel by itself; among the candidates are others."""
     plain, board = camera(tmp_path), small_board(tmp_path)
-    told = with_effects(plain, {kind.name: kind.example(plain) for kind in POINTWISE})
-    data = record(told, board, poses=8, seed=5)
-    forward = forward_of(told, board, data)
+    stated = with_effects(plain, {kind.name: kind.example(plain) for kind in POINTWISE})
+    data = record(stated, board, poses=8, seed=5)
+    forward = forward_of(stated, board, data)
     forward.correlated_error = correlated_error
     found = equations(forward)
     whole(monkeypatch)
-    forward = forward_of(told, board, data)
+    forward = forward_of(stated, board, data)
     forward.correlated_error = correlated_error
     expected = equations(forward)
     assert [one.label for one in found.regressors] == [one.label for one in expected.regressors]
@@ -153,23 +153,23 @@ def test_what_acts_on_neighbours_sees_the_whole_array(tmp_path: Path) -> None:
     for kind in ORDER:
         if kind.pointwise or not kind.predictable:
             continue
-        told = with_effects(plain, {kind.name: kind.example(plain)})
-        assert windows(list(Forward(data, board, told).predictions(slopes=False))) == [1.0] * 6, kind.name
+        stated = with_effects(plain, {kind.name: kind.example(plain)})
+        assert windows(list(Forward(data, board, stated).predictions(slopes=False))) == [1.0] * 6, kind.name
 
 
 def test_masks_margins_and_shifts_are_of_the_whole_array(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told, board = camera(tmp_path), small_board(tmp_path)
-    data = record(told, board, poses=8, seed=4)
+    stated, board = camera(tmp_path), small_board(tmp_path)
+    data = record(stated, board, poses=8, seed=4)
     other = replace(data, stations=[replace(one, distance=one.distance + 0.013) for one in data.stations])
 
     def found() -> list[np.ndarray]:
-        forward = forward_of(told, board, data)
+        forward = forward_of(stated, board, data)
         near = forward.pixels_near_edges(NEAR)
         forward.masks = [(used & (np.arange(44) % 3 > 0), lit) for used, lit in near]
         forward.patches = forward.patches_seen()
-        forward.shifts = shifts_between(data, other, board, told)
+        forward.shifts = shifts_between(data, other, board, stated)
         return [
             np.stack([np.where(one.used, image, 0.0) for image in (one.used, one.residual, one.sigma)])
             for one in forward.predictions()
@@ -183,14 +183,14 @@ def test_masks_margins_and_shifts_are_of_the_whole_array(
 
 def test_residuals_after_nuisances_are_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plain, board = camera(tmp_path), small_board(tmp_path)
-    told = with_effects(plain, {kind.name: kind.example(plain) for kind in POINTWISE})
-    data = record(told, board, poses=8, seed=6)
-    pattern = 0.004 * np.random.default_rng(2).standard_normal(told.shape)
+    stated = with_effects(plain, {kind.name: kind.example(plain) for kind in POINTWISE})
+    data = record(stated, board, poses=8, seed=6)
+    pattern = 0.004 * np.random.default_rng(2).standard_normal(stated.shape)
 
     def found() -> list[np.ndarray]:
-        forward = forward_of(told, board, data)
+        forward = forward_of(stated, board, data)
         forward.correlated_error = 0.004
-        forward.linear = linear_blocks(told, board, pattern_field=True)
+        forward.linear = linear_blocks(stated, board, pattern_field=True)
         labels = [one.label for block in forward.linear for one in block.regressors]
         nuisances = {label: 0.003 * (1 + i % 4) for i, label in enumerate(labels)}
         result = []
@@ -210,9 +210,9 @@ def test_residuals_after_nuisances_are_the_same(tmp_path: Path, monkeypatch: pyt
 
 def test_views_that_are_not_kept_leave_the_memory_at_once(tmp_path: Path) -> None:
     """Those of a large sensor take 30 MB each: a cycle of references would keep all of them for a while."""
-    told, board = camera(tmp_path), small_board(tmp_path)
-    data = record(told, board, poses=8, seed=4)
-    forward = Forward(data, board, told)
+    stated, board = camera(tmp_path), small_board(tmp_path)
+    data = record(stated, board, poses=8, seed=4)
+    forward = Forward(data, board, stated)
     forward.views._most = 2
     gc.disable()
     try:

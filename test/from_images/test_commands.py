@@ -31,11 +31,11 @@ def test_poses(own_board: OwnBoard, tmp_path: Path, capsys: pytest.CaptureFixtur
     with Recording(folder / "bag") as bag:
         assert [one.distance.tobytes() for one in bag.frames()] == [one.distance.tobytes() for one in frames]
     assert len(frames) == STATIONS * FRAMES
-    told = {one.pose_stamps["board"]: one.truth["board"] for one in frames}
-    assert [*told] == [*own_board.poses]
+    estimated = {one.pose_stamps["board"]: one.truth["board"] for one in frames}
+    assert [*estimated] == [*own_board.poses]
     squares = []
     for stamp, true in own_board.poses.items():
-        found = told[stamp]
+        found = estimated[stamp]
         turn = rotation_matrix(found.orientation) @ rotation_matrix(true.orientation).T
         small = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
         error = np.array([*(np.array(found.position) - true.position), *small])

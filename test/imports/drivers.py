@@ -108,7 +108,7 @@ def info(
 
 @dataclass
 class Own:
-    """A message type of the driver's own: its definition, and its fields beside the header."""
+    """A message type of the driver's own: its definition, and its fields in addition to the header."""
 
     msgtype: str
     definition: str

@@ -362,7 +362,7 @@ def test_each_driver_is_recognised_by_what_it_publishes(name: str) -> None:
     assert recognise(types).name == name
 
 
-def test_twins_must_be_told_apart() -> None:
+def test_twins_must_be_distinguished() -> None:
     types = {"/a/depth/image_raw": IMAGE, "/a/ir/image_raw": IMAGE}
     with pytest.raises(
         InputError,

@@ -42,9 +42,9 @@ def test_from_a_femto_to_the_missing_effect(
     recorded = list(frames(truth, board))
     lines, own = femto_lines(recorded, truth, distortion=np.zeros(8))
     for frame in recorded:
-        told = pose(frame.pose_stamps["board"], frame.truth["board"])
-        if not any(line.topic == told.topic and line.time == told.time for line in lines):
-            lines.append(told)
+        stated = pose(frame.pose_stamps["board"], frame.truth["board"])
+        if not any(line.topic == stated.topic and line.time == stated.time for line in lines):
+            lines.append(stated)
     write_driver_bag(tmp_path / "my_bag", lines, own, ros1=False)
     (tmp_path / "scene.yaml").rename(tmp_path / "board.yaml")
     monkeypatch.chdir(tmp_path)

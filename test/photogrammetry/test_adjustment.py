@@ -201,17 +201,17 @@ def test_a_result_that_is_not_to_be_used_says_so_first() -> None:
         assert covariance.sigma(path) == pytest.approx(stated.sigma(path), rel=1e-3)
 
 
-def test_parameters_without_significance_are_left_out() -> None:
+def test_parameters_without_significance_are_not_estimated() -> None:
     """A lens with k1 only and square pixels."""
     rng = np.random.default_rng(13)
     lens = Optics(fx=199.9, fy=199.9, cx=90.0, cy=82.4, d=(-0.11, 0.0, 0.0, 0.0, 0.0))
     observations = seen(field(), stations(rng), rng, optics=lens)
     optics, covariance, report = estimate_optics(observations, start=replace(START, fy=205.0))
-    assert {name for one in report.left_out for name in one.parameters} == {"k3", "k2", "p1", "p2", "fy"}
-    assert [one.parameters for one in report.left_out].index(("k3",)) < [
-        one.parameters for one in report.left_out
+    assert {name for one in report.insignificant for name in one.parameters} == {"k3", "k2", "p1", "p2", "fy"}
+    assert [one.parameters for one in report.insignificant].index(("k3",)) < [
+        one.parameters for one in report.insignificant
     ].index(("k2",))
-    assert all(one.probability > 0.05 for one in report.left_out)
+    assert all(one.probability > 0.05 for one in report.insignificant)
     assert optics.d[1:] == (0.0, 0.0, 0.0, 0.0)
     assert optics.fy == pytest.approx(optics.fx, rel=1e-12)
     assert covariance.parameters == ("optics.fx", "optics.fy", "optics.cx", "optics.cy", "optics.d.0")
@@ -222,7 +222,7 @@ def test_parameters_without_significance_are_left_out() -> None:
         assert abs(value - true) < 3 * covariance.sigma(path)
     assert set(covariance.parameters) <= set(camera_numbers(camera(optics)))
     assert "no significant change: p1 and p2 (kept as given, F = " in report.text()
-    assert report.summary()["left_out"] == [name for one in report.left_out for name in one.parameters]
+    assert report.summary()["left_out"] == [name for one in report.insignificant for name in one.parameters]
 
 
 def test_a_lens_with_everything_keeps_everything() -> None:
@@ -230,11 +230,11 @@ def test_a_lens_with_everything_keeps_everything() -> None:
     lens = replace(SR3000, fy=203.4)
     observations = seen(field(), stations(rng), rng, sigma=0.01, optics=lens)
     optics, covariance, report = estimate_optics(observations, start=START)
-    assert report.left_out == ()
+    assert report.insignificant == ()
     assert np.abs((vector(optics) - vector(lens)) / np.sqrt(np.diag(covariance.matrix))).max() < 3.5
 
 
-def test_parameters_that_are_not_asked_for_stay() -> None:
+def test_parameters_that_are_not_requested_stay() -> None:
     rng = np.random.default_rng(15)
     observations = seen(field(), stations(rng), rng)
     start = replace(SR3000, fx=210.0, fy=210.0 * 1.001, cx=88.0)
@@ -313,7 +313,7 @@ def test_one_station() -> None:
         estimate_optics(only(lambda one: one.station == 3), start=START)
 
 
-def test_a_station_with_few_targets_is_left_out() -> None:
+def test_a_station_with_few_targets_is_excluded() -> None:
     kept = ("t11", "t12", "t21")
     _, _, report = estimate_optics(only(lambda one: one.station != 2 or one.target in kept), start=START)
     assert "station 2 excluded: 3 targets, at least 4 are needed" in report.notes

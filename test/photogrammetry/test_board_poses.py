@@ -132,7 +132,7 @@ schedule:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("true", "told", "opposite", "said"),
+    ("true", "stated", "opposite", "said"),
     [
         (
             "[0.24, 0.18]",
@@ -162,13 +162,13 @@ schedule:
     ],
 )
 def test_a_board_that_is_described_wrongly_is_looked_for_as_it_may_be(
-    tmp_path: Path, true: str, told: str, opposite: bool, said: str
+    tmp_path: Path, true: str, stated: str, opposite: bool, said: str
 ) -> None:
     (tmp_path / "camera.yaml").write_text(CAMERA)
     (tmp_path / "board.yaml").write_text(PLAIN.replace("SIZE", true))
     words = ["simulate", str(tmp_path / "board.yaml"), "--camera", str(tmp_path / "camera.yaml"), "--quiet"]
     assert main([*words, "--out", str(tmp_path / "bag")]) == 0
-    wrong = PLAIN.replace("SIZE", told)
+    wrong = PLAIN.replace("SIZE", stated)
     if opposite:
         wrong = wrong.replace("[[0.85, 0.06], [0.06, 0.85]]", "[[0.06, 0.85], [0.85, 0.06]]")
     (tmp_path / "wrong.yaml").write_text(wrong)

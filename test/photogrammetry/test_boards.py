@@ -174,11 +174,11 @@ def page_of(path: Path) -> list[float]:
 def test_a_board_is_for_a_usual_paper(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], paper: str, said: str
 ) -> None:
-    """The smallest that it fits, or the one asked for, with the largest squares that fit."""
+    """The smallest that it fits, or the one requested, with the largest squares that fit."""
     assert main(["board", *words, "--out", str(tmp_path / "board")]) == 0
-    told = capsys.readouterr().out
-    assert re.search(said, told)
-    assert f"print on {paper} at 100 %" in told
+    output = capsys.readouterr().out
+    assert re.search(said, output)
+    assert f"print on {paper} at 100 %" in output
     np.testing.assert_allclose(page_of(tmp_path / "board.pdf"), MILLIMETRES[paper], atol=0.01)
     size = load_scene(tmp_path / "board.yaml").surfaces[0].size
     assert size is not None
@@ -198,9 +198,9 @@ def test_a_board_larger_than_any_paper_has_its_own_page(
 ) -> None:
     """Ten squares across with the margin are 2 m, beyond A0; 5 mm around and the ruler below are added."""
     assert main(["board", "checkerboard", "--square", "0.2", "--out", str(tmp_path / "board")]) == 0
-    told = capsys.readouterr().out
-    assert "it fits no usual paper; A4 would take --square 0.02, up to about 1 m\n" in told
-    assert "print on a page of 2010 x 1826 mm at 100 %" in told
+    output = capsys.readouterr().out
+    assert "it fits no usual paper; A4 would take --square 0.02, up to about 1 m\n" in output
+    assert "print on a page of 2010 x 1826 mm at 100 %" in output
     np.testing.assert_allclose(page_of(tmp_path / "board.pdf"), [1826, 2010], atol=0.01)
 
 

@@ -29,7 +29,7 @@ def weak(seed: int, count: int = 4) -> Observations:
 
 def test_a_distortion_that_the_recording_does_not_tell_stays_as_it_is_known() -> None:
     optics, covariance, report = estimate_optics(weak(3), start=SR3000)
-    left = {name for group in report.left_out for name in group.parameters}
+    left = {name for group in report.insignificant for name in group.parameters}
     assert {"k2", "k3", "p1", "p2"} <= left
     for name in left - {"fy"}:
         i = OPTICS_PARAMETERS.index(name)
@@ -39,7 +39,7 @@ def test_a_distortion_that_the_recording_does_not_tell_stays_as_it_is_known() ->
         assert abs(wrong[OPTICS_PATHS.index(path)]) < 3.5 * covariance.sigma(path)
 
 
-def test_a_covariance_is_knowledge_beside_the_recording() -> None:
+def test_a_covariance_is_knowledge_in_addition_to_the_recording() -> None:
     """Of two independent measurements the mean is weighted by their inverse covariances."""
     rng = np.random.default_rng(8)
     factor = np.tril(rng.normal(0, 0.2, (9, 9)), -1) + np.eye(9)
@@ -47,9 +47,9 @@ def test_a_covariance_is_knowledge_beside_the_recording() -> None:
     start = optics_of(TRUE + SIGMAS * (factor @ rng.normal(size=9)))
     observations = weak(5, 12)
     alone, own, report = estimate_optics(observations, start=start, significance=None)
-    told = OpticsCovariance(OPTICS_PATHS, known)
-    optics, covariance, both = estimate_optics(observations, start=start, known=told)
-    assert both.left_out == ()
+    prior = OpticsCovariance(OPTICS_PATHS, known)
+    optics, covariance, both = estimate_optics(observations, start=start, known=prior)
+    assert both.insignificant == ()
     inverse = np.linalg.inv(own.matrix), np.linalg.inv(known)
     expected = np.linalg.inv(inverse[0] + inverse[1])
     mean = expected @ (inverse[0] @ vector(alone) + inverse[1] @ vector(start))
@@ -63,9 +63,9 @@ def test_a_covariance_is_knowledge_beside_the_recording() -> None:
 
 
 def test_a_lens_that_is_not_the_one_that_was_known_is_said() -> None:
-    told = OpticsCovariance(("optics.fx", "optics.fy", "optics.d.0"), np.diag([0.3, 0.3, 0.01]) ** 2)
+    prior = OpticsCovariance(("optics.fx", "optics.fy", "optics.d.0"), np.diag([0.3, 0.3, 0.01]) ** 2)
     start = replace(SR3000, fx=190.0, fy=190.0)
-    _, _, report = estimate_optics(weak(6, 12), start=start, known=told)
+    _, _, report = estimate_optics(weak(6, 12), start=start, known=prior)
     assert "by more than the covariance that it states" in report.notes[0]
     assert "if it is another lens or focus" in report.notes[0]
 
@@ -81,11 +81,11 @@ def test_effects_err_with_the_optics_as_far_as_these_follow_the_old_ones() -> No
     """By Bayes: e = e0 + g (x0 - x), with a part of x that is measured anew with the same weight."""
     scale = "effects.distance_scale.scale"
     old = np.array([[4e-6, 1e-3], [1e-3, 1.0]])
-    told = replace(camera(), covariance=Covariance((scale, "optics.fx"), ArrayFile("c.npy", old)))
-    stated = stated_optics(told)
+    given = replace(camera(), covariance=Covariance((scale, "optics.fx"), ArrayFile("c.npy", old)))
+    stated = stated_optics(given)
     assert stated is not None
     assert stated.sigma("optics.fx") == 1.0
-    new = with_optics(told, SR3000, OpticsCovariance(("optics.fx", "optics.cx"), np.diag([0.5, 0.2])))
+    new = with_optics(given, SR3000, OpticsCovariance(("optics.fx", "optics.cx"), np.diag([0.5, 0.2])))
     assert new.covariance is not None
     assert new.covariance.parameters == ("optics.fx", "optics.cx", scale)
     # half of the new fx is the old one

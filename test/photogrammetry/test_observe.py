@@ -1,4 +1,4 @@
-"""Targets read from recorded frames: identification, what is left out, and the optics that come of it."""
+"""Targets read from recorded frames: identification, what is excluded, and the optics that come of it."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def expected_centres(pose: Pose) -> dict[str, np.ndarray]:
     return dict(zip(targets.targets, image, strict=True))
 
 
-def test_circles_are_identified_and_stations_told_apart() -> None:
+def test_circles_are_identified_and_stations_distinguished() -> None:
     """The camera's principal point is wrong by 3 px and its focal length by 2 %."""
     poses = dict(enumerate(list(stations(np.random.default_rng(4)).values())[:3]))
     wrong = camera(Optics(fx=204.0, fy=204.0, cx=92.5, cy=80.0))
@@ -132,7 +132,7 @@ def test_poses_come_from_the_recording_where_the_scene_says_truth() -> None:
         observe([lost], camera(), moving)
 
 
-def test_hidden_saturated_and_missing_targets_are_left_out() -> None:
+def test_hidden_saturated_and_missing_targets_are_excluded() -> None:
     (frame,) = recorded({0: FRONTAL}, frames=1)
     scene = labelled_plate(FRONTAL, field())
     seen_by_all = {one.target for one in observe([frame], camera(), scene).points}

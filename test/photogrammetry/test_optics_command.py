@@ -36,27 +36,27 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("optics")
     camera, _, _ = make(folder, ["checkerboard", "--distance", "0.5"], stations=8)
     text = CAMERA[: CAMERA.index("effects:")] + EFFECTS.lstrip()
-    (folder / "told.yaml").write_text(text)
+    (folder / "stated.yaml").write_text(text)
     matrix = np.zeros((3, 3))
     matrix[:2, :2], matrix[2, 2] = OF_EFFECTS, 0.04
-    covariance = Covariance((*PATHS, "optics.fx"), ArrayFile("told_covariance.npy", matrix))
-    save_camera(replace(load_camera(folder / "told.yaml"), covariance=covariance), folder / "told.yaml")
-    assert camera.optics == load_camera(folder / "told.yaml").optics
+    covariance = Covariance((*PATHS, "optics.fx"), ArrayFile("stated_covariance.npy", matrix))
+    save_camera(replace(load_camera(folder / "stated.yaml"), covariance=covariance), folder / "stated.yaml")
+    assert camera.optics == load_camera(folder / "stated.yaml").optics
     return folder
 
 
 def test_the_covariance_that_was_found_is_written(recorded: Path, tmp_path: Path) -> None:
     words = ["optics", str(recorded / "bag"), "--scene", str(recorded / "board.yaml")]
-    words += ["--camera", str(recorded / "told.yaml"), "--estimate", "fx,cx,cy", "--quiet"]
+    words += ["--camera", str(recorded / "stated.yaml"), "--estimate", "fx,cx,cy", "--quiet"]
     words += ["--out", str(tmp_path / "info.yaml"), "--camera-out", str(tmp_path / "new.yaml")]
     assert main(words) == 0
-    told, new = load_camera(recorded / "told.yaml"), load_camera(tmp_path / "new.yaml")
+    stated, new = load_camera(recorded / "stated.yaml"), load_camera(tmp_path / "new.yaml")
     assert new.covariance is not None
     assert set(new.covariance.parameters) == {*PATHS, "optics.fx", "optics.fy", "optics.cx", "optics.cy"}
     at = [new.covariance.parameters.index(one) for one in PATHS]
     np.testing.assert_allclose(new.covariance.matrix.values[np.ix_(at, at)], OF_EFFECTS, rtol=1e-12)
-    assert new.effects == told.effects
-    found, true = new.optics, told.optics
+    assert new.effects == stated.effects
+    found, true = new.optics, stated.optics
     for name, least, most in (("fx", 0.005, 0.5), ("fy", 0.005, 0.5), ("cx", 0.005, 0.5), ("cy", 0.005, 0.5)):
         i = new.covariance.parameters.index(f"optics.{name}")
         sigma = float(np.sqrt(new.covariance.matrix.values[i, i]))

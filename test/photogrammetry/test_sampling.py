@@ -104,11 +104,11 @@ def test_edges_that_the_lens_bends() -> None:
     middle = np.abs(places - SIZE / 2).max(axis=1) < 20
     bends = np.tile([1 / 300, 0.0], (int(middle.sum()), 1))
     # a bow turns the edges away from their vectors
-    told = refine_corners(image, places[middle], axes=axes[middle], bends=bends)
-    untold = refine_corners(image, places[middle], axes=axes[middle])
+    with_bends = refine_corners(image, places[middle], axes=axes[middle], bends=bends)
+    without_bends = refine_corners(image, places[middle], axes=axes[middle])
     across = np.array([-np.sin(0.3), np.cos(0.3)])
     wrong = []
-    for found in (told, untold):
+    for found in (with_bends, without_bends):
         pairs = zip(found, places[middle], strict=True)
         wrong.append(np.mean([((c.u, c.v) - place) @ across for c, place in pairs if c is not None]))
     assert abs(wrong[0]) < 0.003

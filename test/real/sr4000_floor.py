@@ -46,7 +46,7 @@ _WILD = 0.06
 
 @dataclass(frozen=True)
 class Judged:
-    """Errors of corrected distances beside the plane of each frame, lengths in m.
+    """Errors of corrected distances relative to the plane of each frame, lengths in m.
 
     ``rms`` of all; ``pattern`` of what pixels have of their own, and ``rough`` of what their neighbours do
     not have, both less their noise; ``bins`` the mean of each range of distances with its number of values;

@@ -148,5 +148,5 @@ def test_poses_from_images(tmp_path: Path) -> None:
     assert np.median(shifts) < 0.002
     assert np.median(np.abs(tilts)) < 0.002
     assert np.abs(tilts).max() < 0.03
-    # the given ones have noise of their own beside what is stated of these
+    # the given ones have noise of their own in addition to what is stated of these
     assert np.median(np.abs(np.concatenate(ratios))) < 1.5

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-#: A frame in a page has the width that is asked for; windows have a least width of 500 px.
+#: A frame in a page has the width that is requested; windows have a least width of 500 px.
 _FRAME = """<!DOCTYPE html><html><head><meta name="color-scheme" content="light dark"></head>
 <body style="margin:0">
 <iframe id="page" style="border:0;width:{width}px;height:900px" srcdoc="{page}"></iframe>

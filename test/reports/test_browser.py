@@ -122,7 +122,7 @@ def test_calibrate_opens_with_a_sentence(pages: dict[str, str]) -> None:
     )
     assert found is not None
     after, near, far, before = map(float, found.groups())
-    # noise of four frames and reference instrument: 3 mm; a sinusoid of 9 mm beside them
+    # noise of four frames and reference instrument: 3 mm; a sinusoid of 9 mm in addition to them
     assert after == pytest.approx(3.1, abs=0.3)
     assert before == pytest.approx((after**2 + 9.0**2 / 2) ** 0.5, rel=0.1)
     assert near < 1.1 < 4.2 < far

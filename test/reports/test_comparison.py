@@ -99,7 +99,7 @@ def test_the_same_under_other_names_is_the_same(plain: Camera) -> None:
     assert [effect.effect for effect in found.effects] == ["fixed_pattern_offset"]
 
 
-def test_numbers_are_told_in_sigmas_of_both(plain: Camera) -> None:
+def test_differences_are_stated_in_sigmas_of_both(plain: Camera) -> None:
     def stated(scale: float, sigma: float) -> Camera:
         camera = with_effects(plain, {"distance_scale": DistanceScale(scale)})
         matrix = ArrayFile("c.npy", np.array([[sigma**2]]))

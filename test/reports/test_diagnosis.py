@@ -78,8 +78,8 @@ def rendered(result: Diagnosis) -> str:
 # --- the whole page ---------------------------------------------------------------------------------
 
 
-def test_what_a_smooth_function_still_gains_is_told_beside_what_is_named(case: Case) -> None:
-    """41 nats beside 1,640 are 2.5 %; 900 would be 55 %, which nobody should call small."""
+def test_what_a_smooth_function_still_gains_is_reported_with_what_is_named(case: Case) -> None:
+    """41 nats compared with 1,640 are 2.5 %; 900 would be 55 %, which nobody should call small."""
     for gain, share in ((41.0, "2.5 %"), (900.0, "55 %")):
         result = replace(case.missing, smooth_rest=("column_row", gain), gained=1640.0)
         sentence = f"a smooth function of column row still gains {gain:.0f} nats, {share} of what the effects"
@@ -207,16 +207,16 @@ def test_page_tells_rivals_and_what_to_record(case: Case) -> None:
 def test_page_says_that_mixed_pixels_count_as_they_measure(case: Case) -> None:
     first = case.missing.missing[0]
     mixed = replace(case.missing, missing=[first, replace(first, effect="mixed_pixels")])
-    told = "Mixed pixels count as they measure"
-    assert told in rendered(mixed)
-    assert told not in rendered(case.missing)
+    sentence = "Mixed pixels count as they measure"
+    assert sentence in rendered(mixed)
+    assert sentence not in rendered(case.missing)
 
 
-@pytest.mark.parametrize(("left", "told"), [(1.02, "with it nothing is left but noise"), (1.67, "1.67)")])
-def test_page_says_what_is_left_beside_the_curve(case: Case, left: float, told: str) -> None:
+@pytest.mark.parametrize(("left", "expected"), [(1.02, "with it nothing is left but noise"), (1.67, "1.67)")])
+def test_page_says_what_is_left_given_the_curve(case: Case, left: float, expected: str) -> None:
     result = replace(case.missing, accuracy=replace(case.missing.accuracy, chi2_after=left))
     shown = text_of(rendered(result))
-    assert told in shown
+    assert expected in shown
     assert ("that its form does not explain (chi-square per value" in shown) is (left > 1.1)
 
 
@@ -241,7 +241,7 @@ def test_report_holds_the_probability_that_the_page_tells(case: Case) -> None:
 # --- the numbers behind the pictures ----------------------------------------------------------------
 
 
-def test_curve_follows_the_sinusoid_that_was_left_out(case: Case) -> None:
+def test_curve_follows_the_sinusoid_that_is_missing(case: Case) -> None:
     found = evidence(case.missing)
     (curve,) = [one for one in curves_of(case.missing, found) if "harmonics" in one.title]
     without, after, _ = curve.bins.means
@@ -432,12 +432,12 @@ def test_outline_keeps_small_regions_and_smooths_large_ones() -> None:
 
 
 def test_every_key_of_the_report_is_explained(case: Case) -> None:
-    """docs/diagnosis_report.md has a row for each key, of which some are told in the row they belong to."""
-    told = (Path(__file__).resolve().parents[2] / "docs" / "diagnosis_report.md").read_text()
+    """docs/diagnosis_report.md has a row for each key, of which some are in the row they belong to."""
+    documented = (Path(__file__).resolve().parents[2] / "docs" / "diagnosis_report.md").read_text()
     report = as_json(case.missing)
     keys = [*report, *(f"where.{one}" for one in report["where"]), *report["fit"], *report["ranking"][0]]
     keys += [*report["missing"][0], "covariates", "closed_form", "reason"]
-    absent = [one for one in keys if f"`{one}`" not in told and one != "where"]
+    absent = [one for one in keys if f"`{one}`" not in documented and one != "where"]
     assert absent == []
 
 

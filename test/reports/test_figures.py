@@ -54,7 +54,7 @@ def test_the_band_of_a_hyperbola(camera: Camera) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(registry()))
-def test_every_effect_is_drawn_or_left_out(camera: Camera, name: str) -> None:
+def test_every_effect_is_drawn_or_omitted(camera: Camera, name: str) -> None:
     one = with_effects(camera, {name: registry()[name].example(camera)})
     found = effect_panels(one, [], np.zeros((0, 0)), before=one)
     for panel in found:

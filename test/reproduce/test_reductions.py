@@ -126,7 +126,7 @@ def test_phase_and_amplitude_state_their_errors() -> None:
 
 
 def test_a_long_wave_is_not_taken_for_the_strongest() -> None:
-    """A line with a bend has a large first order beside its slope, but order 4 leaves less."""
+    """A line with a bend has a large first order in addition to its slope, but order 4 leaves less."""
     d = np.arange(0.5, 7.3, 0.05)
     error = 0.1 * d + 0.003 * (d - 3.9) ** 2 + 0.08 * np.sin(4 * 2 * np.pi / L * d + 0.3)
     assert reduce.fit_cyclic(d, error, ambiguity=L, order=1).amplitude > 0.01

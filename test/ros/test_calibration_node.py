@@ -30,7 +30,7 @@ from test.helpers_cli import nothing_left, run
 from test.ros.harness import LATCHED, Chain, Diagnosed, World
 
 TRUE = CyclicError((Harmonic(4, 0.012, 0.8),))
-TOLD = CyclicError((Harmonic(4, 0.008, 0.5),))
+STATED = CyclicError((Harmonic(4, 0.008, 0.5),))
 AMPLITUDE = "effects.cyclic_error.harmonics.0.amplitude"
 WORK = "/camera/calibration: work"
 RESULT = "/camera/calibration: result"
@@ -45,7 +45,7 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "scene.yaml").write_text(SCENE)
     write(folder / "bag", frames(truth, scene(folder), poses=15, repeats=3, seed=2))
     save_camera(truth, folder / "truth.yaml")
-    save_camera(replace(truth, effects={"cyclic_error": TOLD}), folder / "start.yaml")
+    save_camera(replace(truth, effects={"cyclic_error": STATED}), folder / "start.yaml")
     return folder
 
 
@@ -255,7 +255,7 @@ def test_from_live_frames_to_a_corrected_camera(
     assert {"reading files", "reading frames", "noise", "held-out poses", "report"} <= node.stages()
     node.wait(lambda: node.diagnostics.message(WORK).startswith(f"done: {out_file}, systematic error "))
     assert node.diagnostics.level(WORK) == 0
-    # who comes later is told, too
+    # who comes later receives it, too
     late = Diagnosed(world.collect(DiagnosticArray, "calibration/result", LATCHED))
     node.wait(lambda: late.of(RESULT))
     assert late.values(RESULT)["file"] == str(out_file)
@@ -297,7 +297,7 @@ def test_a_recording_is_finished_or_cancelled(world: World, laboratory: Path, tm
         assert node.call("cancel") == ""
         assert node.ended()["state"] == "cancelled"
     assert node.record(True) == ""
-    # what the first one told may still be on its way
+    # what the first one published may still be on its way
     node.wait(lambda: node.progress.values(PROGRESS)["pid"] != before)
     node.wait(lambda: int(node.progress.values(PROGRESS).get("done", "0")) > 3)
     # the driver shows a wall, the scene is of a board

@@ -157,7 +157,7 @@ def test_amplitudes_as_jpeg(world: World) -> None:
     assert "is not a choice" in world.set("driver", **{"compressed.format": "gif"})
 
 
-def test_device_and_file_are_told_to_who_joins_late(world: World, tmp_path: Path) -> None:
+def test_device_and_file_are_published_to_who_joins_late(world: World, tmp_path: Path) -> None:
     process = world.start("camera_node", scene="wall", folders=str(tmp_path))
     said = world.diagnostics()
     assert world.until(lambda: len(said.of("/camera/driver: device")) > 1), process.text

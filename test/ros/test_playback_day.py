@@ -32,7 +32,7 @@ def test_pause_rate_and_loop_while_running(world: World, tmp_path: Path) -> None
     assert not world.until(lambda: len(images) > count, 0.5)
     assert world.set("driver", pause=False) == ""
     assert world.until(lambda: len(images) > count), world.output()
-    # nothing was left out: it goes on with the next frame
+    # nothing was skipped: it goes on with the next frame
     assert stamp_of(images.messages[count]) - stamp_of(images.messages[count - 1]) == STEP
     before = len(images)
     assert world.set("driver", playback_rate=4.0) == ""
@@ -64,8 +64,10 @@ def test_simulated_time_follows_the_recording_and_stands_with_it(world: World, t
     assert world.until(lambda: clock and sum(stamp_of(one) > times()[0] for one in points) > 10), (
         world.output()
     )
-    told = times()
-    assert set(told) >= {stamp_of(one) for one in points if told[0] <= stamp_of(one) < told[-1]}
+    clock_times = times()
+    assert set(clock_times) >= {
+        stamp_of(one) for one in points if clock_times[0] <= stamp_of(one) < clock_times[-1]
+    }
     assert world.set("driver", pause=True) == ""
     # with the clock standing still diagnostics go on, and say so
     name = "/camera/driver: frames"

@@ -95,7 +95,7 @@ def test_a_device_that_stalls_is_given_up_and_delivers_again() -> None:
         acquisition.stop()
 
 
-def test_nothing_is_asked_for_in_a_pause_and_it_ends_with_stop() -> None:
+def test_nothing_is_requested_in_a_pause_and_it_ends_with_stop() -> None:
     device, heard = Stalling(), Heard()
     acquisition = Acquisition(device, heard, paused=True)
     acquisition.start()

@@ -1,4 +1,4 @@
-"""Further effects beside what a slightly wrong form of the first one leaves."""
+"""Further effects given what a slightly wrong form of the first one leaves."""
 
 from __future__ import annotations
 
@@ -163,11 +163,11 @@ def test_what_a_wrong_form_leaves_is_no_further_effect(tmp_path: Path) -> None:
     blocks = [*(one.block for one in named), *forms]
     equations = further_equations(fitted, blocks, folds, problem)
     alone = explored(further_equations(fitted, blocks[:2], folds, problem), named, replicates=0)
-    beside = explored(equations, named, forms=forms, replicates=0)
+    given_forms = explored(equations, named, forms=forms, replicates=0)
     assert alone.gains[0] > 50
-    assert beside.gains[0] < 0.1 * alone.gains[0]
+    assert given_forms.gains[0] < 0.1 * alone.gains[0]
     assert alone.gains[1] > 50
-    assert beside.gains[1] > 0.7 * alone.gains[1]
+    assert given_forms.gains[1] > 0.7 * alone.gains[1]
 
 
 def steep_step(

@@ -1,4 +1,4 @@
-"""Drifts beside other effects: what follows time, and what merely fits poses that something else moves."""
+"""Drifts given other effects: what follows time, and what merely fits poses that something else moves."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_drift_follows_time(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_errors_of_poses_do_not(tmp_path: Path) -> None:
-    """Poses told wrongly by five sigmas: a fitted drift explains some of it, as any order would."""
+    """Poses wrong by five sigmas: a fitted drift explains some of it, as any order would."""
     found = []
     for seed in range(6):
         _, problem, pool, folds = setting(tmp_path, wrong=5.0, seed=seed)

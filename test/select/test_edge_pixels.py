@@ -1,4 +1,4 @@
-"""Mixed pixels in the pixels beside edges: found, fitted, and told apart from what is none."""
+"""Mixed pixels in the pixels beside edges: found, fitted, and distinguished from what is none."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from ..calibrate.helpers import camera, record, scene, with_footprints
 @pytest.mark.long
 @pytest.mark.parametrize(("width", "found"), [(0.0, []), (0.5, ["mixed_pixels"])])
 def test_a_footprint_of_a_pixel_is_found_beside_edges(tmp_path: Path, width: float, found: list[str]) -> None:
-    """Pixels within half a footprint of an edge are mixed, those within 0.3 px left out of all else."""
-    told, board = camera(tmp_path), scene(tmp_path)
+    """Pixels within half a footprint of an edge are mixed, those within 0.3 px excluded from all else."""
+    stated, board = camera(tmp_path), scene(tmp_path)
     # of finite size: at a horizon a footprint spans many tiles
     board = Scene((replace(board.surfaces[0], type="rectangle", size=(1.55, 1.35)),))
-    data = with_footprints(told, board, record(told, board, poses=14, frames=1, seed=9), width, 4)
-    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
-    result = search(Problem(data, board), told, facts, effects=["mixed_pixels"])
+    data = with_footprints(stated, board, record(stated, board, poses=14, frames=1, seed=9), width, 4)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=stated)
+    result = search(Problem(data, board), stated, facts, effects=["mixed_pixels"])
     assert [one.effect for one in result.found] == found
     assert result.beside_edges == (1 if found else None)
     # the fit goes on once the effect has joined, by an error of amplitudes that is estimated anew
@@ -45,9 +45,9 @@ def test_a_footprint_of_a_pixel_is_found_beside_edges(tmp_path: Path, width: flo
 @pytest.mark.parametrize(("width", "found"), [(0.0, []), (0.5, ["mixed_pixels"])])
 def test_a_large_drift_does_not_hide_mixed_pixels(tmp_path: Path, width: float, found: list[str]) -> None:
     """Mixed pixels move distances by 1.2 mm, the drift by 27 mm: its form leaves nothing at edges."""
-    told, board = camera(tmp_path), scene(tmp_path)
+    stated, board = camera(tmp_path), scene(tmp_path)
     board = Scene((replace(board.surfaces[0], type="rectangle", size=(1.55, 1.35)),))
-    data = with_footprints(told, board, record(told, board, poses=14, frames=1, seed=9), width, 4)
+    data = with_footprints(stated, board, record(stated, board, poses=14, frames=1, seed=9), width, 4)
     for number, one in enumerate(data.stations):
         uptime = 30.0 + 20.0 * one.pose
         data.stations[number] = replace(
@@ -55,8 +55,8 @@ def test_a_large_drift_does_not_hide_mixed_pixels(tmp_path: Path, width: float, 
             settings=replace(one.settings, uptime=uptime),
             distance=one.distance + 0.04 * np.exp(-uptime / 120.0),
         )
-    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
-    result = search(Problem(data, board), told, facts)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=stated)
+    result = search(Problem(data, board), stated, facts)
     assert [one.effect for one in result.found] == ["warm_up_drift", *found]
 
 
@@ -73,10 +73,10 @@ def test_the_footprint_of_a_pixel_is_found_by_the_pixels_that_edges_cross(
     tmp_path: Path, width: float
 ) -> None:
     """A blur of what centres see cannot tell them from their neighbours: it loses, or fits less."""
-    told, before = camera(tmp_path), before_a_wall(tmp_path)
-    data = with_footprints(told, before, record(told, before, poses=16, frames=1, seed=3), width, 8)
-    facts = Facts.of(data, moves=False, surfaces=2, camera=told)
-    result = search(Problem(data, before), told, facts)
+    stated, before = camera(tmp_path), before_a_wall(tmp_path)
+    data = with_footprints(stated, before, record(stated, before, poses=16, frames=1, seed=3), width, 8)
+    facts = Facts.of(data, moves=False, surfaces=2, camera=stated)
+    result = search(Problem(data, before), stated, facts)
     assert [one.effect for one in result.found] == ["mixed_pixels"]
     mixed = result.camera.effects["mixed_pixels"]
     assert isinstance(mixed, MixedPixels)
@@ -90,13 +90,13 @@ def test_the_footprint_of_a_pixel_is_found_by_the_pixels_that_edges_cross(
 
 
 @pytest.mark.long
-def test_a_footprint_beside_stray_light(tmp_path: Path) -> None:
+def test_a_footprint_in_addition_to_stray_light(tmp_path: Path) -> None:
     """Where pixels alone are mixed that edges cross, the form of the stray light does not leave it."""
-    told, before = camera(tmp_path), before_a_wall(tmp_path)
-    data = with_footprints(told, before, record(told, before, poses=16, frames=1, seed=3), 0.6, 8)
+    stated, before = camera(tmp_path), before_a_wall(tmp_path)
+    data = with_footprints(stated, before, record(stated, before, poses=16, frames=1, seed=3), 0.6, 8)
     # 4 % of the light over 5 px, laid over the measured image
     for number, one in enumerate(data.stations):
-        wave = 2 * np.pi / told.sensor.ambiguity
+        wave = 2 * np.pi / stated.sensor.ambiguity
         image = np.nan_to_num(one.amplitude * np.exp(1j * wave * one.distance))
         halo = gaussian_filter(image.real, 5.0, mode="constant") + 1j * gaussian_filter(
             image.imag, 5.0, mode="constant"
@@ -105,10 +105,10 @@ def test_a_footprint_beside_stray_light(tmp_path: Path) -> None:
         data.stations[number] = replace(
             one,
             amplitude=np.abs(spread),
-            distance=np.mod(np.angle(spread) / wave, told.sensor.ambiguity),
+            distance=np.mod(np.angle(spread) / wave, stated.sensor.ambiguity),
         )
-    facts = Facts.of(data, moves=False, surfaces=2, camera=told)
-    result = search(Problem(data, before), told, facts)
+    facts = Facts.of(data, moves=False, surfaces=2, camera=stated)
+    result = search(Problem(data, before), stated, facts)
     assert [one.effect for one in result.found] == ["scattering", "mixed_pixels"]
     mixed = result.camera.effects["mixed_pixels"]
     assert isinstance(mixed, MixedPixels)
@@ -118,19 +118,19 @@ def test_a_footprint_beside_stray_light(tmp_path: Path) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("weight", [0.0, 0.05])
 def test_neither_errors_of_poses_nor_stray_light_are_a_footprint(tmp_path: Path, weight: float) -> None:
-    """Poses three times as wrong as told let edges fall on other pixels, which then measure one surface."""
-    told, before = camera(tmp_path), before_a_wall(tmp_path)
+    """Poses three times as wrong as stated let edges fall on other pixels, which then measure one surface."""
+    stated, before = camera(tmp_path), before_a_wall(tmp_path)
     there = [Scattering((Kernel(weight, (3.0, 3.0)),))] if weight else []
     true = camera(tmp_path, *there)
     data = record(true, before, poses=16, frames=2, seed=5, wrong=3.0 if not weight else 1.0)
-    facts = Facts.of(data, moves=False, surfaces=2, camera=told)
-    result = search(Problem(data, before), told, facts)
+    facts = Facts.of(data, moves=False, surfaces=2, camera=stated)
+    result = search(Problem(data, before), stated, facts)
     at_edges = [one.effect for one in result.found if one.effect in ("scattering", "mixed_pixels")]
     assert at_edges == (["scattering"] if weight else [])
 
 
 @pytest.mark.parametrize("areas", [True, False])
-def test_blurred_light_of_areas_is_told_from_that_of_centres(tmp_path: Path, areas: bool) -> None:
+def test_blurred_light_of_areas_is_distinguished_from_that_of_centres(tmp_path: Path, areas: bool) -> None:
     """A blur of 0.9 px reaches pixels that are clean; how much depends on where in a pixel the edge is."""
     form = MixedPixels(blur=0.85, footprint=1.0) if areas else MixedPixels(blur=0.9)
     board = scene(tmp_path)

@@ -19,13 +19,13 @@ PLACE = (0.11, -0.04, 0.0)
 
 def test_an_emitter_is_found_where_its_linearisation_at_the_lens_is_blind(tmp_path: Path) -> None:
     """Amplitudes tell nothing of it (reflectivities unknown); |e|^2 / 4 d is 5.7 mm at 0.6 m."""
-    told, board = camera(tmp_path), scene(tmp_path)
+    stated, board = camera(tmp_path), scene(tmp_path)
     data = record(camera(tmp_path, EmitterOffset(PLACE)), board, poses=30)
     unknown = replace(
         board, surfaces=tuple(replace(one, reflectivity="unknown", texture=None) for one in board.surfaces)
     )
-    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
-    result = search(Problem(data, unknown), told, facts, effects=["emitter_offset", "distance_scale"])
+    facts = Facts.of(data, moves=False, surfaces=1, camera=stated)
+    result = search(Problem(data, unknown), stated, facts, effects=["emitter_offset", "distance_scale"])
     first = result.explorations[0]
     gains = {
         one.variant: (float(gain), float(need))

@@ -69,7 +69,7 @@ def test_likelihoods_are_means_over_the_sizes_of_changes() -> None:
         assert conditional.gain(extra) == pytest.approx(with_extra - without, abs=1e-6)
 
 
-def test_what_a_true_form_could_imitate_is_found_beside_it() -> None:
+def test_what_a_true_form_could_imitate_is_found_given_it() -> None:
     """Changes that nothing calls for are small, and take up nothing of the candidate."""
     gains = []
     for seed in range(12):

@@ -22,11 +22,11 @@ from rim_camera_ros.select.moved_poses import (
     MayHaveMoved,
     MovedPose,
     moved_before_physics,
-    moved_beside_physics,
+    moved_given_physics,
     moved_poses,
 )
 
-from ..calibrate.helpers import camera, record, scene, told_wrongly
+from ..calibrate.helpers import camera, record, scene, with_wrong_pose
 
 
 def fitted_to(data: Dataset, tmp_path: Path) -> tuple[Fit, Scores]:
@@ -43,7 +43,7 @@ def test_poses_within_their_errors_stand_where_they_are_said_to(tmp_path: Path, 
 def test_those_that_do_not_are_found_with_what_they_are_off_by(tmp_path: Path) -> None:
     data = record(camera(tmp_path), scene(tmp_path), poses=16, seed=3)
     for number, by in ((4, 0.05), (6, -0.03)):
-        data = told_wrongly(data, number, by)
+        data = with_wrong_pose(data, number, by)
     _, scores = fitted_to(data, tmp_path)
     first, second = moved_poses(scores, least_gain=20.0, most=16)
     assert [pose.placement for pose in (first, second)] == [(0, 4), (0, 6)]
@@ -63,7 +63,7 @@ def test_those_that_do_not_are_found_with_what_they_are_off_by(tmp_path: Path) -
 
 def test_the_gain_is_the_ratio_of_marginal_likelihoods(tmp_path: Path) -> None:
     """Against the determinants of the equations reduced anew with wider errors of that pose."""
-    data = told_wrongly(record(camera(tmp_path), scene(tmp_path), poses=12, seed=5), 7, 0.012)
+    data = with_wrong_pose(record(camera(tmp_path), scene(tmp_path), poses=12, seed=5), 7, 0.012)
     found, scores = fitted_to(data, tmp_path)
 
     def evidence(factor: float) -> float:
@@ -121,9 +121,9 @@ def test_poses_come_first_where_they_explain_more_than_physics(
 
 
 @pytest.mark.parametrize(("most", "expected"), [(1, []), (2, POSES)])
-def test_what_many_poses_show_beside_physics_is_physics(
+def test_what_many_poses_show_given_physics_is_physics(
     monkeypatch: pytest.MonkeyPatch, most: int, expected: list[MovedPose]
 ) -> None:
     monkeypatch.setattr(module, "moved_poses", lambda *_, most, **__: POSES[:most])
     step: Any = SimpleNamespace(conditional=None)
-    assert moved_beside_physics(step, MayHaveMoved(most, 20.0)) == expected
+    assert moved_given_physics(step, MayHaveMoved(most, 20.0)) == expected

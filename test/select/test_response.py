@@ -23,11 +23,11 @@ COMPRESSION = "effects.amplitude_nonlinearity.compression"
 
 def tried(folder: Path, published: Callable[[np.ndarray], np.ndarray]) -> tuple[Exploration, np.ndarray]:
     """Return a trial of the compression where light is ``published`` so, and amplitudes before that."""
-    told, board = camera(folder), scene(folder)
-    straight = record(told, board, poses=12, frames=2, seed=11)
+    stated, board = camera(folder), scene(folder)
+    straight = record(stated, board, poses=12, frames=2, seed=11)
     stations = [replace(one, amplitude=published(one.amplitude)) for one in straight.stations]
-    problem = Problem(replace(straight, stations=stations), board, origin=told)
-    without = fit(problem, told, fold_of=folds_of(problem.dataset))
+    problem = Problem(replace(straight, stations=stations), board, origin=stated)
+    without = fit(problem, stated, fold_of=folds_of(problem.dataset))
     start = camera(folder, AmplitudeNonlinearity(compression=1e-6))
     trial = TrialFit(
         ("amplitude_nonlinearity",), problem, start, without.point, folds_of(problem.dataset), seed=3
@@ -38,7 +38,7 @@ def tried(folder: Path, published: Callable[[np.ndarray], np.ndarray]) -> tuple[
 
 @pytest.mark.parametrize("compression", [8e-6, 3e-5])
 def test_a_compression_is_its_parameter_with_next_to_no_curve(tmp_path: Path, compression: float) -> None:
-    """Beside a free curve the parameter was 0 to five times the true one, and had no sigma to speak of."""
+    """Given a free curve the parameter was 0 to five times the true one, and had no sigma to speak of."""
     found, _ = tried(tmp_path, lambda light: light / (1.0 + compression * light))
     fitted = found.fit
     sigma = fitted.sigma[COMPRESSION]

@@ -113,10 +113,10 @@ def test_stray_light_within_its_pixel_is_two_surfaces_in_a_pixel(
     assert what_it_became(alone, (4,), step, fitted) == became
 
 
-def test_halos_without_light_are_left_out(tmp_path: Path) -> None:
+def test_halos_without_light_are_dropped(tmp_path: Path) -> None:
     halo, idle = Kernel(0.01, (5.0, 6.0)), Kernel(0.0, (33.0, 34.0))
-    told = camera(tmp_path, CYCLIC, Scattering((idle, halo, idle)))
-    lean = lean_camera(told)
+    stated = camera(tmp_path, CYCLIC, Scattering((idle, halo, idle)))
+    lean = lean_camera(stated)
     assert lean.effects == {"scattering": Scattering((halo,)), "cyclic_error": CYCLIC}
     assert lean_camera(lean) is lean
     assert lean_camera(camera(tmp_path, CYCLIC)).effects == {"cyclic_error": CYCLIC}
@@ -128,10 +128,10 @@ def test_halos_without_light_are_left_out(tmp_path: Path) -> None:
 def test_stray_light_of_one_halo_is_found_as_such(tmp_path: Path) -> None:
     """Candidates are pairs of halos: the second gets no light to speak of."""
     board, true = scene(tmp_path), Scattering((Kernel(0.03, (5.0, 6.0)),))
-    told = camera(tmp_path, CYCLIC)
+    stated = camera(tmp_path, CYCLIC)
     problem = Problem(record(camera(tmp_path, true, CYCLIC), board, poses=9, seed=2), board)
-    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=told)
-    effect = search(problem, told, facts, effects=["scattering"], most=1).camera.effects["scattering"]
+    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=stated)
+    effect = search(problem, stated, facts, effects=["scattering"], most=1).camera.effects["scattering"]
     assert isinstance(effect, Scattering)
     kernel, *others = effect.kernels
     assert kernel.weight == pytest.approx(0.03, rel=0.06)
@@ -139,7 +139,7 @@ def test_stray_light_of_one_halo_is_found_as_such(tmp_path: Path) -> None:
     assert sum(one.weight for one in others) < 0.001
 
 
-def test_effects_that_would_gain_and_were_not_added_are_told_with_the_reason() -> None:
+def test_effects_that_would_gain_and_were_not_added_are_reported_with_the_reason() -> None:
     names = ["emitter_offset", "scattering", "warm_up_drift", "distance_scale"]
     step: Any = SimpleNamespace(
         best=lambda: {name: k for k, name in enumerate(names)},
@@ -251,16 +251,16 @@ def frames_of(light: np.ndarray, jitter: np.ndarray, common: np.ndarray, seed: i
 
 
 def test_what_is_in_proportion_to_the_light_is_no_second_camera(tmp_path: Path) -> None:
-    told = camera(tmp_path)
-    told = replace(told, noise=replace(told.noise, floor=0.0, amplitude=3.0))
+    stated = camera(tmp_path)
+    stated = replace(stated, noise=replace(stated.noise, floor=0.0, amplitude=3.0))
     rng = np.random.default_rng(8)
-    light = rng.uniform(200, 2000, told.shape) * np.exp(0.8j + 0.3j * rng.random(told.shape))
+    light = rng.uniform(200, 2000, stated.shape) * np.exp(0.8j + 0.3j * rng.random(stated.shape))
     ones, dark = np.ones(12), np.zeros(12, complex)
     power = 1 + 0.02 * rng.normal(size=12) + 0.01j * rng.normal(size=12)
     second = 4.0 * np.exp(2j * np.pi * rng.random(12))
 
-    def common(jitter: np.ndarray, beside: np.ndarray) -> float:
-        station = next(iter(reduce_frames(frames_of(light, jitter, beside, 3), told)))
+    def common(jitter: np.ndarray, added: np.ndarray) -> float:
+        station = next(iter(reduce_frames(frames_of(light, jitter, added, 3), stated)))
         assert station.common is not None
         return float(station.common)
 
@@ -396,7 +396,7 @@ def test_unmodulated_light_of_a_moving_camera_is_a_share_of_the_modulated(tmp_pa
 
 
 @pytest.mark.parametrize("follows", [True, False])
-def test_a_drift_beside_other_effects_must_follow_time(
+def test_a_drift_in_addition_to_other_effects_must_follow_time(
     monkeypatch: pytest.MonkeyPatch, follows: bool
 ) -> None:
     monkeypatch.setattr("rim_camera_ros.select.forward_search.effect_size", lambda *_: 0.01)
@@ -430,7 +430,7 @@ def test_a_drift_beside_other_effects_must_follow_time(
 def test_a_halo_within_the_neighbours_is_the_form_of_the_mixed_pixels_that_were_found(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, found: str, sigma: float, refusal: str | None
 ) -> None:
-    """Alone it becomes mixed pixels; beside them there is nothing that it could become."""
+    """Alone it becomes mixed pixels; given them there is nothing that it could become."""
     monkeypatch.setattr("rim_camera_ros.select.forward_search.effect_size", lambda *_: 0.01)
     nothing: Any = None
     state = Search(nothing, nothing, [nothing], {}, found=[Found(found, 900.0)])
@@ -500,10 +500,10 @@ def test_a_linear_guess_that_no_camera_can_have_is_begun_at_less_of_it(
 
 def test_pixels_that_edges_have_reached_do_not_hold_the_rays(tmp_path: Path) -> None:
     """What is beside an edge by the true lens reads as by the file's: it says nothing of the lens."""
-    told, board = camera(tmp_path), scene(tmp_path)
-    truth = replace(told, optics=replace(told.optics, d=(0.25, 0.0, 0.0, 0.0, 0.0)))
+    stated, board = camera(tmp_path), scene(tmp_path)
+    truth = replace(stated, optics=replace(stated.optics, d=(0.25, 0.0, 0.0, 0.0, 0.0)))
     data = record(truth, board, poses=24, seed=2)
-    by_file, by_lens = Forward(data, board, told), Forward(data, board, truth)
+    by_file, by_lens = Forward(data, board, stated), Forward(data, board, truth)
     for forward in (by_file, by_lens):
         forward.estimate_amplitudes()
     rng, stations, spoiled = np.random.default_rng(8), [], 0
@@ -521,9 +521,9 @@ def test_pixels_that_edges_have_reached_do_not_hold_the_rays(tmp_path: Path) -> 
             )
         )
     assert spoiled > 1000
-    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=stated)
     problem = Problem(replace(data, stations=stations), board)
-    result = search(problem, told, facts, effects=["lens_distortion"])
+    result = search(problem, stated, facts, effects=["lens_distortion"])
     assert [one.effect for one in result.found] == ["lens_distortion"]
     # with all pixels that were clean by the file it was 0.19, seven standard errors off
     assert abs(result.camera.optics.d[0] - 0.25) < 3 * result.fit.sigma["optics.d.0"]

@@ -117,10 +117,10 @@ def spread(tmp_path_factory: pytest.TempPathFactory) -> tuple[Problem, Any]:
 
 
 def found(spread: tuple[Problem, Any], effects: list[str]) -> tuple[Any, list[str]]:
-    problem, told = spread
+    problem, stated = spread
     said: list[str] = []
-    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=told)
-    result = search(problem, told, facts, effects=effects, most=1, progress=said.append)
+    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=stated)
+    result = search(problem, stated, facts, effects=effects, most=1, progress=said.append)
     return result, [one.partition(" (")[0] for one in said if re.match(r"fitting \S+ to ", one)]
 
 
@@ -148,21 +148,21 @@ def test_a_few_poses_change_no_answer(spread: tuple[Problem, Any], monkeypatch: 
 @pytest.mark.long
 def test_a_search_goes_on_from_what_some_poses_found(spread: tuple[Problem, Any]) -> None:
     """Nothing is fitted anew, and what it found is that of a search of all."""
-    problem, told = spread
-    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=told)
+    problem, stated = spread
+    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=stated)
     effects = ["scattering", "amplitude_nonlinearity"]
     alone, _ = found(spread, effects)
     some = at_stations(problem, range(0, len(problem.dataset.stations), 2))
-    begin = search(some, told, facts, effects=effects, most=1)
+    begin = search(some, stated, facts, effects=effects, most=1)
     said: list[str] = []
-    result = search(problem, told, facts, effects=effects, most=1, begin=begin, progress=said.append)
+    result = search(problem, stated, facts, effects=effects, most=1, begin=begin, progress=said.append)
     assert [one.effect for one in result.found] == ["scattering"]
     assert not any(one.startswith("fitting scattering") for one in said)
     values, sigma = result.fit.parameters, alone.fit.sigma
     for path in (path for path in values if path.startswith("effects.")):
         assert values[path] == pytest.approx(alone.fit.parameters[path], abs=0.5 * sigma[path]), path
     # priors are those of the camera file, not of what the part found
-    assert result.problem.origin is told
+    assert result.problem.origin is stated
     assert result.problem.masks is not None
     assert len(result.problem.masks) == len(problem.dataset.stations)
 
@@ -171,11 +171,11 @@ def test_a_search_goes_on_from_what_some_poses_found(spread: tuple[Problem, Any]
 def test_what_some_poses_found_leaves_where_all_explain_it_otherwise(
     spread: tuple[Problem, Any], tmp_path: Path
 ) -> None:
-    problem, told = spread
-    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=told)
+    problem, stated = spread
+    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=stated)
     wrong = camera(tmp_path, CYCLIC, DistanceScale(0.0004))
     begin: Any = SimpleNamespace(found=[Found("distance_scale", 60.0, step=3)], camera=wrong, problem=problem)
-    result = search(problem, told, facts, effects=["scattering", "distance_scale"], most=2, begin=begin)
+    result = search(problem, stated, facts, effects=["scattering", "distance_scale"], most=2, begin=begin)
     assert [one.effect for one in result.found] == ["scattering"]
     assert "distance_scale" not in result.camera.effects
 
@@ -184,51 +184,51 @@ def test_what_some_poses_found_leaves_where_it_ends_at_nothing(
     spread: tuple[Problem, Any], tmp_path: Path
 ) -> None:
     """Its parameter is at a bound: beyond it the data would go, but nothing there is possible."""
-    problem, told = spread
+    problem, stated = spread
     grown = [
         replace(one, amplitude=one.amplitude * (1 + 2e-5 * one.amplitude.astype(float)))
         for one in problem.dataset.stations
     ]
     # without the curve of a response of another form, which comes with the gain
     problem = replace(problem, gain=False, dataset=replace(problem.dataset, stations=grown))
-    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=told)
+    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=stated)
     wrong = camera(tmp_path, CYCLIC, AmplitudeNonlinearity(3e-6))
     begin: Any = SimpleNamespace(
         found=[Found("amplitude_nonlinearity", 60.0, step=3)], camera=wrong, problem=problem
     )
-    result = search(problem, told, facts, effects=[], most=1, begin=begin)
+    result = search(problem, stated, facts, effects=[], most=1, begin=begin)
     assert result.found == []
-    assert result.camera.effects.keys() == told.effects.keys()
+    assert result.camera.effects.keys() == stated.effects.keys()
 
 
 @pytest.mark.long
 def test_a_large_calibration_is_searched_by_some_of_its_poses_first(
     spread: tuple[Problem, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    problem, told = spread
+    problem, stated = spread
     monkeypatch.setattr(subsample, "MANY_PIXELS", 1000)
     monkeypatch.setattr(joint, "MANY_PIXELS", 1000)
     monkeypatch.setattr(joint, "OF_SURFACES", frozenset())
     monkeypatch.setattr(joint, "OPTICS", {})
     monkeypatch.setattr(joint, "effects_of", lambda camera: ["cyclic_error", "scattering"])
-    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=told)
+    facts = Facts.of(problem.dataset, moves=False, surfaces=1, camera=stated)
     said: list[str] = []
-    views = Views(told, problem.scene)
-    outcome = joint.by_search(problem, told, facts, views=views, say=said.append)
+    views = Views(stated, problem.scene)
+    outcome = joint.by_search(problem, stated, facts, views=views, say=said.append)
     poses = len(problem.dataset.stations)
     assert f"{len(subsample_of(problem, seed=0, hold=1000) or [])} of {poses} stations first" in said
     assert outcome.found == ["scattering"]
     assert len(outcome.solution.fit.forward.dataset.stations) == poses
     assert outcome.part is None
     said.clear()
-    part = joint.by_search(problem, told, facts, views=views, say=said.append, part_is_enough=True)
+    part = joint.by_search(problem, stated, facts, views=views, say=said.append, part_is_enough=True)
     assert part.found == ["scattering"]
     assert part.part is not None
     assert len(part.solution.fit.forward.dataset.stations) == poses
     # on all poses nothing else was looked for
     assert said[said.index("all stations") :] == ["all stations", "baseline and 0 candidates"]
     said.clear()
-    rest = joint.by_search(problem, told, facts, views=views, say=said.append, begin=part.part)
+    rest = joint.by_search(problem, stated, facts, views=views, say=said.append, begin=part.part)
     assert (rest.found, rest.part) == (["scattering"], None)
     assert "stations first" not in " ".join(said)
 
@@ -247,8 +247,8 @@ def test_what_follows_time_or_moves_rays_is_fitted_to_all_poses(
 @pytest.mark.long
 def test_near_the_solution_widths_move_at_once(spread: tuple[Problem, Any], tmp_path: Path) -> None:
     """From widths a third too wide: the same solution, in fewer steps than from a guess."""
-    problem, told = spread
-    before = fit(problem, told)
+    problem, stated = spread
+    before = fit(problem, stated)
     start = camera(tmp_path, CYCLIC, Scattering((Kernel(0.02, (5.5, 6.5)), Kernel(0.03, (18.0, 15.0)))))
     ends = {near: fit(problem, start, warm=before, near=near, iterations=20) for near in (False, True)}
     assert ends[True].converged

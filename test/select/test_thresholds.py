@@ -73,12 +73,12 @@ def test_gains_without_a_spread_have_the_threshold_of_one_parameter() -> None:
 
 
 def explored_scale(tmp_path: Path, *, scale: float, wrong: float, seed: int) -> tuple[Exploration, int]:
-    told, board = camera(tmp_path), scene(tmp_path)
-    truth = camera(tmp_path, DistanceScale(scale)) if scale else told
+    stated, board = camera(tmp_path), scene(tmp_path)
+    truth = camera(tmp_path, DistanceScale(scale)) if scale else stated
     data = record(truth, board, poses=20, seed=seed, wrong=wrong)
-    facts = Facts.of(data, moves=False, surfaces=1, camera=told)
-    pool = candidates(told, facts, effects=["distance_scale"])
-    found = explore(Problem(data, board), told, pool, folds_of(data), seed=seed)
+    facts = Facts.of(data, moves=False, surfaces=1, camera=stated)
+    pool = candidates(stated, facts, effects=["distance_scale"])
+    found = explore(Problem(data, board), stated, pool, folds_of(data), seed=seed)
     return found, found.best()["distance_scale"]
 
 
@@ -104,7 +104,7 @@ def test_poses_that_err_more_than_stated_are_no_scale(tmp_path: Path, seed: int)
 
 
 def test_a_scale_does_not_hide_behind_the_errors_of_poses_that_it_makes(tmp_path: Path) -> None:
-    """8 mm/m at 0.6 to 4.5 m pass for pose errors of 5.5 times the stated 1 mm, but not beside a scale."""
+    """8 mm/m at 0.6 to 4.5 m pass for pose errors of 5.5 times the stated 1 mm, but not given a scale."""
     found, k = explored_scale(tmp_path, scale=0.008, wrong=1.0, seed=4)
     equations = found.scores.equations
     assert error_size(equations, found.scores.errors()) > 4.0

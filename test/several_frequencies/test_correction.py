@@ -198,6 +198,6 @@ def test_an_ordinary_camera_refuses_them(camera: Camera, frame: RawFrame) -> Non
         Correction(camera.channels[0]).correct(frame)
 
 
-def test_an_effect_that_the_file_lacks_cannot_be_left_out(camera: Camera) -> None:
+def test_an_effect_that_the_file_lacks_cannot_be_excluded(camera: Camera) -> None:
     with pytest.raises(InputError, match="effect 'multipath' is not in the camera file"):
         measurement_of(camera).correction(camera, without=("multipath",))

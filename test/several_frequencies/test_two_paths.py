@@ -64,7 +64,7 @@ def test_one_path_stays_one(camera: Camera, distance: np.ndarray) -> None:
     assert np.std((found.distance - distance) / found.sigma) == pytest.approx(1.0, abs=0.1)
 
 
-def test_a_second_path_is_told_from_the_first(camera: Camera, distance: np.ndarray) -> None:
+def test_a_second_path_is_separated_from_the_first(camera: Camera, distance: np.ndarray) -> None:
     detour = np.random.default_rng(7).uniform(0.6, 2.0, SHAPE)
     frame = frame_of(camera, distance, second=0.3, detour=detour, seed=2)
     found = SeveralCorrections(camera).correct(frame)

@@ -1,4 +1,4 @@
-"""Runs all faults for a time beside busy processes, prints what was measured and what is beyond its limit.
+"""Runs all faults for a time while processes are busy, prints what was measured and what is beyond its limit.
 
 ``python -m test.soak --duration SECONDS``; status 1 where a figure is beyond its limit (`limits`).
 """
@@ -17,7 +17,7 @@ from typing import Any
 
 from test.soak import faults, limits, load, mutations
 
-#: Processes beside the nodes, which with these make a load of about 4.
+#: Processes in addition to the nodes, which with these make a load of about 4.
 BUSY = 3
 
 

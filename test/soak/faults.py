@@ -426,7 +426,7 @@ rclpy.spin(node)
 
 
 def readers(folder: Path, *, seconds: float, count: int = 20) -> Figures:
-    """20 subscribers beside this one, then one process of them that is stopped and reads no more."""
+    """20 subscribers in addition to this one, then one process of them that is stopped and reads no more."""
     with World(folder) as world:
         nodes = [world.start("driver_node", scene="wall", frame_rate=25.0), world.start("correction_node")]
         listener = Listener(world, raw=False)

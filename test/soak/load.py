@@ -126,7 +126,7 @@ def latency(folder: Path, *, seconds: float, rate: float = 25.0) -> Figures:
 
 
 def overload(folder: Path, *, seconds: float, maximum_age: float | None = 0.1, processes: int = 6) -> Figures:
-    """Driver and correction at 25 Hz beside processes that are always busy: ages of the clouds [ms].
+    """Driver and correction at 25 Hz while processes are always busy: ages of the clouds [ms].
 
     The processes come and go: five seconds each. ``older``: clouds that arrive later than ``maximum_age`` [s]
     after their stamp (None: the node's default, which compares stamps with the newest only, so that none

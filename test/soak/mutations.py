@@ -26,7 +26,7 @@ _WORDS = [
 
 
 def mutated_text(text: str, rng: random.Random) -> bytes:
-    """Return a text with one to four damages: words, lines and characters replaced, doubled or left out."""
+    """Return a text with one to four damages: words, lines and characters replaced, doubled or omitted."""
     lines = text.splitlines()
     for _ in range(rng.randint(1, 4)):
         place = rng.randrange(len(lines)) if lines else 0

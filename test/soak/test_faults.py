@@ -30,7 +30,7 @@ def test_hostile_messages(tmp_path: Path, seconds: float) -> None:
     assert found["running"]
     assert found["tracebacks"] == 0
     assert found["good"] >= 5 * seconds
-    # beside the other tests' processes a queue of the last messages loses some; the long run is by itself
+    # while other tests run, a queue of the last messages loses some; the long run is by itself
     least = 1.0 if seconds > 10 else 0.75
     assert least * found["good"] <= found["good_corrected"] <= found["good"]
     assert found["refused"] > 0.5 * found["hostile"]
@@ -72,7 +72,7 @@ def test_one_process_at_50_hz(tmp_path: Path, seconds: float) -> None:
     assert correction["frames"] > 5 * seconds
     # none vanishes uncounted; both nodes count at two moments of the same second
     assert abs(driver["frames"] - correction["frames"] - correction["dropped_frames"]) <= 60
-    if seconds > 10:  # beside the other tests' processes it is stopped for more than three periods at times
+    if seconds > 10:  # while other tests run, it is stopped for more than three periods at times
         assert correction["dropped_frames"] <= 1e-3 * driver["frames"]
     _, early, _, late = found["memory_mb"]
     assert late < early + 5.0
@@ -80,7 +80,7 @@ def test_one_process_at_50_hz(tmp_path: Path, seconds: float) -> None:
 
 
 @pytest.mark.parametrize("maximum_age", [0.1, None])
-def test_ages_beside_busy_processes(tmp_path: Path, maximum_age: float | None) -> None:
+def test_ages_while_processes_are_busy(tmp_path: Path, maximum_age: float | None) -> None:
     found = load.overload(tmp_path, seconds=10.0, maximum_age=maximum_age, processes=4)
     assert found["running"]
     assert found["tracebacks"] == 0

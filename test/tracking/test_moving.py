@@ -105,7 +105,7 @@ def test_few_points_are_nobody() -> None:
     assert clusters(np.zeros((0, 3)), GROUND, ClusterSettings(), pixel=PIXEL) == []
 
 
-def test_single_pixels_and_noisy_ones_are_left_out() -> None:
+def test_single_pixels_and_noisy_ones_are_excluded() -> None:
     cloud = (2.0 * UNIT).astype(np.float32)
     moving = np.zeros((HEIGHT, WIDTH), bool)
     moving[10:16, 20:27] = True

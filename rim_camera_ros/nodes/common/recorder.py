@@ -84,7 +84,7 @@ class Recorder:
         self.node = rclpy.create_node("recorder")
         self._known: dict[str, tuple[QoSProfile, Any]] = {}
         self._routes = {
-            topics.info_beside(role): ("camera_info", CAMERA_INFO) for role in ("distance", "depth")
+            topics.paired_info(role): ("camera_info", CAMERA_INFO) for role in ("distance", "depth")
         }
         self._routes |= {
             topics[role]: (role, kind) for role, (_, kind) in KNOWN_ROLES.items() if role not in POSE_ROLES
