@@ -186,7 +186,7 @@ def _compared(
                 gain * share + own.reflectivities - chosen,
                 error * share,
                 trial.value,
-                share_explained(gain + own.reflectivities, own.short),
+                share_explained(own.short - own.left, own.short),
                 trial.change,
                 fitted=trial.fitted,
                 at=trial.at,

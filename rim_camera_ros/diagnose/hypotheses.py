@@ -39,6 +39,7 @@ _WORDS = {
     "pose": "poses of {0} with another sign of an angle",
     "units": "distances or poses in other units, by a factor of {1:g}",
     "z_distance": "distances along the optical axis instead of along the ray",
+    "compensated_amplitude": "a driver that multiplies amplitudes by the square of the distance",
     "other_lens": "another lens, of {1:.3g} times the focal length",
 }
 #: Another remedy in the scene file, where its reflectivities may be guesses.
@@ -46,7 +47,11 @@ _GUESSES = dict.fromkeys(
     ("other_pattern", "other_board"),
     " (or state a reflectivity_sigma of what it guesses)",
 )
-
+#: What to do where neither scene, poses nor camera file are to be corrected.
+_REMEDIES = {
+    "compensated_amplitude": "record the amplitudes as measured (SwissRanger: without AM_CONV_GRAY; ifm: the "
+    "topic raw_amplitude)",
+}
 
 #: Recording, scene and camera file of a set-up, and a function that makes those of another from them.
 Files = tuple[Dataset, Scene, Camera]
@@ -124,11 +129,11 @@ class Hypothesis:
     def reason(self) -> str:
         """Why the set-up cannot be trusted, and what to do."""
         guesses = _GUESSES.get(self.hypothesis, "")
+        remedy = f"correct the scene file{guesses}, the poses or the camera file"
         than = "any physics of the camera does" if self.against_physics else "the files do"
         return (
             f"{self.hypothesis}: {self.sentence} explains the recording better than {than} "
-            f"({self.share:.0%} of what does not fit); correct the scene file{guesses}, "
-            "the poses or the camera file"
+            f"({self.share:.0%} of what does not fit); {_REMEDIES.get(self.hypothesis, remedy)}"
         )
 
     @property

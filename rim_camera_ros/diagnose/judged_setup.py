@@ -99,7 +99,7 @@ def surface_elsewhere(
     setups: list[Hypothesis],
     say: Callable[[str], None],
 ) -> tuple[Hypothesis | None, list[Hypothesis]]:
-    """Return the displaced surface that gains most, if any, and the set-ups including all such surfaces."""
+    """Return the displaced surface that is the cause, if any, and the set-ups including all such surfaces."""
     try:
         found = standing_elsewhere(result, final, problem, camera, say=say)
     except (RimError, np.linalg.LinAlgError):
@@ -112,7 +112,7 @@ def surface_elsewhere(
         for hypothesis in setups
         if hypothesis.hypothesis != DEPTH or hypothesis.surface not in surfaces
     ]
-    return found[0], [*found, *rest]
+    return found[0] if found[0].wins else None, [*found, *rest]
 
 
 def _beyond_stated(

@@ -2,7 +2,7 @@
 
 Two set-ups are compared by the same pixels, those that the files as given describe. A pixel that an edge may
 reach can see what its neighbours see: the best of these counts, for both set-ups alike. Losses are twice the
-negative log likelihood up to a constant that all set-ups share, and bounded.
+negative log likelihood up to a constant that all set-ups share; their squares are bounded.
 """
 
 from __future__ import annotations
@@ -75,13 +75,14 @@ class SetupPrediction:
 class Difference:
     """The gain of a set-up over another [nats]: in each pose (P,), and by the reflectivities of all poses.
 
-    ``short`` is the misfit of the other one beyond noise and stated errors; ``count`` is the number of
-    patches of neighbours that are compared.
+    ``short`` is the misfit of the other one beyond noise and stated errors, ``left`` that of the set-up;
+    ``count`` is the number of patches of neighbours that are compared.
     """
 
     poses: Array
     reflectivities: float
     short: float
+    left: float
     count: float
 
 
@@ -137,6 +138,7 @@ def _look(forward: Forward, seen: Prediction, offset: float) -> Look:
             ratio = np.log(seen.station.amplitude / light)
             variance = (seen.amplitude_noise / light) ** 2 + CAMERA_AMPLITUDE**2
             distance = np.minimum(np.nan_to_num(rest**2 / scatter, nan=_MOST), _MOST)
+        distance = distance + np.nan_to_num(np.log(scatter / _CAMERA_DISTANCE**2))
         # without an amplitude the loss is greatest; amplitudes of surfaces without a description do not count
         ratio = np.where(is_described, np.where(np.isfinite(ratio), ratio, np.inf), 0.0)
         return distance, ratio, variance
@@ -144,6 +146,7 @@ def _look(forward: Forward, seen: Prediction, offset: float) -> Look:
     images = [*loss_of(seen.model_amplitude, np.zeros(hit.shape), described), view.geometry.tile.copy()]
     least = _total(*images[:3])
     expected = seen.sigma**2 / scatter + (images[2] - CAMERA_AMPLITUDE**2) / images[2]
+    expected = expected + np.log(scatter / _CAMERA_DISTANCE**2) + _spread(images[2])
     for by in _NEIGHBOURS:
         light, there, is_described, tile = (
             _shifted(x, by) for x in (seen.model_amplitude, seen.distance, described, view.geometry.tile)
@@ -170,7 +173,12 @@ def _look(forward: Forward, seen: Prediction, offset: float) -> Look:
 
 
 def _total(distance: Array, ratio: Array, variance: Array) -> Array:
-    return np.asarray(distance + np.minimum(ratio**2 / variance, _MOST))
+    return np.asarray(distance + np.minimum(ratio**2 / variance, _MOST) + _spread(variance))
+
+
+def _spread(variance: Array) -> Array:
+    """Return the loss by the size of a variance, as a density is lower where it is wider."""
+    return np.asarray(np.nan_to_num(np.log(variance / CAMERA_AMPLITUDE**2), posinf=_MOST))
 
 
 def _shifted(image: Array, by: tuple[int, int]) -> Array:
@@ -190,24 +198,21 @@ def difference(given: SetupPrediction, other: SetupPrediction) -> Difference:
         own, its = given.looks[key], other.looks[key]
         regions[key] = own.seen & (its.seen | its.blind) if own.seen.any() else its.seen
         weights[key] = own.weight or its.weight
-    before, cost_before, errors = _losses(given, regions, weights)
-    after, cost_after, _ = _losses(other, regions, weights)
-    expected = sum(
-        weights[key] * float(given.looks[key].expected[region & given.looks[key].seen].sum())
-        for key, region in regions.items()
-    )
+    before, cost_before, short = _losses(given, regions, weights)
+    after, cost_after, left = _losses(other, regions, weights)
     return Difference(
         poses=0.5 * (before - after),
         reflectivities=0.5 * (cost_before - cost_after),
-        short=0.5 * (float(before.sum()) - expected + float(np.sum(errors**2 / given.sigma**2))),
+        short=0.5 * short,
+        left=0.5 * left,
         count=sum(weights[key] * float(region.sum()) for key, region in regions.items()),
     )
 
 
 def _losses(
     setup: SetupPrediction, regions: Mapping[Key, Array], weights: Mapping[Key, float]
-) -> tuple[Array, float, Array]:
-    """Return the losses of each pose in its region (P,), of the reflectivities, and their log errors (T,).
+) -> tuple[Array, float, float]:
+    """Return the losses of each pose in its region (P,), of the reflectivities, and those beyond noise.
 
     Pixels without a prediction have the greatest loss.
     """
@@ -226,10 +231,12 @@ def _losses(
     losses = []
     for k, ((look, pixels, each), region) in enumerate(zip(parts, regions.values(), strict=True)):
         rest = look.ratio[pixels] - light.power[k] - light.errors[look.tile[pixels]]
-        bounded = np.minimum(rest**2 / look.variance[pixels], _MOST)
+        bounded = np.minimum(rest**2 / look.variance[pixels], _MOST) + _spread(look.variance[pixels])
         missed = int(region.sum() - pixels.sum())
         losses.append(each * (float(look.distance[pixels].sum() + bounded.sum()) + 2 * _MOST * missed))
-    return np.array(losses), light.cost, light.errors
+    expected = sum(each * float(look.expected[pixels].sum()) for look, pixels, each in parts)
+    beyond = float(np.sum(losses)) - expected + float(np.sum(light.errors**2 / setup.sigma**2))
+    return np.array(losses), light.cost, beyond
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,13 @@ from scipy.optimize import minimize_scalar
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.hypotheses import DEPTH, Change, Files, Hypothesis, Trial
+from rim_camera_ros.diagnose.other_readings import (
+    along_the_ray,
+    falloff,
+    times,
+    to_amplitudes,
+    to_distances,
+)
 from rim_camera_ros.fit.amplitudes import AmplitudeModel
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.forward import Forward
@@ -224,10 +231,11 @@ def coarse_forward(dataset: Dataset, scene: Scene, camera: Camera, *, views: Vie
 
 def _of_camera() -> Iterator[Trial]:
     for factor in (1e-3, 1e3):
-        yield Trial("units", "", 1 / factor, _to_distances(partial(_times, factor=factor)))
+        yield Trial("units", "", 1 / factor, to_distances(partial(times, factor=factor)))
         # poses in other units (the amplitudes distinguish this from distances in other units)
         yield Trial("units", "", factor, to_poses(None, partial(_nearer, factor=factor)))
-    yield Trial("z_distance", "", 0.0, _to_distances(lambda distance, rays: distance / rays[..., 2]))
+    yield Trial("z_distance", "", 0.0, to_distances(along_the_ray))
+    yield Trial("compensated_amplitude", "", 0.0, to_amplitudes(falloff))
     for factor in _FACTORS:
         yield _other_lens(factor)
 
@@ -275,10 +283,6 @@ def _maximised(
     return found
 
 
-def _times(distance: Array, rays: Array, *, factor: float) -> Array:
-    return distance * factor
-
-
 def _through_lens(dataset: Dataset, scene: Scene, camera: Camera, *, factor: float) -> Files:
     optics = replace(camera.optics, fx=camera.optics.fx * factor, fy=camera.optics.fy * factor)
     return dataset, scene, replace(camera, optics=optics)
@@ -286,18 +290,6 @@ def _through_lens(dataset: Dataset, scene: Scene, camera: Camera, *, factor: flo
 
 def _to_scene(changed: Scene) -> Change:
     return lambda dataset, scene, camera: (dataset, changed, camera)
-
-
-def _to_distances(change: Callable[[Array, Array], Array]) -> Change:
-    """Return a change of files by a function of the distances (H, W) [m] and the rays (H, W, 3)."""
-
-    def changed(dataset: Dataset, scene: Scene, camera: Camera) -> Files:
-        stations = [
-            replace(station, distance=change(station.distance, camera.rays)) for station in dataset.stations
-        ]
-        return replace(dataset, stations=stations), scene, camera
-
-    return changed
 
 
 def to_poses(name: str | None, change: Callable[[Pose], Pose]) -> Change:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +19,7 @@ from rim_camera_ros.diagnose.hypotheses import Hypothesis, best_setup, poses_els
 from rim_camera_ros.diagnose.inconsistent import with_setups
 from rim_camera_ros.diagnose.nuisances import common_pose_beyond
 from rim_camera_ros.diagnose.run import diagnose
+from rim_camera_ros.diagnose.setup_likelihood import difference, predicted
 from rim_camera_ros.effects.candidate import Regressor
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.emission_pattern import EmissionPattern
@@ -117,6 +119,55 @@ def test_another_board(tmp_path: Path, hypothesis: str, change: object) -> None:
     _, mended, _ = best.change(data, wrong, given)
     assert np.allclose(tiles(mended), tiles(board), atol=0.06)
     assert mended.surfaces[0].texture.cell == pytest.approx((0.31, 0.27), rel=1e-6)  # type: ignore[union-attr]
+
+
+def compensated(data: Dataset, reference: float) -> Dataset:
+    """The dataset by a driver that multiplies amplitudes by (distance / reference)^2."""
+    stations = []
+    for one in data.stations:
+        factor = (one.distance / reference) ** 2
+        stations.append(
+            replace(
+                one,
+                amplitude=np.where(one.count > 0, one.amplitude * factor, 0.0),
+                amplitude_variance=one.amplitude_variance * factor**2,
+            )
+        )
+    return replace(data, stations=stations)
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_amplitudes_that_a_driver_compensates_for_the_distance(tmp_path: Path, seed: int) -> None:
+    """As the SwissRanger's library does with AM_CONV_GRAY; with the amplitudes undone all is explained."""
+    data, board, given = recorded(tmp_path, seed=seed)
+    assert not any(
+        one.is_better
+        for one in compare_setups(data, board, given)
+        if one.hypothesis == "compensated_amplitude"
+    )
+    wrong = compensated(data, 3.7)
+    found = best_setup(compare_setups(wrong, board, given))
+    assert found is not None
+    assert found.hypothesis == "compensated_amplitude"
+    assert found.share > 0.98
+    assert re.search(
+        r"squared? of the distance .* record the amplitudes as measured .*AM_CONV_GRAY", found.reason
+    )
+    assert found.change is not None
+    mended, _, _ = found.change(wrong, board, given)
+    for one, true in zip(mended.stations, data.stations, strict=True):
+        seen = (true.count > 0) & (true.amplitude > 0)
+        ratio = one.amplitude[seen] / true.amplitude[seen]
+        assert np.ptp(ratio) < 1e-9
+        assert ratio[0] == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_reading_that_may_scatter_more_gains_nothing_by_that(tmp_path: Path) -> None:
+    """Amplitudes of a quarter of the light have more noise: the same residuals are less probable then."""
+    data, board, given = recorded(tmp_path)
+    files = (data, board, given)
+    noisier = replace(given, noise=replace(given.noise, floor=10 * given.noise.floor))
+    assert difference(predicted(files), predicted((data, board, noisier))).poses.sum() < 0
 
 
 @pytest.mark.long

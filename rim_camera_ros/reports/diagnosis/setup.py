@@ -26,6 +26,7 @@ _HYPOTHESES = {
     "pose": "poses with another sign of an angle",
     "units": "given in other units",
     "z_distance": "distances along the axis, not along the rays",
+    "compensated_amplitude": "amplitudes times the square of the distance",
     "other_lens": "seen through another lens",
 }
 
