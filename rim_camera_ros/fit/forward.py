@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-
 #: Relative change of the light up to which effects reuse what they computed of a geometry: light bounced
 #: between surfaces is then wrong by a ten thousandth of all light.
 _SAME_LIGHT = 0.01
@@ -88,9 +87,10 @@ class Forward:
         self._pointwise = self._pointwise and not scene.camera_motion.moves
         self._of_geometry = [name for name, effect in registry().items() if effect.remembers_geometry]
         # where light spreads over the array, that of undescribed surfaces comes in as measured
-        first = min(self._order[name] for name, effect in registry().items() if effect.spreads)
-        self._emitting = [effect for effect in self._chain.light if self._order[effect.name] < first]
-        self._spreading = [effect for effect in self._chain.light if self._order[effect.name] >= first]
+        self._first = min(self._order[name] for name, effect in registry().items() if effect.spreads)
+        light = self._chain.light
+        self._emitting = [effect for effect in light if self._order[effect.name] < self._first]
+        self._spreading = light[len(self._emitting) :]
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"views": None, "tick": None}
@@ -236,11 +236,11 @@ class Forward:
             light=self._noise_amplitude,
             nameless=nameless,
             effects=self._spreading,
+            place=self._first,
         )
         signal = deliver(self._spreading, signal, context, before=before)
         whole_view.memory.update({name: memory[name] for name in self._of_geometry if name in memory})
         if nameless.any():
-            # the reflectivity of these surfaces is not stated: their light is the measured one
             measured = self._noise_amplitude(station, signal.amplitude)
             signal = Signal(signal.distance, np.where(nameless, measured, signal.amplitude))
         pixel_gain: Array | float = 1.0
@@ -252,8 +252,8 @@ class Forward:
         predicted.undescribed = undescribed
         if window is None:
             return predicted
-        predicted = on_whole_array(predicted, whole_station, whole_view)
-        return surrounded(predicted, chain=self._chain, light=self._noise_amplitude, effects=self._spreading)
+        whole = on_whole_array(predicted, whole_station, whole_view)
+        return surrounded(whole, chain=self._chain, light=self._noise_amplitude, effects=self._spreading)
 
     def _compare(
         self,

@@ -111,7 +111,12 @@ class Prediction:
         derivatives of measured distance and published amplitude.
         """
         start = -1 if after is None else self.order[after]
-        relative = change
+        if self.undescribed is not None and start < self.undescribed.place:
+            change = self.undescribed.left_of(change)
+        return self._spread_change(start, change)
+
+    def _spread_change(self, start: int, relative: Array) -> tuple[Array, Array]:
+        """Propagate a relative change of the light through what spreads it after a place in the order."""
         for effect in self.spread:
             if self.order[effect.name] > start:
                 assert isinstance(effect, ComplexEffect)
@@ -197,7 +202,7 @@ class Prediction:
             result[path] = self.light_change(name, change)
         if self.undescribed is not None and name in self.before and isinstance(effect, ComplexEffect):
             for path, change in self.undescribed.changes(effect, self.context):
-                own, of_light = result[path], self.light_change(None, change)
+                own, of_light = result[path], self._spread_change(-1, change)
                 result[path] = (own[0] + of_light[0], own[1] + of_light[1])
         return result
 

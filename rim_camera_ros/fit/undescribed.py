@@ -27,12 +27,23 @@ class Undescribed:
     """Where the scene says nothing of the light, and the image before anything has spread.
 
     ``nameless`` pixels (H, W) see surfaces of unknown reflectivity; ``outside`` those with a measurement meet
-    no surface. ``image`` (H, W) complex is the measured one with what spreads undone.
+    no surface. ``image`` (H, W) complex is the measured one with what spreads undone. ``place`` is that of
+    the first effect, in their order, that acts on it.
     """
 
     image: Array
     nameless: Array
     outside: Array
+    place: int
+
+    def left_of(self, relative: Array) -> Array:
+        """Return what is left of a relative change (H, W) complex of the light before it was replaced.
+
+        The light of these pixels is the measured one whatever comes before; of surfaces of the scene the
+        distance changes.
+        """
+        left = np.where(self.nameless, 1j * relative.imag, relative)
+        return np.where(self.outside, 0.0, left)
 
     def changes(self, effect: ComplexEffect, context: Context) -> Iterator[tuple[str, Array]]:
         """Yield relative changes of the light (H, W) complex by parameters of an effect that is undone in it.
@@ -62,6 +73,7 @@ def with_measured_light(
     light: Callable[[Station, Array], Array],
     nameless: Array,
     effects: Sequence[Effect] = (),
+    place: int = 0,
 ) -> tuple[Signal, Undescribed | None]:
     """Return the light before ``effects`` with that of undescribed surfaces as measured.
 
@@ -69,7 +81,7 @@ def with_measured_light(
     ``nameless`` pixels see surfaces of unknown reflectivity, at the distances of ``signal``. Pixels that see
     no surface of the scene have measured distances as well, without the terms of the ``chain`` and without
     what these distances have in common beyond the scene's. Where something is spread, also returns what it is
-    undone in.
+    undone in; ``place`` is that of the first of the effects in their order.
     """
     outside = sees_nothing_described(station, context)
     if not (outside.any() or nameless.any()):
@@ -85,7 +97,7 @@ def with_measured_light(
         for effect in reversed(spreading):
             phasor = effect.invert(phasor, context)
         before = from_phasor(phasor, before, context)
-        undone = Undescribed(phasor, nameless, outside)
+        undone = Undescribed(phasor, nameless, outside, place)
     common = _in_common(before, signal, context)
     result = Signal(
         np.where(outside, before.distance - common, signal.distance),

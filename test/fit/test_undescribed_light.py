@@ -13,6 +13,9 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
+from rim_camera_ros.effects.emission_pattern import EmissionPattern
+from rim_camera_ros.effects.emitter_offset import EmitterOffset
+from rim_camera_ros.effects.light_curves import SURFACES
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.fit.amplitudes import AmplitudeModel
 from rim_camera_ros.fit.data import Dataset
@@ -182,6 +185,33 @@ def test_derivatives_are_those_of_the_whole_prediction(tmp_path: Path, described
         assert np.abs(numeric).max() > 0.001
         # what distances have in common changes as well
         assert np.abs(analytic - numeric).max() < (0.01 if described else 1e-5) * np.abs(numeric).max()
+
+
+def test_what_changes_light_before_it_is_spread_does_not_change_measured_light(tmp_path: Path) -> None:
+    """A lobe of surfaces or a map of the beam changes no amplitude that is measured, nor what it spreads."""
+    truth = camera(tmp_path, Scattering((Kernel(0.3, (4.0, 3.0)),)))
+    data = board_before_a_wall(tmp_path, truth, poses=1)
+    room = scene_of(tmp_path, BOARD + WALL)
+    (described,), (unknown,) = (predicted(data, one, truth) for one in (room, without_reflectivities(room)))
+    beam = EmissionPattern((0.1, 0.0))
+    for seen, moves in ((described, True), (unknown, False)):
+        columns = [*seen.curve_columns(SURFACES), *seen.columns(beam).values()]
+        largest = max(float(np.abs(distance[seen.used]).max()) for distance, _ in columns)
+        assert (largest > 1e-3) == moves
+        assert moves or largest < 1e-9
+    # an emitter beside the lens changes the distances of surfaces as well
+    emitter = EmitterOffset((0.02, -0.01, 0.0))
+    numeric = []
+    for sign in (1.0, -1.0):
+        moved = replace(emitter, position=(0.02 + sign * 1e-5, -0.01, 0.0))
+        own = with_effects(truth, {"emitter_offset": moved, "scattering": truth.effects["scattering"]})
+        numeric.append(predicted(data, without_reflectivities(room), own)[0].distance)
+    own = with_effects(truth, {"emitter_offset": emitter, "scattering": truth.effects["scattering"]})
+    (seen,) = predicted(data, without_reflectivities(room), own)
+    analytic = seen.columns(emitter)["position.0"][0][seen.used]
+    difference = ((numeric[0] - numeric[1]) / 2e-5)[seen.used]
+    assert np.abs(difference).max() > 0.1
+    assert np.abs(analytic - difference).max() < 1e-3 * np.abs(difference).max()
 
 
 def test_light_around_a_window_is_there_for_effects_that_spread_it(tmp_path: Path) -> None:
