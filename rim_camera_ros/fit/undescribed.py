@@ -7,7 +7,7 @@ scene. Their light is in the image, which contains what has spread already: that
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -88,7 +88,8 @@ def with_measured_light(
         return signal, None
     amplitude, seen = light(station, signal.amplitude), station.count > 0
     measured = np.where(seen, station.distance, signal.distance)
-    terms = chain.evaluated(measured, np.where(seen & (amplitude > 0), amplitude, 1.0), context).total
+    lit = np.where(seen & (amplitude > 0), amplitude, 1.0)
+    terms = chain.evaluated(measured, lit, _with_normal_incidence(context)).total
     before = Signal(measured - terms, amplitude)
     spreading = [effect for effect in effects if effect.spreads and isinstance(effect, ComplexEffect)]
     undone = None
@@ -104,6 +105,12 @@ def with_measured_light(
         np.where(outside | nameless, before.amplitude, signal.amplitude),
     )
     return result, undone
+
+
+def _with_normal_incidence(context: Context) -> Context:
+    """Return the context with normal incidence where nothing is known of a surface."""
+    incidence = context.incidence
+    return context if incidence is None else replace(context, incidence=np.nan_to_num(incidence))
 
 
 def _in_common(before: Signal, signal: Signal, context: Context) -> float:

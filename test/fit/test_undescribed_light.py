@@ -15,6 +15,7 @@ from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.distance_scale import DistanceScale
 from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.effects.emitter_offset import EmitterOffset
+from rim_camera_ros.effects.incidence_angle import IncidenceAngle
 from rim_camera_ros.effects.light_curves import SURFACES
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.fit.amplitudes import AmplitudeModel
@@ -43,8 +44,13 @@ WALL = """
   texture: {cell: [0.9, 0.7], values: [[0.9, 0.5], [0.7, 0.95]]}
 """
 HALO = Scattering((Kernel(0.15, (5.0, 4.0)),))
-#: What the camera adds to the delivered distances: an offset of 0.4 m at 4 m, and a wave.
-TERMS = {"distance_scale": DistanceScale(0.1), "cyclic_error": CyclicError((Harmonic(4, 0.01, 0.7),))}
+#: What the camera adds to the delivered distances: an offset of 0.4 m at 4 m, a wave, and a term of incidence,
+#: which is not known of a wall that the scene file does not describe.
+TERMS = {
+    "distance_scale": DistanceScale(0.1),
+    "cyclic_error": CyclicError((Harmonic(4, 0.01, 0.7),)),
+    "incidence_angle": IncidenceAngle({60.0: (0.0, 0.0, 1e-6, 0.0)}),
+}
 
 
 def scene_of(tmp_path: Path, surfaces: str) -> Scene:
