@@ -44,8 +44,8 @@ WALL = """
   texture: {cell: [0.9, 0.7], values: [[0.9, 0.5], [0.7, 0.95]]}
 """
 HALO = Scattering((Kernel(0.15, (5.0, 4.0)),))
-#: What the camera adds to the delivered distances: an offset of 0.4 m at 4 m, a wave, and a term of incidence,
-#: which is not known of a wall that the scene file does not describe.
+#: What the camera adds to the delivered distances: an offset of 0.4 m at 4 m, a wave, and a term of the angle
+#: of incidence, which is not known of a wall that the scene file does not describe.
 TERMS = {
     "distance_scale": DistanceScale(0.1),
     "cyclic_error": CyclicError((Harmonic(4, 0.01, 0.7),)),
