@@ -27,14 +27,16 @@ from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.fit.correlated_errors import correlated_error_of
 from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.variance_components import correlated_error_note, correlated_error_rms
 from rim_camera_ros.select.compare import Result, curve_of_forms
 from rim_camera_ros.select.exploration import Exploration, explore
 
 Array = NDArray[Any]
 
-
 _LEAST_UNKNOWN = 20.0
+#: Sigmas beyond which noise alone has none of a recording's values.
+_GROSS = 5.0
 #: Share of the gain of the named effects that a smooth remainder must gain before they are in doubt.
 DOUBT = 0.15
 
@@ -194,12 +196,29 @@ def unexplained(fitted: Fit, chi_square: float) -> tuple[Missing, Where]:
     where = of_residuals(fitted)
     names = tuple(name for name, _ in where.covariates)
     most = f"; they vary most over {' and '.join(names)}" if names else ""
+    few, held = _gross_values(fitted)
+    if held > 0.5:
+        most += (
+            f"; {few:.1%} of the values, beyond {_GROSS:.0f} sigma, hold {held:.0%} of it, as a hand or a "
+            "cable before the surfaces would"
+        )
     sentence = (
         f"unknown physics: held-out values scatter by {np.sqrt(chi_square):.2f} times what noise and errors "
         f"of poses explain; neither an effect of the vocabulary nor a smooth function describes it{most}"
     )
     size = float(np.sqrt(max(chi_square - 1, 0.0) * np.mean(_variances(fitted))))
     return Missing(UNKNOWN, 1.0, {}, {}, sentence, covariates=names, magnitude=size), where
+
+
+def _gross_values(fitted: Fit) -> tuple[float, float]:
+    """Return the share of distances beyond `_GROSS` sigma after a fit, and that of the misfit in them."""
+    squares = []
+    for prediction in fitted.forward.predictions(slopes=False):
+        rest, _ = after_nuisances(prediction, fitted.pattern, fitted.nuisances)
+        squares.append((rest / prediction.sigma)[prediction.used] ** 2)
+    every = np.concatenate(squares)
+    excess, gross = float(np.sum(every - 1)), every > _GROSS**2
+    return float(gross.mean()), float(np.sum(every[gross] - 1)) / excess if excess > 0 else 0.0
 
 
 def of_correlated_errors(fitted: Fit) -> tuple[Missing, Where]:
