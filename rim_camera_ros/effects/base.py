@@ -325,6 +325,11 @@ class ComplexEffect(Effect):
         """Share of the light of a pixel that arrives in the pixel itself or next to it."""
         return 1.0
 
+    @property
+    def has_inverse(self) -> bool:
+        """Whether `invert` undoes it."""
+        return type(self).invert is not ComplexEffect.invert
+
     @abstractmethod
     def apply(self, phasor: Image, context: Context) -> Image:
         """Return the complex image with the effect."""
@@ -342,7 +347,7 @@ class ComplexEffect(Effect):
         return from_phasor(phasor, signal, context)
 
     def correct(self, signal: Signal, context: Context) -> Signal:
-        if type(self).invert is ComplexEffect.invert:
+        if not self.has_inverse:
             return signal
         phasor = self.invert(to_phasor(signal.distance, signal.amplitude, context.ambiguity), context)
         return from_phasor(phasor, signal, context)

@@ -50,6 +50,8 @@ class Undescribed:
 
         What an effect spreads over a pixel is missing in the light before it: d(L^-1 M) = -L^-1 dL L^-1 M.
         """
+        if not effect.has_inverse:
+            return
         for path, change in effect.phasor_columns(self.image, context).items():
             with np.errstate(divide="ignore", invalid="ignore"):
                 relative = -effect.invert(change, context) / self.image

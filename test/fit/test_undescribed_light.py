@@ -17,6 +17,7 @@ from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.effects.emitter_offset import EmitterOffset
 from rim_camera_ros.effects.incidence_angle import IncidenceAngle
 from rim_camera_ros.effects.light_curves import SURFACES
+from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.fit.amplitudes import AmplitudeModel
 from rim_camera_ros.fit.data import Dataset
@@ -191,6 +192,23 @@ def test_derivatives_are_those_of_the_whole_prediction(tmp_path: Path, described
         assert np.abs(numeric).max() > 0.001
         # what distances have in common changes as well
         assert np.abs(analytic - numeric).max() < (0.01 if described else 1e-5) * np.abs(numeric).max()
+
+
+def test_a_blur_is_not_undone_and_has_the_derivative_of_its_light(tmp_path: Path) -> None:
+    plain = camera(tmp_path)
+    room = without_reflectivities(scene_of(tmp_path, BOARD + WALL))
+    truth = with_effects(plain, {"mixed_pixels": MixedPixels(0.9), "scattering": HALO})
+    data = board_before_a_wall(tmp_path, truth, poses=1)
+
+    def seen(blur: float) -> Prediction:
+        effects = {"mixed_pixels": MixedPixels(blur), "scattering": HALO}
+        return predicted(data, room, with_effects(plain, effects))[0]
+
+    here, step = seen(0.8), 1e-4
+    numeric = (seen(0.8 + step).distance - seen(0.8 - step).distance)[here.used] / (2 * step)
+    analytic = here.columns(here.context.camera.effects["mixed_pixels"])["blur"][0][here.used]
+    assert np.abs(numeric).max() > 0.001
+    assert np.abs(analytic - numeric).max() < 1e-3 * np.abs(numeric).max()
 
 
 def test_what_changes_light_before_it_is_spread_does_not_change_measured_light(tmp_path: Path) -> None:
