@@ -218,7 +218,9 @@ def _gross_values(fitted: Fit) -> tuple[float, float]:
         squares.append((rest / prediction.sigma)[prediction.used] ** 2)
     every = np.concatenate(squares)
     excess, gross = float(np.sum(every - 1)), every > _GROSS**2
-    return float(gross.mean()), float(np.sum(every[gross] - 1)) / excess if excess > 0 else 0.0
+    held = float(np.sum(every[gross] - 1)) / excess if excess > 0 else 0.0
+    # the others may scatter less than expected
+    return float(gross.mean()), min(held, 1.0)
 
 
 def of_correlated_errors(fitted: Fit) -> tuple[Missing, Where]:
