@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import added, in_order
+from rim_camera_ros.diagnose.accuracy import LEAST_EXPLAINED
 from rim_camera_ros.diagnose.formula import closed_form, product_form
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN, pair_terms
@@ -31,12 +33,11 @@ from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.variance_components import correlated_error_note, correlated_error_rms
 from rim_camera_ros.select.compare import Result, curve_of_forms
 from rim_camera_ros.select.exploration import Exploration, explore
+from rim_camera_ros.select.thresholds import ALARM_RATE
 
 Array = NDArray[Any]
 
 _LEAST_UNKNOWN = 20.0
-#: Sigmas beyond which noise alone has none of a recording's values.
-_GROSS = 5.0
 #: Share of the gain of the named effects that a smooth remainder must gain before they are in doubt.
 DOUBT = 0.15
 
@@ -196,10 +197,10 @@ def unexplained(fitted: Fit, chi_square: float) -> tuple[Missing, Where]:
     where = of_residuals(fitted)
     names = tuple(name for name, _ in where.covariates)
     most = f"; they vary most over {' and '.join(names)}" if names else ""
-    few, held = _gross_values(fitted)
-    if held > 0.5:
+    limit, few, held = _gross_values(fitted)
+    if held > LEAST_EXPLAINED:
         most += (
-            f"; {few:.1%} of the values, beyond {_GROSS:.0f} sigma, hold {held:.0%} of it, as a hand or a "
+            f"; {few:.1%} of the values, beyond {limit:.1f} sigma, hold {held:.0%} of it, as a hand or a "
             "cable before the surfaces would"
         )
     sentence = (
@@ -210,17 +211,21 @@ def unexplained(fitted: Fit, chi_square: float) -> tuple[Missing, Where]:
     return Missing(UNKNOWN, 1.0, {}, {}, sentence, covariates=names, magnitude=size), where
 
 
-def _gross_values(fitted: Fit) -> tuple[float, float]:
-    """Return the share of distances beyond `_GROSS` sigma after a fit, and that of the misfit in them."""
+def _gross_values(fitted: Fit) -> tuple[float, float, float]:
+    """Return a limit in sigmas, the share of distances beyond it after a fit, and that of the misfit in them.
+
+    Noise alone has a value beyond it in `ALARM_RATE` of such recordings (Bonferroni).
+    """
     squares = []
     for prediction in fitted.forward.predictions(slopes=False):
         rest, _ = after_nuisances(prediction, fitted.pattern, fitted.nuisances)
         squares.append((rest / prediction.sigma)[prediction.used] ** 2)
     every = np.concatenate(squares)
-    excess, gross = float(np.sum(every - 1)), every > _GROSS**2
+    limit = -float(ndtri(ALARM_RATE / (2 * every.size)))
+    excess, gross = float(np.sum(every - 1)), every > limit**2
     held = float(np.sum(every[gross] - 1)) / excess if excess > 0 else 0.0
     # the others may scatter less than expected
-    return float(gross.mean()), min(held, 1.0)
+    return limit, float(gross.mean()), min(held, 1.0)
 
 
 def of_correlated_errors(fitted: Fit) -> tuple[Missing, Where]:

@@ -138,7 +138,7 @@ def _look(forward: Forward, seen: Prediction, offset: float) -> Look:
             ratio = np.log(seen.station.amplitude / light)
             variance = (seen.amplitude_noise / light) ** 2 + CAMERA_AMPLITUDE**2
             distance = np.minimum(np.nan_to_num(rest**2 / scatter, nan=_MOST), _MOST)
-        distance = distance + np.nan_to_num(np.log(scatter / _CAMERA_DISTANCE**2))
+        distance = distance + _spread(scatter, _CAMERA_DISTANCE)
         # without an amplitude the loss is greatest; amplitudes of surfaces without a description do not count
         ratio = np.where(is_described, np.where(np.isfinite(ratio), ratio, np.inf), 0.0)
         return distance, ratio, variance
@@ -146,7 +146,7 @@ def _look(forward: Forward, seen: Prediction, offset: float) -> Look:
     images = [*loss_of(seen.model_amplitude, np.zeros(hit.shape), described), view.geometry.tile.copy()]
     least = _total(*images[:3])
     expected = seen.sigma**2 / scatter + (images[2] - CAMERA_AMPLITUDE**2) / images[2]
-    expected = expected + np.log(scatter / _CAMERA_DISTANCE**2) + _spread(images[2])
+    expected = expected + _spread(scatter, _CAMERA_DISTANCE) + _spread(images[2], CAMERA_AMPLITUDE)
     for by in _NEIGHBOURS:
         light, there, is_described, tile = (
             _shifted(x, by) for x in (seen.model_amplitude, seen.distance, described, view.geometry.tile)
@@ -173,12 +173,12 @@ def _look(forward: Forward, seen: Prediction, offset: float) -> Look:
 
 
 def _total(distance: Array, ratio: Array, variance: Array) -> Array:
-    return np.asarray(distance + np.minimum(ratio**2 / variance, _MOST) + _spread(variance))
+    return np.asarray(distance + np.minimum(ratio**2 / variance, _MOST) + _spread(variance, CAMERA_AMPLITUDE))
 
 
-def _spread(variance: Array) -> Array:
-    """Return the loss by the size of a variance, as a density is lower where it is wider."""
-    return np.asarray(np.nan_to_num(np.log(variance / CAMERA_AMPLITUDE**2), posinf=_MOST))
+def _spread(variance: Array, least: float) -> Array:
+    """Return the loss by the size of a variance whose ``least`` sigma is given: wide densities are low."""
+    return np.asarray(np.nan_to_num(np.log(variance / least**2), posinf=_MOST))
 
 
 def _shifted(image: Array, by: tuple[int, int]) -> Array:
@@ -231,7 +231,9 @@ def _losses(
     losses = []
     for k, ((look, pixels, each), region) in enumerate(zip(parts, regions.values(), strict=True)):
         rest = look.ratio[pixels] - light.power[k] - light.errors[look.tile[pixels]]
-        bounded = np.minimum(rest**2 / look.variance[pixels], _MOST) + _spread(look.variance[pixels])
+        bounded = np.minimum(rest**2 / look.variance[pixels], _MOST) + _spread(
+            look.variance[pixels], CAMERA_AMPLITUDE
+        )
         missed = int(region.sum() - pixels.sum())
         losses.append(each * (float(look.distance[pixels].sum() + bounded.sum()) + 2 * _MOST * missed))
     expected = sum(each * float(look.expected[pixels].sum()) for look, pixels, each in parts)

@@ -151,7 +151,7 @@ def test_amplitudes_that_a_driver_compensates_for_the_distance(tmp_path: Path, s
     assert found.hypothesis == "compensated_amplitude"
     assert found.share > 0.98
     assert re.search(
-        r"squared? of the distance .* record the amplitudes as measured .*AM_CONV_GRAY", found.reason
+        r"square of the distance .* record the amplitudes as measured .*AM_CONV_GRAY", found.reason
     )
     assert found.change is not None
     mended, _, _ = found.change(wrong, board, given)
@@ -163,7 +163,7 @@ def test_amplitudes_that_a_driver_compensates_for_the_distance(tmp_path: Path, s
 
 
 def test_a_reading_that_may_scatter_more_gains_nothing_by_that(tmp_path: Path) -> None:
-    """Amplitudes of a quarter of the light have more noise: the same residuals are less probable then."""
+    """With ten times the noise of the distances the same residuals are less probable."""
     data, board, given = recorded(tmp_path)
     files = (data, board, given)
     noisier = replace(given, noise=replace(given.noise, floor=10 * given.noise.floor))

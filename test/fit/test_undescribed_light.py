@@ -135,8 +135,8 @@ def test_light_from_around_a_board_is_that_of_the_image(tmp_path: Path) -> None:
     for seen, without in zip(predicted(data, board, truth), predicted(dark, board, truth), strict=True):
         used = seen.view.clean
         assert used.sum() > 100
-        # the wall's distances contain its terms, which are not the board's: a hundredth of the effect
-        assert np.abs(seen.residual[used]).max() < 0.0007
+        # the wall's angle of incidence is not known: a thirtieth of the effect
+        assert np.abs(seen.residual[used]).max() < 0.0004
         assert np.abs(without.residual[used]).max() > 0.005
         relative = seen.amplitude_residual[used] / seen.model_reading[used]
         assert np.abs(relative).max() < 0.01
