@@ -121,6 +121,15 @@ class Surface:
         maximum=0.5,
     )
 
+    flatness_sigma: float = quantity(
+        "m",
+        "rectangle, disc: 1-sigma of its departure from a plane, which is the same in all poses: a bow along "
+        "each axis, from the middle to the edge, and a twist, from the middle to a corner",
+        default=0.001,
+        minimum=0.0,
+        maximum=0.1,
+    )
+
     def __post_init__(self) -> None:
         if not self.name.strip() or "/" in self.name or not self.name.isprintable() or len(self.name) > 100:
             raise ValueError(f"'{self.name[:100]}' is no name: up to 100 characters that print, without /")
@@ -134,6 +143,13 @@ class Surface:
             raise ValueError("a disc or sphere needs 'radius', and only they have one")
         if self.reflectivity == UNKNOWN and self.texture is not None:
             raise ValueError("reflectivity is unknown, but texture states it: keep one of them")
+
+    @property
+    def half_extent(self) -> tuple[float, float] | None:
+        """Half of the width and height [m] of a rectangle or a disc; None for other surfaces."""
+        if self.size is not None:
+            return self.size[0] / 2, self.size[1] / 2
+        return (self.radius, self.radius) if self.type == "disc" and self.radius is not None else None
 
     @property
     def is_described(self) -> bool:

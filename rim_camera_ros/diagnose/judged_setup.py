@@ -16,6 +16,7 @@ from rim_camera_ros.diagnose.hypotheses import DEPTH, Hypothesis, best_setup, by
 from rim_camera_ros.diagnose.nuisances import (
     common_pose_beyond,
     disputed_effect,
+    flatness_beyond,
     poses_beyond,
     reflectivities_beyond,
 )
@@ -124,7 +125,7 @@ def _beyond_stated(
     of_board = [reflectivities_beyond(fitted, inputs.scene) for fitted in fits]
     if all(of_board):
         return of_board[-1], setups
-    of_surface = common_pose_beyond(conditional, inputs.camera)
+    of_surface = common_pose_beyond(conditional, inputs.camera) or flatness_beyond(conditional, inputs.camera)
     if of_surface:
         return of_surface, setups
     astray = {key: error for key, error in errors_of_poses(conditional).items() if error > BEYOND}

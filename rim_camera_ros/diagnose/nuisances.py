@@ -14,6 +14,7 @@ from rim_camera_ros.diagnose.pixel_gains import GainSpread
 from rim_camera_ros.effects.light_curves import LOBE_PREFIX, TILES
 from rim_camera_ros.fit.design import BEYOND, COMMON_POSE, OPTICS, SENSOR
 from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.fit.surface_shape import SHAPE
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.compare import NOT_IN_ALL_POSES, Result
 from rim_camera_ros.select.thresholds import ALARM_RATE
@@ -45,6 +46,7 @@ _KINDS = (
     ("common_pose_offset", COMMON_POSE, "m"),
     ("common_pose_tilt", COMMON_POSE, "rad"),
     ("common_pose_scale", COMMON_POSE, "-"),
+    ("flatness", SHAPE, "m"),
     ("optics", OPTICS, "px"),
     ("sensor_lag", SENSOR, "s"),
 )
@@ -187,6 +189,25 @@ def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
                 + (_OR_THE_CAMERA if len(own) == 1 else "")
             )
     return None
+
+
+def flatness_beyond(fitted: Fit, camera: Camera) -> str | None:
+    """Return in words which surface departs from a plane by far more than is stated; None: none does.
+
+    As for errors that all poses share, the gain must be that required of another set-up.
+    """
+    found = {nuisance.name: nuisance for nuisance in nuisances_of(fitted, camera)}.get("flatness")
+    if found is None or found.gain <= LEAST_GAIN:
+        return None
+    forms = {label: value for label, value in fitted.parameters.items() if label.startswith(SHAPE)}
+    worst = max(forms, key=lambda label: abs(forms[label]))
+    surface, _, form = worst.removeprefix(SHAPE).rpartition(".")
+    shape, size = "is twisted" if form == "twist" else f"bows along its {form[-1]} axis", abs(forms[worst])
+    return (
+        f"shape: {surface} {shape} by {size * 1e3:.1f} mm, {size / found.stated:.0f} times what the "
+        "scene file states (flatness_sigma), the same in all poses; mount it flat, or state a larger "
+        "flatness_sigma"
+    )
 
 
 def offset_beyond(metres: float, nuisances: Sequence[Nuisance]) -> str | None:

@@ -20,6 +20,7 @@ from rim_camera_ros.effects.candidate import Block, Column, Groups, Regressor, e
 from rim_camera_ros.effects.light_curves import FALLOFF, LOBE, tile_labels
 from rim_camera_ros.effects.sections import light_block, optics_columns
 from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.surface_shape import SHAPE, surface_shape_block
 from rim_camera_ros.fit.views import PoseColumn, by_shift
 from rim_camera_ros.scene import Scene
 
@@ -100,10 +101,10 @@ def imperfection_blocks(
 ) -> list[Block]:
     """Return the regressors of reflectivities, a weak lobe, errors of poses and sensors, and known optics.
 
-    Sizes are those of the files: ``reflectivity_sigma``, ``pose_sigma`` with ``pose_common``, and the
-    covariance of the optics; that of the lobe is `light_curves.LOBE_SIGMA`. Without ``lobe`` the caller has
-    other curves for surfaces. With ``pattern_field`` a smooth field of the offsets of pixels is estimated in
-    addition to single offsets that are taken to be small.
+    Sizes are those of the files: ``reflectivity_sigma``, ``pose_sigma`` with ``pose_common``,
+    ``flatness_sigma``, and the covariance of the optics; that of the lobe is `light_curves.LOBE_SIGMA`.
+    Without ``lobe`` the caller has other curves for surfaces. With ``pattern_field`` a smooth field of the
+    offsets of pixels is estimated in addition to single offsets that are taken to be small.
     """
     blocks = [
         reflectivity_block(scene),
@@ -115,7 +116,12 @@ def imperfection_blocks(
 
 def linear_blocks(camera: Camera, scene: Scene, *, pattern_field: bool = False) -> list[Block]:
     """Return the blocks that are linear nuisances: their values are added to predictions without steps."""
-    blocks = [common_pose_block(scene), known_optics(camera), sensor_block(camera)]
+    blocks = [
+        common_pose_block(scene),
+        surface_shape_block(scene),
+        known_optics(camera),
+        sensor_block(camera),
+    ]
     if pattern_field:
         blocks.append(pattern_field_block(camera.shape))
     return [block for block in blocks if block.regressors]
@@ -279,4 +285,4 @@ def sensor_block(camera: Camera) -> Block:
 
 def is_linear(path: str) -> bool:
     """Whether a regressor is a linear nuisance, whose value is no parameter of camera or light."""
-    return path.startswith((COMMON_POSE, OPTICS, PATTERN_FIELD, SENSOR))
+    return path.startswith((COMMON_POSE, OPTICS, PATTERN_FIELD, SENSOR, SHAPE))

@@ -23,13 +23,14 @@ from rim_camera_ros.effects.light_curves import LOBE_PREFIX
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.design import COMMON_POSE
 from rim_camera_ros.fit.normal_equations import NormalEquations, Reduced
+from rim_camera_ros.fit.surface_shape import SHAPE
 from rim_camera_ros.threads import in_order
 
 Array = NDArray[Any]
 Key = tuple[int, int]
 
 #: Beginnings of the labels of errors that poses share, whose stated size is held out.
-STATED = (COMMON_POSE, LOBE_PREFIX)
+STATED = (COMMON_POSE, SHAPE, LOBE_PREFIX)
 #: Factors on their stated 1-sigma where it is held out: then hardly known.
 UNSTATED = tuple(np.geomspace(10.0, 10.0**0.25, 4).tolist())
 

@@ -20,6 +20,7 @@ from rim_camera_ros.fit.design import COMMON_POSE, OPTICS, SENSOR
 from rim_camera_ros.fit.fold_sums import Fold
 from rim_camera_ros.fit.normal_equations import NormalEquations
 from rim_camera_ros.fit.pixel_elimination import PixelElimination, PixelPriors, stacked_sides
+from rim_camera_ros.fit.surface_shape import SHAPE
 from rim_camera_ros.select.evidence import Scores
 from rim_camera_ros.threads import in_order
 
@@ -125,7 +126,7 @@ def kind_of_error(name: str) -> str:
 
 
 #: Owners of regressors for errors that every set-up has, whatever the camera: replicates contain them.
-IMPERFECTIONS = (TILES, COMMON_POSE, OPTICS, LOBE_PREFIX, SENSOR)
+IMPERFECTIONS = (TILES, COMMON_POSE, SHAPE, OPTICS, LOBE_PREFIX, SENSOR)
 
 
 def _errors(
