@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.fit.design import BEYOND
+from rim_camera_ros.fit.pose_errors import WIDER
 from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.fit.variance_components import PATCH
 from rim_camera_ros.select.compare import PAIRED_ERRORS
 
 Array = NDArray[Any]
@@ -24,6 +26,8 @@ Array = NDArray[Any]
 _OF_DIFFERENCE, _OF_LINES = 1.25, 0.375
 #: Relative 1-sigma of gains, of pixels and of lines, that is ordinary whatever the camera file states.
 ORDINARY_GAINS = 0.01
+#: Relative 1-sigma of gains where neighbours share them: a window may be covered by dust to any degree.
+UNKNOWN_GAINS = 0.5
 
 
 @dataclass(frozen=True)
@@ -31,9 +35,9 @@ class GainSpread:
     """1-sigma of the gains of neighbouring pixels: ``found``, its lower limit ``least``, and ``stated``.
 
     ``lines`` is the lower limit of the 1-sigma of gains that whole rows or columns share, apart from the mean
-    of their pixels' own gains. ``relative_to_neighbours`` (H, W) is by how much each pixel is brighter than
-    the mean of its four neighbours [relative], as a mean over the poses; NaN where less than two poses show
-    it.
+    of their pixels' own gains; ``shared`` that of the mean gains of cells of `PATCH` by `PATCH` pixels.
+    ``relative_to_neighbours`` (H, W) is by how much each pixel is brighter than the mean of its four
+    neighbours [relative], as a mean over the poses; NaN where less than two poses show it.
     """
 
     found: float
@@ -41,6 +45,20 @@ class GainSpread:
     stated: float
     relative_to_neighbours: Array = field(repr=False, compare=False)
     lines: float = 0.0
+    shared: float = 0.0
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether means of neighbours err by more than independent gains would make them, as by dust."""
+        return self.shared > WIDER * max(self.found, self.stated, ORDINARY_GAINS) / PATCH
+
+    def note_of_shared(self) -> str:
+        """Return in words what gains that neighbours share are, and what was done."""
+        return (
+            f"neighbouring pixels differ together in gain, by {self.shared:.1%} or more (cells of {PATCH} x "
+            f"{PATCH} px), as dust on the window or a rim of the lens would make them; gains are unknown "
+            "here, so that only changes of amplitudes from pose to pose count"
+        )
 
     @property
     def is_beyond(self) -> bool:
@@ -68,15 +86,18 @@ def spread_of_gains(fitted: Fit) -> GainSpread | None:
     forward = fitted.forward
     shape = forward.camera.shape
     placed: dict[tuple[int, int], tuple[Array, Array]] = {}
+    cells: dict[tuple[int, int], tuple[Array, Array]] = {}
     for prediction in forward.predictions(slopes=False):
         lit = prediction.amplitude_used & (prediction.station.amplitude > 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             light = np.where(lit, np.log(prediction.station.amplitude / prediction.model_reading), np.nan)
         if forward.amplitude_model.pixels is not None:
             light = light + forward.amplitude_model.pixels
-        apart, count = placed.setdefault(
-            (prediction.station.recording, prediction.station.placed), (np.zeros(shape), np.zeros(shape))
-        )
+        key = (prediction.station.recording, prediction.station.placed)
+        apart, count = placed.setdefault(key, (np.zeros(shape), np.zeros(shape)))
+        sums, pixels = cells.setdefault(key, _no_cells(shape))
+        sums += _in_cells(np.nan_to_num(light))
+        pixels += _in_cells(np.isfinite(light))
         own = _relative_to_neighbours(light, prediction.view.geometry.tile)
         seen = np.isfinite(own)
         apart[seen] += own[seen]
@@ -89,7 +110,35 @@ def spread_of_gains(fitted: Fit) -> GainSpread | None:
     brighter, poses = _totals(images)
     brighter = np.where(poses > 1, brighter / np.maximum(poses, 1), np.nan)
     stated = forward.camera.radiometry.pattern_sigma
-    return GainSpread(found, least, stated, brighter, max(_of_lines(images, axis) for axis in (0, 1)))
+    lines = max(_of_lines(images, axis) for axis in (0, 1))
+    return GainSpread(found, least, stated, brighter, lines, _shared(list(cells.values())))
+
+
+def _no_cells(shape: tuple[int, ...]) -> tuple[Array, Array]:
+    return _in_cells(np.zeros(shape)), _in_cells(np.zeros(shape))
+
+
+def _in_cells(image: Array) -> Array:
+    """Return the sums of an image over cells of `PATCH` by `PATCH` pixels, of which an end may be left."""
+    rows, columns = (size // PATCH for size in image.shape)
+    whole = image[: rows * PATCH, : columns * PATCH].astype(float)
+    return np.asarray(whole.reshape(rows, PATCH, columns, PATCH).sum(axis=(1, 3)))
+
+
+def _shared(cells: Sequence[tuple[Array, Array]]) -> float:
+    """Return the lower limit of the 1-sigma of the mean gains of cells; 0 where it is not determined.
+
+    ``cells`` are sums of log brightness and numbers of pixels of each pose. The mean of a pose is subtracted:
+    it is due to the emitted power.
+    """
+    images = []
+    for total, count in cells:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = np.where(2 * count >= PATCH**2, total / count, np.nan)
+        if np.isfinite(mean).any():
+            images.append(mean - np.nanmean(mean))
+    found = _variance(images) if images else None
+    return 0.0 if found is None else float(np.sqrt(max(found[1], 0.0)))
 
 
 def _totals(images: Sequence[Array], *, square: bool = False) -> tuple[Array, Array]:

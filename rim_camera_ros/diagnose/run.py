@@ -26,7 +26,7 @@ from rim_camera_ros.diagnose.judged_setup import (
 )
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_rectified_noise
 from rim_camera_ros.diagnose.nuisances import nuisances_of, optics_beyond
-from rim_camera_ros.diagnose.pixel_gains import spread_of_gains
+from rim_camera_ros.diagnose.pixel_gains import UNKNOWN_GAINS, GainSpread, spread_of_gains
 from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.setup import VERY_FEW
 from rim_camera_ros.diagnose.variance import moving
@@ -38,6 +38,7 @@ from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.variance_components import likely_correlated_error
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.compare import Result
+from rim_camera_ros.select.foreign_values import MOST_SCREENINGS, ForeignValues
 from rim_camera_ros.select.trials import Workers, silent
 
 _SATURATED_ELSEWHERE = (
@@ -92,6 +93,9 @@ def _diagnosed(inputs: Inputs) -> Diagnosis:
     result = searched(inputs, begin)
     if result is None:
         return with_setups(without_search(setups, problem, camera, variance, seed), setups)
+    if result.foreign is not None:
+        result.forget()
+        return _without_foreign(inputs, result.foreign, problem.dataset, setups)
     # missing physics moves the optics, too: they are compared with the file given the physics found
     beyond = None
     if not result.moved and camera.covariance is not None:
@@ -153,6 +157,11 @@ def _once_more(
         found.result.forget()
         kept = judged.without_bad_poses(begin.problem.dataset)
         return _diagnosed(replace(inputs, dataset=kept, setups=None, spare=spare - bad))
+    may_share = bool(found.result.found) and not begin.sees_second_camera
+    gains = spread_of_gains(found.result.fit) if may_share and inputs.screenings < MOST_SCREENINGS else None
+    if gains is not None and gains.is_shared and not gains.is_beyond:
+        found.result.forget()
+        return _with_free_gains(inputs, gains, begin.problem.dataset, tried)
     explains = found.is_modelled and not begin.sees_second_camera
     if inputs.correlated_error or judged.winner is not None or not (judged.reason is not None or explains):
         return None
@@ -167,6 +176,33 @@ def _once_more(
     shared = replace(inputs, dataset=dataset, spare=spare, setups=tried, correlated_error=size)
     again = _diagnosed(shared.decimated(coarse))
     return again if coarse == 1 else on_full_grid(again, inputs.camera, coarse)
+
+
+def _without_foreign(
+    inputs: Inputs, foreign: ForeignValues, dataset: Dataset, setups: list[Hypothesis]
+) -> Diagnosis:
+    """Return the diagnosis without values that do not see the scene."""
+    inputs.say("once more without values that do not see the scene")
+    before = [] if inputs.foreign is None else inputs.foreign.notes()
+    every = foreign.after(inputs.foreign)
+    notes = [*(note for note in dataset.notes if note not in before), *every.notes()]
+    kept = replace(foreign.excluded_from(dataset), notes=notes)
+    screenings = inputs.screenings + 1
+    return _diagnosed(replace(inputs, dataset=kept, setups=setups, foreign=every, screenings=screenings))
+
+
+def _with_free_gains(
+    inputs: Inputs, gains: GainSpread, dataset: Dataset, setups: list[Hypothesis]
+) -> Diagnosis:
+    """Return the diagnosis with gains of pixels that are not assumed to be small."""
+    inputs.say("once more with unknown gains of pixels")
+    camera = inputs.camera
+    free = replace(camera, radiometry=replace(camera.radiometry, pattern_sigma=UNKNOWN_GAINS))
+    noted = replace(dataset, notes=[*dataset.notes, gains.note_of_shared()])
+    again = replace(inputs, dataset=noted, camera=free, setups=setups, screenings=inputs.screenings + 1)
+    result = _diagnosed(again)
+    stated = replace(result.camera.radiometry, pattern_sigma=camera.radiometry.pattern_sigma)
+    return replace(result, camera=replace(result.camera, radiometry=stated))
 
 
 def _said(inputs: Inputs, begin: Begun, found: FoundPhysics, judged: JudgedSetup) -> Diagnosis:

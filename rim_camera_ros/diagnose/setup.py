@@ -20,6 +20,7 @@ from rim_camera_ros.fit.variance_components import WILD
 from rim_camera_ros.select.candidates import SHARE
 from rim_camera_ros.select.effect_sizes import change_by
 from rim_camera_ros.select.moved_poses import MayHaveMoved, MovedPose
+from rim_camera_ros.select.thresholds import FEW
 
 Array = NDArray[Any]
 
@@ -27,8 +28,7 @@ Array = NDArray[Any]
 LARGE = 10.0
 #: Ratio of a pose's chi-square to that of four fifths of the others above which it is wrong by itself, ...
 AGAINST_OTHERS = 4.0
-#: ... if such poses are no more than this share: what many poses show is physics.
-FEW = 0.15
+#: ... if such poses are no more than `FEW`: what many poses show is physics.
 #: Poses below which none stands out from the others.
 _LEAST_POSES = 4
 #: Share of the poses (one pose at least) that may be excluded; the others are then diagnosed.

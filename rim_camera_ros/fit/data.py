@@ -71,6 +71,17 @@ class Station:
         }
         return replace(self, **images)
 
+    def without(self, values: NDArray[np.bool_]) -> Station:
+        """Return the station without the values of some pixels (H, W)."""
+        nothing = {"distance": np.nan, "distance_variance": np.nan, "amplitude_variance": np.nan}
+        images: dict[str, Any] = {
+            name: np.where(values, nothing.get(name, 0), getattr(self, name)).astype(
+                getattr(self, name).dtype
+            )
+            for name in (*nothing, "amplitude", "count")
+        }
+        return replace(self, **images)
+
     @property
     def placed(self) -> int:
         """Number of the placement, within which errors of the reference instrument are the same."""

@@ -18,6 +18,7 @@ from rim_camera_ros.effects.candidate import Candidate
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.select.effect_sizes import effect_size
 from rim_camera_ros.select.exploration import Exploration
+from rim_camera_ros.select.foreign_values import ForeignValues
 from rim_camera_ros.select.moved_poses import MovedPose
 from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
 
@@ -272,7 +273,8 @@ class Result:
 
     ``refused`` are effects that gain conditional on those found and were not added. Explorations from number
     ``beside_edges`` on include pixels beside edges. ``moved`` are surfaces that are displaced in a few poses,
-    where no physics explains as much.
+    where no physics explains as much; ``foreign`` are values that do not see the scene, without which the
+    search is to be repeated.
     """
 
     camera: Camera
@@ -285,6 +287,7 @@ class Result:
     refused: list[Refused] = field(default_factory=list)
     beside_edges: int | None = None
     moved: list[MovedPose] = field(default_factory=list)
+    foreign: ForeignValues | None = None
 
     @property
     def fit(self) -> Fit:

@@ -20,8 +20,9 @@ from rim_camera_ros.select.candidates import candidates
 from rim_camera_ros.select.compare import Result, leading_variants, refused, smooth_says_more
 from rim_camera_ros.select.evidence import folds_of
 from rim_camera_ros.select.exploration import explore
+from rim_camera_ros.select.foreign_values import foreign_values
 from rim_camera_ros.select.forward_search import Search
-from rim_camera_ros.select.moved_poses import MayHaveMoved, moved_before_physics
+from rim_camera_ros.select.moved_poses import MayHaveMoved, MovedPose, moved_before_physics
 from rim_camera_ros.select.trials import Workers, silent
 
 MOST_EFFECTS = 4
@@ -38,6 +39,7 @@ def search(
     further: Sequence[Candidate] = (),
     begin: Result | None = None,
     may_have_moved: MayHaveMoved | None = None,
+    may_hold_foreign: bool = False,
     views: Views | None = None,
     workers: Workers = map,
     progress: Callable[[str], None] | None = None,
@@ -49,7 +51,8 @@ def search(
     result of a search of fewer stations, from which this one goes on: its effects count among the ``most``
     that may enter, and are tested again. ``views`` are those of the same scene by the same rays, if there are
     any. Where displaced surfaces in a few poses, within ``may_have_moved``, explain more than any effect, no
-    effect enters either. ``workers`` fit candidates, as `cluster.on_workers` does.
+    effect enters either; nor does one where there are values that do not see the scene, which are looked for
+    if it ``may_hold_foreign`` ones. ``workers`` fit candidates, as `cluster.on_workers` does.
     """
     say = progress if progress is not None else silent
     folds = folds_of(problem.dataset)
@@ -105,8 +108,11 @@ def search(
 
     may_look = problem.masks is None
     state = begun(problem, again=False)
-    moved = [] if may_have_moved is None else moved_before_physics(state.step, may_have_moved)
-    if moved or smooth_says_more(state.step):
+    foreign = foreign_values(state.step.fit) if may_hold_foreign else None
+    moved: list[MovedPose] = []
+    if foreign is None and may_have_moved is not None:
+        moved = moved_before_physics(state.step, may_have_moved)
+    if foreign is not None or moved or smooth_says_more(state.step):
         most = 0
     state.add(most)
     if state.narrowed is not None:
@@ -137,4 +143,5 @@ def search(
         refused=[finding for finding in not_added if finding.effect not in names],
         beside_edges=state.beside_edges,
         moved=moved,
+        foreign=foreign,
     )

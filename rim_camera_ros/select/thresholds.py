@@ -19,6 +19,8 @@ Array = NDArray[Any]
 
 #: Share of recordings with nothing missing that may raise an alarm.
 ALARM_RATE = 0.02
+#: Greatest share of the poses, or of the values, that may be wrong by themselves: what many show is physics.
+FEW = 0.15
 #: Threshold [nats] where no replicates say what chance gains: four sigma of one parameter.
 WITHOUT_REPLICATES = 8.0
 #: Share of replicates with the greatest gains, which determine the effective number of independent tests. All

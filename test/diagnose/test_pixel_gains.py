@@ -206,3 +206,55 @@ def test_known_terms_that_light_of_neighbours_does_not_look_like_stay_wrong(
     assert draft.verdict == said
     (note,) = draft.notes
     assert (name in note) == (said == "unknown_physics")
+
+
+def dust(shape: tuple[int, ...], share: float = 0.25, radius: float = 4.0) -> Image:
+    """The light that passes a spot of dust, out of focus: Gaussian, at row 20 and column 14."""
+    v, u = np.mgrid[: shape[0], : shape[1]]
+    return np.asarray(1 - share * np.exp(-((u - 14.0) ** 2 + (v - 20.0) ** 2) / (2 * radius**2)))
+
+
+@pytest.mark.parametrize(
+    ("seed", "spot", "own", "shared"), [(4, 0.0, 0.0, False), (4, 0.0, 0.03, False), (5, 0.25, 0.02, True)]
+)
+def test_gains_that_neighbours_share_are_distinguished_from_their_own(
+    tmp_path: Path, seed: int, spot: float, own: float, shared: bool
+) -> None:
+    model, board = camera(tmp_path), scene(tmp_path)
+    gains = np.exp(own * np.random.default_rng(3).standard_normal(model.shape)) * dust(model.shape, spot)
+    data = brighter(record(model, board, poses=12, seed=seed), gains)
+    found = spread_of_gains(fit(Problem(data, board), model))
+    assert found is not None
+    assert found.is_shared is shared
+    if shared:
+        # a lower limit; tiles and poses take a part of it
+        rows, columns = (size // 4 for size in model.shape)
+        cells = dust(model.shape, spot)[: rows * 4, : columns * 4].reshape(rows, 4, columns, 4)
+        true = float(np.std(np.log(cells).mean(axis=(1, 3))))
+        assert 0.25 * true < found.shared < 1.1 * true
+        assert "dust on the window" in found.note_of_shared()
+
+
+@pytest.mark.long
+def test_dust_on_the_window_is_no_physics(tmp_path: Path) -> None:
+    """Light is lost before it is measured, so that noise grows; distances stay right."""
+    model, board = camera(tmp_path), scene(tmp_path)
+    clean = record(model, board, poses=24, seed=9)
+    share = dust(model.shape, 0.5, 6.0)
+    rng = np.random.default_rng(11)
+    stations = []
+    for one in clean.stations:
+        light = np.maximum(one.amplitude, 1.0)
+        more = model.noise.sigma_distance(light * share) ** 2 - model.noise.sigma_distance(light) ** 2
+        noise = np.sqrt(np.maximum(more, 0.0) / one.frames) * rng.standard_normal(model.shape)
+        stations.append(
+            replace(
+                one,
+                amplitude=(one.amplitude * share).astype(np.float32),
+                distance=one.distance + noise,
+                distance_variance=one.distance_variance + np.maximum(more, 0.0).astype(np.float32),
+            )
+        )
+    found = diagnose(replace(clean, stations=stations), board, model)
+    assert (found.verdict, found.missing) == ("consistent", [])
+    assert found.camera.radiometry.pattern_sigma == model.radiometry.pattern_sigma

@@ -1,0 +1,48 @@
+"""A hand before the board does not move what is calibrated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rim_camera_ros.calibrate.adjustment import Adjustment, adjust
+from rim_camera_ros.calibrate.recordings import Watch
+from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
+from rim_camera_ros.fit.data import Dataset
+
+from ..select.test_foreign_values import with_hand
+from .helpers import camera, record, scene
+
+TRUE = 0.012
+
+
+def calibrated(tmp_path: Path, data: Dataset) -> Adjustment:
+    return adjust(
+        camera(tmp_path),
+        data,
+        scene(tmp_path),
+        ["cyclic_error"],
+        steps=(1, 1),
+        surfaces=1,
+        geometry=False,
+        seed=0,
+        threads=1,
+        watch=Watch(None, None),
+    )
+
+
+def test_a_hand_in_a_third_of_the_poses_is_excluded(tmp_path: Path) -> None:
+    truth = camera(tmp_path, CyclicError((Harmonic(4, TRUE, 0.7),)))
+    data = record(truth, scene(tmp_path), poses=24, seed=4)
+    clean = calibrated(tmp_path, data)
+    disturbed, hands = with_hand(data, truth, by=0.25)
+    found = calibrated(tmp_path, disturbed)
+    here, there = found.outcome.solution.fit, clean.outcome.solution.fit
+    path = "effects.cyclic_error.harmonics.0.amplitude"
+    assert abs(here.parameters[path] - there.parameters[path]) < here.sigma[path]
+    assert abs(here.parameters[path] - TRUE) < 3 * here.sigma[path]
+    assert any("a hand, a cable or a clamp" in note for note in found.notes)
+    assert not any("a hand, a cable or a clamp" in note for note in clean.notes)
+    masks = found.problem.masks
+    assert masks is not None
+    lost = [int((hands[number] & masks[number][0]).sum()) for number in hands]
+    assert sum(lost) < 0.25 * sum(int(mask.sum()) for mask in hands.values())
