@@ -38,7 +38,7 @@ from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.variance_components import likely_correlated_error
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.compare import Result
-from rim_camera_ros.select.foreign_values import MOST_SCREENINGS, ForeignValues
+from rim_camera_ros.select.foreign_values import MOST_SCREENINGS, ForeignValues, foreign_values
 from rim_camera_ros.select.trials import Workers, silent
 
 _SATURATED_ELSEWHERE = (
@@ -157,6 +157,12 @@ def _once_more(
         found.result.forget()
         kept = judged.without_bad_poses(begin.problem.dataset)
         return _diagnosed(replace(inputs, dataset=kept, setups=None, spare=spare - bad))
+    if judged.reason is None and begin.may_hold_foreign(inputs):
+        # given the physics that was found, others are seen
+        foreign = foreign_values(found.best_fit)
+        if foreign is not None:
+            found.result.forget()
+            return _without_foreign(inputs, foreign, begin.problem.dataset, tried)
     may_share = bool(found.result.found) and not begin.sees_second_camera
     gains = spread_of_gains(found.result.fit) if may_share and inputs.screenings < MOST_SCREENINGS else None
     if gains is not None and gains.is_shared and not gains.is_beyond:

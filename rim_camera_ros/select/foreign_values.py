@@ -1,9 +1,10 @@
 """Values of pixels that do not see the surfaces of the scene: defective pixels, and objects before surfaces.
 
 A physical effect changes neighbouring pixels of one tile alike. A pixel that differs from its neighbours in
-most of its poses, or from frame to frame, is defective: stuck, or noisier than the others. A region that ends
-within a tile by a step is another object: a hand, a cable, a clamp. So is one that covers a tile which is as
-it should be in nearly all other poses. Both are found in the residuals of a fit, and excluded.
+most of its poses, far in one, or from frame to frame, is defective: stuck, or noisier than the others. A
+region that ends within a tile by a step is another object: a hand, a cable, a clamp. So is one that covers a
+tile which is as it should be in nearly all other poses. Both are found in the residuals of a fit, and
+excluded. What many values of a pose show is physics: such a pose is not judged.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.residuals import after_nuisances
+from rim_camera_ros.fit.variance_components import WILD
 from rim_camera_ros.select.thresholds import ALARM_RATE, FEW
 
 Array = NDArray[Any]
@@ -87,8 +89,8 @@ class ForeignValues:
         result = []
         if self.pixels:
             result.append(
-                f"excluded: defective pixels ({self.pixels}), which in most poses or from frame to frame "
-                "differ from their neighbours by more than noise: stuck, or noisier than others"
+                f"excluded: defective pixels ({self.pixels}), which differ from their neighbours by more "
+                "than noise, from pose to pose or from frame to frame: stuck, or noisier than others"
             )
         if self.stations:
             result.append(
@@ -117,7 +119,7 @@ def foreign_values(fitted: Fit) -> ForeignValues | None:
     masks = {number: mask for number, mask in enumerate(found) if mask.any()}
     objects, bad = frozenset(masks), np.zeros(fitted.forward.camera.shape, bool)
     if not masks:
-        bad = _apart_in_most_poses(stations) | _noisy(stations)
+        bad = _apart_from_neighbours(stations) | _noisy(stations)
         masks = dict.fromkeys(range(len(stations)), bad) if bad.any() else {}
     lost = sum(int((mask & stations[number].used).sum()) for number, mask in masks.items())
     if not lost or lost > FEW * count:
@@ -146,6 +148,11 @@ class _Deviations:
     def z(self) -> Array:
         """The residuals in sigmas."""
         return np.asarray(self.residual / self.sigma)
+
+    @cached_property
+    def is_judged(self) -> bool:
+        """Whether few of the values deviate."""
+        return float(np.mean(np.abs(self.z[self.used]) > BEYOND)) <= FEW if self.used.any() else False
 
     @classmethod
     def of(cls, prediction: Prediction, fitted: Fit) -> _Deviations:
@@ -181,19 +188,23 @@ def _median_of_neighbours(image: Array, used: Mask, tile: Array) -> Array:
     return result
 
 
-def _apart_in_most_poses(stations: Sequence[_Deviations]) -> Mask:
-    """Return the pixels (H, W) that differ from their neighbours in most of their poses.
+def _apart_from_neighbours(stations: Sequence[_Deviations]) -> Mask:
+    """Return the pixels (H, W) that differ from their neighbours in most of their poses, or far in one.
 
-    With independent noise a pixel does so in three of four poses once in 10^7 times. Poses in which
-    neighbours do not fit either say nothing.
+    With independent noise a pixel does so in three of four poses once in 10^7 times. One that sees a wall in
+    most poses, and is stuck, does in the others alone, by more than the `WILD` sigma at which residuals count
+    no more.
     """
     used = np.sum([station.used for station in stations], axis=0)
-    beyond = np.zeros(used.shape, int)
+    beyond, far = np.zeros(used.shape, int), np.zeros(used.shape, bool)
     for station in stations:
+        if not station.is_judged:
+            continue
         around = _median_of_neighbours(station.z, station.used, station.tile)
         apart = np.where(np.abs(around) < BEYOND, station.z - around, 0.0)
         beyond += np.abs(apart) > BEYOND
-    return np.asarray((used >= _LEAST_POSES) & (2 * beyond > used))
+        far |= np.abs(apart) > WILD
+    return np.asarray((used >= _LEAST_POSES) & ((2 * beyond > used) | far))
 
 
 def _noisy(stations: Sequence[_Deviations]) -> Mask:
@@ -269,7 +280,7 @@ class _Elsewhere:
 def _objects(station: _Deviations, elsewhere: _Elsewhere, limit: float) -> Mask:
     """Return the pixels (H, W) that see an object before a surface, nearer than it, and those around it."""
     result = np.zeros(station.used.shape, bool)
-    if station.saturates:
+    if station.saturates or not station.is_judged:
         return result
     beyond = station.used & (station.z < -limit)
     if beyond.sum() < _LEAST_PIXELS:

@@ -69,8 +69,8 @@ def with_hand(data: Dataset, model: Camera, by: float = 0.12) -> tuple[Dataset, 
 
 
 def is_nothing(found: ForeignValues | None) -> bool:
-    """Where nothing fits by decimetres, the offset of a pixel may be that of the other half of its poses."""
-    return found is None or (not found.stations and found.pixels == 1)
+    """Where nothing fits by decimetres, offsets of a few pixels may be those of half of their poses."""
+    return found is None or (not found.stations and found.pixels <= 5)
 
 
 def fitted(tmp_path: Path, data: Dataset) -> Fit:
@@ -88,7 +88,7 @@ def test_stuck_and_noisy_pixels_are_found_and_no_others(tmp_path: Path) -> None:
     assert all(one.count[bad].sum() == 0 for one in left.stations)
     assert all(np.isnan(one.distance[bad]).all() for one in left.stations)
     (note,) = found.notes()
-    assert note.startswith("excluded: defective pixels (5), which in most poses")
+    assert note.startswith("excluded: defective pixels (5), which differ from their neighbours")
     assert foreign_values(fitted(tmp_path, left)) is None
 
 
