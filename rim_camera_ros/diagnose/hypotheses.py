@@ -27,6 +27,8 @@ STANDARD_ERRORS = 2.0
 #: ... and share of the misfit above which it wins without a comparison with physics, which may imitate a part
 #: of it. Below, it is compared with the files as given and the physics that is found.
 NEARLY_ALL = 0.9
+#: Difference of gains [nats] below which two set-ups are the same files by other words.
+_NO_DIFFERENCE = 1e-6
 _WORDS = {
     "turned_180": "the pattern of {0} turned by 180 degrees",
     "mirrored": "the pattern of {0} mirrored",
@@ -66,7 +68,8 @@ class Hypothesis:
     of the misfit that it explains; ``change`` makes recording, scene and camera of the set-up from those
     given. ``against_physics``: the gain is over the files with the physics found. ``fitted``: the set-up is
     also a parameter of the fit, which decides. ``at`` returns the same trial with another value. ``sides``
-    are the factors on width and height of a board.
+    are the factors on width and height of a board. ``alike`` are other set-ups, in words, in which the board
+    looks the same.
     """
 
     hypothesis: str
@@ -80,6 +83,7 @@ class Hypothesis:
     fitted: bool = False
     at: Callable[[float], Trial] | None = None
     sides: tuple[float, float] | None = None
+    alike: tuple[str, ...] = ()
 
     @property
     def trial(self) -> Trial | None:
@@ -131,8 +135,9 @@ class Hypothesis:
         guesses = _GUESSES.get(self.hypothesis, "")
         remedy = f"correct the scene file{guesses}, the poses or the camera file"
         than = "any physics of the camera does" if self.against_physics else "the files do"
+        alike = f", or {', or '.join(self.alike)}, which look the same," if self.alike else ""
         return (
-            f"{self.hypothesis}: {self.sentence} explains the recording better than {than} "
+            f"{self.hypothesis}: {self.sentence}{alike} explains the recording better than {than} "
             f"({self.share:.0%} of what does not fit); {_REMEDIES.get(self.hypothesis, remedy)}"
         )
 
@@ -225,4 +230,7 @@ def best_setup(found: Sequence[Hypothesis]) -> Hypothesis | None:
         ),
         None,
     )
-    return leader if leader is not None and leader.wins else None
+    if leader is None or not leader.wins:
+        return None
+    alike = (one for one in found if one is not leader and abs(one.gain - leader.gain) < _NO_DIFFERENCE)
+    return replace(leader, alike=tuple(one.sentence for one in alike))

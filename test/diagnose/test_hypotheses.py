@@ -369,3 +369,22 @@ def test_poses_that_stand_elsewhere_are_a_set_up() -> None:
     assert (astray.hypothesis, astray.gain, astray.value) == ("pose", 208.0, 2)
     assert astray.is_better
     assert astray.sentence == "2 poses that stand elsewhere"
+
+
+def test_set_ups_in_which_a_board_looks_the_same_are_both_said(tmp_path: Path) -> None:
+    """Two rows of a chequered cell: mirrored, it has dark and bright exchanged."""
+    given, board = camera(tmp_path), scene(tmp_path)
+    surface = board.surfaces[0]
+    assert surface.texture is not None
+    chequered = replace(surface.texture, values=NestedList(np.array([[0.2, 0.8], [0.8, 0.2]])))
+    stated = replace(board, surfaces=(replace(surface, texture=chequered),))
+    exchanged = replace(surface.texture, values=NestedList(np.array([[0.8, 0.2], [0.2, 0.8]])))
+    true = replace(board, surfaces=(replace(surface, texture=exchanged),))
+    found = best_setup(compare_setups(record(given, true, poses=8, seed=3), stated, given))
+    assert found is not None
+    said = {found.sentence, *found.alike}
+    assert {
+        "the pattern of board mirrored",
+        "the bright and dark tiles of board exchanged",
+    } <= said
+    assert f"{found.sentence}, or {', or '.join(found.alike)}, which look the same, explains" in found.reason
