@@ -445,3 +445,13 @@ def test_poses_of_another_scene_are_not_said_to_agree(case: Case) -> None:
     assert "All poses agree" in text_of(case.page)
     wrong = replace(case.missing, verdict="inconsistent_setup", reason="another scene", missing=[])
     assert "All poses agree" not in text_of(rendered(wrong))
+
+
+def test_what_was_excluded_stands_with_the_verdict_alone(case: Case) -> None:
+    notes = ["excluded: 3 % of the values, as a hand before them", "a detail of a fit"]
+    text = text_of(rendered(replace(case.consistent, notes=notes)))
+    assert text.count("3 % of the values, as a hand before them") == 1
+    before, after = text.split("Excluded: 3 % of the values, as a hand before them.")
+    assert "What this means" in before
+    assert "Differences over the array" in after
+    assert "a detail of a fit" in after

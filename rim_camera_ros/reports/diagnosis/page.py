@@ -66,6 +66,7 @@ def page(result: Diagnosis, *, recording: str, camera: str, scene: str) -> str:
             *([Text(_OF_INTERVALS)] if any(effect.distance_sigma for effect in result.missing) else []),
         ],
         further=_further(result),
+        excluded=[Text(f"{note[:1].upper()}{note[1:]}.") for note in result.notes if _is_exclusion(note)],
         better=_improved(result) and not result.accuracy.got_worse,
         worst=setup.worst_pose(found),
         hypotheses=setup.hypotheses(report),
@@ -79,8 +80,13 @@ def page(result: Diagnosis, *, recording: str, camera: str, scene: str) -> str:
         noise=sections.variance(result),
         chance=candidates.nulls(result),
         unseen=words.unseen_table(result.unseen),
-        notes=[Bullets(result.notes)] if result.notes else [],
+        notes=[Bullets(others)] if (others := [n for n in result.notes if not _is_exclusion(n)]) else [],
     )
+
+
+def _is_exclusion(note: str) -> bool:
+    """Return whether a note says what part of the recording the result is not about: it is no detail."""
+    return note.startswith("excluded: ")
 
 
 def _cards(result: Diagnosis) -> list[Card]:
