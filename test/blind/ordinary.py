@@ -63,7 +63,7 @@ class View:
         context = Context(replace(self.camera, effects={}), self.frame.settings, stamp=self.frame.stamp)
         change = np.zeros(before.shape)
         for effect in self.camera.effects.values():
-            if isinstance(effect, DistanceTerm):
+            if isinstance(effect, DistanceTerm) and "amplitude" in effect.own_covariates():
                 dim, bright = (
                     effect.simulate(Signal(distance, light), context) for light in (before * share, before)
                 )
@@ -171,6 +171,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("folder", type=Path, help="folder with recording, camera.yaml and scene.yaml")
     parser.add_argument("--surface", default="board", help="name of a rectangle of the scene (board)")
     parser.add_argument("--out", type=Path, required=True, help="folder for recordings and reports")
+    parser.add_argument("--only", help="numbers of imperfections, comma-separated (all)")
     parser.add_argument("--package", type=Path, default=ROOT, help="checkout whose rim is run (this one)")
     given = parser.parse_args(arguments)
     camera = load_camera(given.folder / "camera.yaml")
@@ -178,7 +179,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     surface = next(one for one in scene.surfaces if one.name == given.surface)
     with Recording(given.folder / "recording") as bag:
         frames = list(bag.frames())
+    only = {int(word) for word in given.only.split(",")} if given.only else range(len(IMPERFECTIONS))
     for number, (name, change) in enumerate(IMPERFECTIONS.items()):
+        if number not in only:
+            continue
         folder = given.out / f"{number}"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
