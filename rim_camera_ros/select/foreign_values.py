@@ -131,6 +131,9 @@ def foreign_values(fitted: Fit) -> ForeignValues | None:
 class _Deviations:
     """Residuals of a station [m] and their ``sigma``, where ``used``, with the ``tile`` of each pixel (H, W).
 
+    Where surfaces are ``described`` their tiles are known; elsewhere distances may end by steps where the
+    brightness does.
+
     ``scatter`` (H, W) is the sum of squares of repeated frames about their mean, in variances of the noise
     model, of ``freedom`` (H, W). Where pixels are saturated (``saturates``) rows and columns may differ from
     others by steps.
@@ -139,6 +142,7 @@ class _Deviations:
     residual: Array
     sigma: Array
     used: Mask
+    described: Mask
     tile: Array
     scatter: Array
     freedom: Array
@@ -166,6 +170,9 @@ class _Deviations:
             residual=np.where(used, rest, 0.0),
             sigma=np.where(used, prediction.sigma, 1.0),
             used=used,
+            described=np.array([*(surface.is_described for surface in fitted.scene.surfaces), False])[
+                prediction.view.geometry.surface
+            ],
             tile=prediction.view.geometry.tile,
             scatter=np.where(known, scatter, 0.0),
             freedom=np.where(known, freedom, 0),
@@ -282,7 +289,7 @@ def _objects(station: _Deviations, elsewhere: _Elsewhere, limit: float) -> Mask:
     result = np.zeros(station.used.shape, bool)
     if station.saturates or not station.is_judged:
         return result
-    beyond = station.used & (station.z < -limit)
+    beyond = station.used & station.described & (station.z < -limit)
     if beyond.sum() < _LEAST_PIXELS:
         return result
     joined = ndimage.binary_dilation(beyond, _SQUARE, iterations=_AROUND)

@@ -114,6 +114,15 @@ def test_a_hand_is_found_where_it_is(tmp_path: Path) -> None:
     assert f"in {len(found.stations)} stations: something that the scene file does not describe" in note
 
 
+def test_on_surfaces_of_unknown_tiles_there_are_no_objects(tmp_path: Path) -> None:
+    """What follows the amplitude ends there by steps, as the brightness does."""
+    model, board = camera(tmp_path), scene(tmp_path)
+    data, _ = with_hand(record(model, board, poses=24, seed=4), model)
+    unknown = replace(board, surfaces=(replace(board.surfaces[0], texture=None, reflectivity="unknown"),))
+    found = foreign_values(fit(Problem(data, unknown), model))
+    assert found is None or not found.stations
+
+
 def test_where_most_values_differ_it_is_no_object(tmp_path: Path) -> None:
     model = camera(tmp_path)
     data = record(model, scene(tmp_path), poses=12, seed=4)
