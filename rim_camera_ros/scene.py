@@ -120,7 +120,6 @@ class Surface:
         minimum=0.0,
         maximum=0.5,
     )
-
     flatness_sigma: float = quantity(
         "m",
         "rectangle, disc: 1-sigma of its departure from a plane, which is the same in all poses: a bow along "

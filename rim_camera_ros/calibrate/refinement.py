@@ -22,7 +22,7 @@ from rim_camera_ros.fit.variance_components import (
     pose_variance_factors,
     pose_variance_note,
 )
-from rim_camera_ros.select.foreign_values import MOST_SCREENINGS, ForeignValues, foreign_values
+from rim_camera_ros.select.foreign_values import MOST_ROUNDS, ForeignValues, exclusion_notes, foreign_values
 
 Array = NDArray[Any]
 
@@ -52,8 +52,7 @@ class Refinement:
         self._first_size = first_pattern_prior(masks)
         self._unsized = self._first_size != PATTERN_PRIOR
         self._edges_note: list[str] = []
-        self._screenings = 0
-        self._foreign: ForeignValues | None = None
+        self._foreign: list[ForeignValues] = []
 
     def first(self, problem: Problem) -> Problem:
         """Return the problem with which to begin."""
@@ -89,9 +88,9 @@ class Refinement:
 
     def next(self, problem: Problem, fitted: Fit) -> tuple[Problem, str] | None:
         """Return the problem to fit next, and its change in words; None: no assumption is contradicted."""
-        seen = self._without_foreign(fitted)
-        if seen is not None:
-            return replace(problem, masks=seen), "fewer values"
+        fewer = self._without_foreign(fitted)
+        if fewer is not None:
+            return replace(problem, masks=fewer), "fewer values"
         inner = without_edges(fitted, self._masks, beside=self._beside) if self.edges else None
         if inner is not None:
             masks, self.edges_within, note = inner
@@ -123,11 +122,10 @@ class Refinement:
 
     def _without_foreign(self, fitted: Fit) -> Sequence[tuple[Array, Array]] | None:
         """Return the pixels without values that do not see the scene; None where there are none."""
-        foreign = foreign_values(fitted) if self._screenings < MOST_SCREENINGS else None
+        foreign = foreign_values(fitted) if len(self._foreign) < MOST_ROUNDS else None
         if foreign is None:
             return None
-        self._screenings += 1
-        self._foreign = foreign.after(self._foreign)
+        self._foreign.append(foreign)
         now = self._masks if fitted.forward.masks is None else fitted.forward.masks
         self._masks = foreign.kept(self._masks)
         return foreign.kept(now)
@@ -140,7 +138,7 @@ class Refinement:
 
     def notes(self, problem: Problem, fitted: Fit) -> list[str]:
         """Return notes on the assumptions that were given up in a problem, whose solution is ``fitted``."""
-        result = [*([] if self._foreign is None else self._foreign.notes()), *self._edges_note]
+        result = [*exclusion_notes(self._foreign), *self._edges_note]
         if problem.pattern_prior != PATTERN_PRIOR:
             result.append(pattern_prior_note(problem.pattern_prior))
         if problem.correlated_error:

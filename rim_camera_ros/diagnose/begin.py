@@ -27,7 +27,7 @@ from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.shifts import shifts_between
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.compare import Result
-from rim_camera_ros.select.foreign_values import MOST_SCREENINGS, ForeignValues
+from rim_camera_ros.select.foreign_values import MOST_ROUNDS, ForeignValues
 from rim_camera_ros.select.moved_poses import NONE_MOVED, MayHaveMoved
 from rim_camera_ros.select.search import MOST_EFFECTS, search
 from rim_camera_ros.select.trials import Workers, silent
@@ -55,7 +55,7 @@ class Inputs:
     ``against`` is a recording of the simulation. ``spare`` is how many poses may still be excluded (None: not
     decided), ``setups`` are those that were compared already, ``correlated_error`` [m] is the 1-sigma of
     errors that neighbours share. ``foreign`` are the values that were excluded as they do not see the scene,
-    ``screenings`` is how often that was done, or gains of pixels were taken as unknown.
+    round by round.
     """
 
     dataset: Dataset
@@ -69,8 +69,7 @@ class Inputs:
     spare: int | None = None
     setups: list[Hypothesis] | None = None
     correlated_error: float = 0.0
-    foreign: ForeignValues | None = None
-    screenings: int = 0
+    foreign: tuple[ForeignValues, ...] = ()
 
     def decimated(self, step: int) -> Inputs:
         """Return the inputs with every ``step``-th pixel along rows and columns."""
@@ -123,7 +122,7 @@ class Begun:
 
     def may_hold_foreign(self, inputs: Inputs) -> bool:
         """Return whether values that do not see the scene are looked for; as `may_have_moved`."""
-        return inputs.screenings < MOST_SCREENINGS and self._poses_alone_differ(inputs)
+        return len(inputs.foreign) < MOST_ROUNDS and self._poses_alone_differ(inputs)
 
     def _poses_alone_differ(self, inputs: Inputs) -> bool:
         return not (self.sees_second_camera or self.variance.begins or inputs.against is not None)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import added, in_order
@@ -33,7 +32,7 @@ from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.variance_components import correlated_error_note, correlated_error_rms
 from rim_camera_ros.select.compare import Result, curve_of_forms
 from rim_camera_ros.select.exploration import Exploration, explore
-from rim_camera_ros.select.thresholds import ALARM_RATE
+from rim_camera_ros.select.thresholds import noise_limit
 
 Array = NDArray[Any]
 
@@ -212,16 +211,13 @@ def unexplained(fitted: Fit, chi_square: float) -> tuple[Missing, Where]:
 
 
 def _gross_values(fitted: Fit) -> tuple[float, float, float]:
-    """Return a limit in sigmas, the share of distances beyond it after a fit, and that of the misfit in them.
-
-    Noise alone has a value beyond it in `ALARM_RATE` of such recordings (Bonferroni).
-    """
+    """Return the limit of noise [sigma], the share of distances beyond it, and that of the misfit in them."""
     squares = []
     for prediction in fitted.forward.predictions(slopes=False):
         rest, _ = after_nuisances(prediction, fitted.pattern, fitted.nuisances)
         squares.append((rest / prediction.sigma)[prediction.used] ** 2)
     every = np.concatenate(squares)
-    limit = -float(ndtri(ALARM_RATE / (2 * every.size)))
+    limit = noise_limit(every.size)
     excess, gross = float(np.sum(every - 1)), every > limit**2
     held = float(np.sum(every[gross] - 1)) / excess if excess > 0 else 0.0
     # the others may scatter less than expected

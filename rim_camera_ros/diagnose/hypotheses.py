@@ -15,15 +15,15 @@ from rim_camera_ros.diagnose.accuracy import LEAST_EXPLAINED
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.scene import Scene
+from rim_camera_ros.select.thresholds import STANDARD_ERRORS
 
 AS_GIVEN = "as_given"
 #: Poses of a surface with another sign of an angle, or poses in which a surface is displaced.
 POSE = "pose"
 #: A surface that stands nearer or farther in all poses.
 DEPTH = "depth"
-#: Least gain of another set-up [nats], and in standard errors of its paired differences over poses.
+#: Least gain of another set-up [nats]; it must also gain `STANDARD_ERRORS`, paired over poses.
 LEAST_GAIN = 20.0
-STANDARD_ERRORS = 2.0
 #: ... and share of the misfit above which it wins without a comparison with physics, which may imitate a part
 #: of it. Below, it is compared with the files as given and the physics that is found.
 NEARLY_ALL = 0.9

@@ -125,7 +125,7 @@ def _beyond_stated(
     of_board = [reflectivities_beyond(fitted, inputs.scene) for fitted in fits]
     if all(of_board):
         return of_board[-1], setups
-    of_surface = common_pose_beyond(conditional, inputs.camera) or flatness_beyond(conditional, inputs.camera)
+    of_surface = common_pose_beyond(conditional, inputs.camera) or flatness_beyond(conditional)
     if of_surface:
         return of_surface, setups
     astray = {key: error for key, error in errors_of_poses(conditional).items() if error > BEYOND}

@@ -21,6 +21,8 @@ from rim_camera_ros.select.thresholds import ALARM_RATE
 
 #: Poses that a sentence names.
 MOST_NAMED = 5
+#: Name of the nuisance of pixels' gains.
+PIXEL_GAIN = "pixel_gain"
 #: Least 1-sigma of the change of a parameter of the optics, as a share of its stated sigma.
 _LEAST_MOVE = 0.1
 
@@ -84,7 +86,7 @@ def nuisances_of(fitted: Fit, camera: Camera, gains: GainSpread | None = None) -
     units = {"emitted_power": "-", "pose_offset": "m", "pose_tilt": "rad", "stray_light": "counts"}
     result += [_of(name, values, units[name]) for name, values in pairs.items()]
     if gains is not None:
-        result.append(Nuisance("pixel_gain", gains.found, gains.stated))
+        result.append(Nuisance(PIXEL_GAIN, gains.found, gains.stated))
     return result
 
 
@@ -191,22 +193,27 @@ def common_pose_beyond(fitted: Fit, camera: Camera) -> str | None:
     return None
 
 
-def flatness_beyond(fitted: Fit, camera: Camera) -> str | None:
+def flatness_beyond(fitted: Fit) -> str | None:
     """Return in words which surface departs from a plane by far more than is stated; None: none does.
 
-    As for errors that all poses share, the gain must be that required of another set-up.
+    By the bow or twist that is largest in stated sigmas: its penalty by the prior must be what another set-up
+    must gain. All together would exceed that by chance where there are many surfaces.
     """
-    found = {nuisance.name: nuisance for nuisance in nuisances_of(fitted, camera)}.get("flatness")
-    if found is None or found.gain <= LEAST_GAIN:
+    stated = {
+        regressor.label: regressor.prior
+        for regressor in fitted.equations.regressors
+        if regressor.label.startswith(SHAPE)
+    }
+    sizes = {label: abs(fitted.parameters[label]) for label in stated}
+    worst = max(sizes, key=lambda label: sizes[label] / stated[label], default=None)
+    if worst is None or 0.5 * (sizes[worst] / stated[worst]) ** 2 <= LEAST_GAIN:
         return None
-    forms = {label: value for label, value in fitted.parameters.items() if label.startswith(SHAPE)}
-    worst = max(forms, key=lambda label: abs(forms[label]))
     surface, _, form = worst.removeprefix(SHAPE).rpartition(".")
-    shape, size = "is twisted" if form == "twist" else f"bows along its {form[-1]} axis", abs(forms[worst])
+    shape = "is twisted" if form == "twist" else f"bows along its {form[-1]} axis"
     return (
-        f"shape: {surface} {shape} by {size * 1e3:.1f} mm, {size / found.stated:.0f} times what the "
-        "scene file states (flatness_sigma), the same in all poses; mount it flat, or state a larger "
-        "flatness_sigma"
+        f"shape: {surface} {shape} by {sizes[worst] * 1e3:.1f} mm, {sizes[worst] / stated[worst]:.0f} times "
+        "what the scene file states (flatness_sigma), the same in all poses; mount it flat, or state a "
+        "larger flatness_sigma"
     )
 
 

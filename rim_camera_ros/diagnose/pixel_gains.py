@@ -17,7 +17,7 @@ from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.pose_errors import WIDER
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.variance_components import PATCH
-from rim_camera_ros.select.compare import PAIRED_ERRORS
+from rim_camera_ros.select.thresholds import STANDARD_ERRORS
 
 Array = NDArray[Any]
 
@@ -190,7 +190,7 @@ def _mean_product(products: Array, pairs: Array) -> tuple[float, float]:
     """Return the mean of ``products`` (N,), each a sum over so many ``pairs``, and its lower limit."""
     mean = float(products.sum() / pairs.sum())
     error = float(np.sqrt(np.sum((products - mean * pairs) ** 2)) / pairs.sum())
-    return mean, mean - PAIRED_ERRORS * error
+    return mean, mean - STANDARD_ERRORS * error
 
 
 def _relative_to_neighbours(image: Array, tile: Array) -> Array:

@@ -25,7 +25,7 @@ from rim_camera_ros.diagnose.judged_setup import (
     surface_elsewhere,
 )
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_rectified_noise
-from rim_camera_ros.diagnose.nuisances import nuisances_of, optics_beyond
+from rim_camera_ros.diagnose.nuisances import PIXEL_GAIN, nuisances_of, optics_beyond
 from rim_camera_ros.diagnose.pixel_gains import UNKNOWN_GAINS, GainSpread, spread_of_gains
 from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.setup import VERY_FEW
@@ -38,7 +38,7 @@ from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.variance_components import likely_correlated_error
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.compare import Result
-from rim_camera_ros.select.foreign_values import MOST_SCREENINGS, ForeignValues, foreign_values
+from rim_camera_ros.select.foreign_values import ForeignValues, exclusion_notes, foreign_values
 from rim_camera_ros.select.trials import Workers, silent
 
 _SATURATED_ELSEWHERE = (
@@ -163,8 +163,9 @@ def _once_more(
         if foreign is not None:
             found.result.forget()
             return _without_foreign(inputs, foreign, begin.problem.dataset, tried)
-    may_share = bool(found.result.found) and not begin.sees_second_camera
-    gains = spread_of_gains(found.result.fit) if may_share and inputs.screenings < MOST_SCREENINGS else None
+    stated = inputs.camera.radiometry.pattern_sigma < UNKNOWN_GAINS
+    may_share = bool(found.result.found) and stated and not begin.sees_second_camera
+    gains = spread_of_gains(found.result.fit) if may_share else None
     if gains is not None and gains.is_shared and not gains.is_beyond:
         found.result.forget()
         return _with_free_gains(inputs, gains, begin.problem.dataset, tried)
@@ -189,12 +190,11 @@ def _without_foreign(
 ) -> Diagnosis:
     """Return the diagnosis without values that do not see the scene."""
     inputs.say("once more without values that do not see the scene")
-    before = [] if inputs.foreign is None else inputs.foreign.notes()
-    every = foreign.after(inputs.foreign)
-    notes = [*(note for note in dataset.notes if note not in before), *every.notes()]
+    every = (*inputs.foreign, foreign)
+    before = exclusion_notes(inputs.foreign)
+    notes = [*(note for note in dataset.notes if note not in before), *exclusion_notes(every)]
     kept = replace(foreign.excluded_from(dataset), notes=notes)
-    screenings = inputs.screenings + 1
-    return _diagnosed(replace(inputs, dataset=kept, setups=setups, foreign=every, screenings=screenings))
+    return _diagnosed(replace(inputs, dataset=kept, setups=setups, foreign=every))
 
 
 def _with_free_gains(
@@ -205,10 +205,14 @@ def _with_free_gains(
     camera = inputs.camera
     free = replace(camera, radiometry=replace(camera.radiometry, pattern_sigma=UNKNOWN_GAINS))
     noted = replace(dataset, notes=[*dataset.notes, gains.note_of_shared()])
-    again = replace(inputs, dataset=noted, camera=free, setups=setups, screenings=inputs.screenings + 1)
-    result = _diagnosed(again)
-    stated = replace(result.camera.radiometry, pattern_sigma=camera.radiometry.pattern_sigma)
-    return replace(result, camera=replace(result.camera, radiometry=stated))
+    result = _diagnosed(replace(inputs, dataset=noted, camera=free, setups=setups))
+    # the file states what it stated
+    stated = camera.radiometry.pattern_sigma
+    nuisances = [
+        replace(each, stated=stated) if each.name == PIXEL_GAIN else each for each in result.nuisances
+    ]
+    radiometry = replace(result.camera.radiometry, pattern_sigma=stated)
+    return replace(result, camera=replace(result.camera, radiometry=radiometry), nuisances=nuisances)
 
 
 def _said(inputs: Inputs, begin: Begun, found: FoundPhysics, judged: JudgedSetup) -> Diagnosis:

@@ -26,9 +26,9 @@ Array = NDArray[Any]
 
 #: Chi-square per value of a pose that stands out.
 LARGE = 10.0
-#: Ratio of a pose's chi-square to that of four fifths of the others above which it is wrong by itself, ...
+#: Ratio of a pose's chi-square to that of four fifths of the others above which it is wrong by itself,
+#: if such poses are no more than `FEW`: what many poses show is physics.
 AGAINST_OTHERS = 4.0
-#: ... if such poses are no more than `FEW`: what many poses show is physics.
 #: Poses below which none stands out from the others.
 _LEAST_POSES = 4
 #: Share of the poses (one pose at least) that may be excluded; the others are then diagnosed.

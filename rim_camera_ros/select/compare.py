@@ -20,12 +20,11 @@ from rim_camera_ros.select.effect_sizes import effect_size
 from rim_camera_ros.select.exploration import Exploration
 from rim_camera_ros.select.foreign_values import ForeignValues
 from rim_camera_ros.select.moved_poses import MovedPose
-from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
+from rim_camera_ros.select.thresholds import STANDARD_ERRORS, WITHOUT_REPLICATES
 
-#: Paired standard errors over poses that an effect must gain conditional on those found before it. The null
-#: replicates give the threshold of the first effect; they do not contain residuals of inexact forms.
-PAIRED_ERRORS = 2.0
-#: ... or the greatest probability that every fold gains where none does on average (sign test).
+#: An effect must gain `STANDARD_ERRORS`, paired over poses, conditional on those found before it: the null
+#: replicates give the threshold of the first effect; they do not contain residuals of inexact forms. Or this
+#: is the greatest probability that every fold gains where none does on average (sign test).
 SIGN_CHANCE = 0.05
 #: An effect must move distances by this much somewhere [m] (RMS over the 5 % of pixels it moves most).
 LEAST_SIZE = 0.0005
@@ -56,7 +55,7 @@ def paired_error(after: Sequence[float], before: Sequence[float]) -> float:
 
 
 def entry_gain(after: Sequence[float], before: Sequence[float], threshold: float) -> float:
-    """Return the gain [nats] that an effect requires: its threshold or, if more, `PAIRED_ERRORS` of the gain.
+    """Return the gain [nats] that an effect requires: its threshold or, if more, two standard errors of it.
 
     The threshold alone where every fold gains. An effect that acts on oblique or near surfaces gains mostly
     by a few poses: the standard error of such a gain is large, which is no evidence against the effect.
@@ -64,7 +63,7 @@ def entry_gain(after: Sequence[float], before: Sequence[float], threshold: float
     gains = np.asarray(after, float) - np.asarray(before, float)
     if gains.size and gains.min() > 0 and 0.5**gains.size <= SIGN_CHANCE:
         return threshold
-    return max(threshold, PAIRED_ERRORS * paired_error(after, before))
+    return max(threshold, STANDARD_ERRORS * paired_error(after, before))
 
 
 def curve_of_forms(step: Exploration, found: Sequence[Found]) -> tuple[float, int] | None:
@@ -261,7 +260,7 @@ def as_good(alone: Mapping[str, Trial], best: Trial) -> list[str]:
     for name, trial in alone.items():
         theirs = trial.fitted.scores.log_likelihoods()
         ahead = best.likelihood - trial.likelihood
-        close = not mine or ahead <= PAIRED_ERRORS * paired_error(mine, theirs)
+        close = not mine or ahead <= STANDARD_ERRORS * paired_error(mine, theirs)
         if name not in best.effects and close:
             result.append(name)
     return result

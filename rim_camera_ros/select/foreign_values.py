@@ -21,53 +21,40 @@ from scipy.special import ndtri
 
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.design import BEYOND
+from rim_camera_ros.fit.pose_errors import WIDER
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.variance_components import WILD
-from rim_camera_ros.select.thresholds import ALARM_RATE, FEW
+from rim_camera_ros.select.thresholds import FEW, STANDARD_ERRORS, noise_limit
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
-#: Times that a recording is fitted anew without such values (the grossest hide others), or for their sake.
-MOST_SCREENINGS = 4
-#: Number of the neighbours of a pixel, of eight, that must see its tile.
-_LEAST_NEIGHBOURS = 4
-#: Poses, and repeated frames, below which a pixel or a tile is not judged.
-_LEAST_POSES = 4
+#: Times that a recording is fitted anew without such values: the grossest hide others.
+MOST_ROUNDS = 4
+#: Least number of values by which one is judged: neighbours of a pixel, poses, frames, pixels of a region.
+_LEAST = 4
 #: Pixels around an object that it may partly cover, and pixels between its parts, as those beside edges.
 _AROUND = 2
-#: Least number of pixels of an object, and of pixels around it that see the same tiles.
-_LEAST_PIXELS = 4
 #: Share of the deviation of a region that must end at its outline. An object ends within a pixel: outside
 #: nothing deviates, to a tenth; nor do its pixels, and tiles that it covers, in nearly all other poses. What
 #: follows from light, distance or amplitude goes on there.
-_STEP = 0.9
+STEP = 0.9
 
 
 @dataclass(frozen=True)
 class ForeignValues:
     """Values to exclude: ``masks`` (H, W) by the number of the station.
 
-    ``pixels`` is the number of defective pixels. ``stations`` are those with an object before a surface,
-    which takes a ``share`` of all values used.
+    ``pixels`` is the number of defective pixels. An object before a surface takes a ``share`` of all values
+    used, at ``stamps`` (recording, [ns]).
     """
 
     masks: Mapping[int, Mask]
     pixels: int
-    stations: frozenset[int]
+    stamps: frozenset[tuple[int, int]]
     share: float
-
-    def after(self, earlier: ForeignValues | None) -> ForeignValues:
-        """Return these values and those that were found earlier, which had been excluded."""
-        if earlier is None:
-            return self
-        masks = {**earlier.masks}
-        for number, mask in self.masks.items():
-            masks[number] = mask | masks[number] if number in masks else mask
-        stations = self.stations | earlier.stations
-        return ForeignValues(masks, self.pixels + earlier.pixels, stations, self.share + earlier.share)
 
     def excluded_from(self, dataset: Dataset) -> Dataset:
         """Return the dataset without these values."""
@@ -84,21 +71,23 @@ class ForeignValues:
             for number, (used, lit) in enumerate(masks)
         ]
 
-    def notes(self) -> list[str]:
-        """Return in words what is excluded."""
-        result = []
-        if self.pixels:
-            result.append(
-                f"excluded: defective pixels ({self.pixels}), which differ from their neighbours by more "
-                "than noise, from pose to pose or from frame to frame: stuck, or noisier than others"
-            )
-        if self.stations:
-            result.append(
-                f"excluded: {100 * self.share:.2g} % of the values, in {len(self.stations)} stations: "
-                "something that the scene file does not describe stands before a surface there, as a hand, a "
-                "cable or a clamp"
-            )
-        return result
+
+def exclusion_notes(found: Sequence[ForeignValues]) -> list[str]:
+    """Return in words what was excluded in several rounds, which may be on different grids."""
+    result = []
+    pixels, share = sum(each.pixels for each in found), sum(each.share for each in found)
+    stamps = frozenset[tuple[int, int]]().union(*(each.stamps for each in found))
+    if pixels:
+        result.append(
+            f"excluded: defective pixels ({pixels}), which differ from their neighbours by more than noise, "
+            "from pose to pose or from frame to frame: stuck, or noisier than others"
+        )
+    if stamps:
+        result.append(
+            f"excluded: {100 * share:.2g} % of the values, in {len(stamps)} stations: something that the "
+            "scene file does not describe stands before a surface there, as a hand, a cable or a clamp"
+        )
+    return result
 
 
 def foreign_values(fitted: Fit) -> ForeignValues | None:
@@ -110,14 +99,15 @@ def foreign_values(fitted: Fit) -> ForeignValues | None:
     count = sum(int(station.used.sum()) for station in stations)
     if not count:
         return None
-    limit = -float(ndtri(ALARM_RATE / (2 * count)))
+    limit = noise_limit(count)
     sizes = np.stack([np.where(station.used, np.abs(station.z), np.nan) for station in stations])
     found = [
         _objects(station, _Elsewhere(number, tiles, sizes), limit)
         for number, (station, tiles) in enumerate(zip(stations, _tiles_elsewhere(stations), strict=True))
     ]
     masks = {number: mask for number, mask in enumerate(found) if mask.any()}
-    objects, bad = frozenset(masks), np.zeros(fitted.forward.camera.shape, bool)
+    objects = frozenset((stations[number].recording, stations[number].stamp) for number in masks)
+    bad = np.zeros(fitted.forward.camera.shape, bool)
     if not masks:
         bad = _apart_from_neighbours(stations) | _noisy(stations)
         masks = dict.fromkeys(range(len(stations)), bad) if bad.any() else {}
@@ -132,13 +122,13 @@ class _Deviations:
     """Residuals of a station [m] and their ``sigma``, where ``used``, with the ``tile`` of each pixel (H, W).
 
     Where surfaces are ``described`` their tiles are known; elsewhere distances may end by steps where the
-    brightness does.
-
-    ``scatter`` (H, W) is the sum of squares of repeated frames about their mean, in variances of the noise
-    model, of ``freedom`` (H, W). Where pixels are saturated (``saturates``) rows and columns may differ from
-    others by steps.
+    brightness does. ``scatter`` (H, W) is the sum of squares of repeated frames about their mean, in
+    variances of the noise model, of ``freedom`` (H, W). Where pixels are saturated (``saturates``) rows and
+    columns may differ from others by steps.
     """
 
+    recording: int
+    stamp: int
     residual: Array
     sigma: Array
     used: Mask
@@ -167,6 +157,8 @@ class _Deviations:
             scatter = freedom * station.distance_variance / (prediction.sigma**2 * station.count)
         known = used & np.isfinite(scatter)
         return cls(
+            recording=station.recording,
+            stamp=station.stamp,
             residual=np.where(used, rest, 0.0),
             sigma=np.where(used, prediction.sigma, 1.0),
             used=used,
@@ -190,7 +182,7 @@ def _median_of_neighbours(image: Array, used: Mask, tile: Array) -> Array:
         there = np.s_[max(i, 0) : rows - max(-i, 0), max(j, 0) : columns - max(-j, 0)]
         values[here] = np.where(used[there] & (tile[there] == tile[here]), image[there], np.nan)
     result = np.full(image.shape, np.nan)
-    seen = used & (np.isfinite(around).sum(axis=0) >= _LEAST_NEIGHBOURS)
+    seen = used & (np.isfinite(around).sum(axis=0) >= _LEAST)
     result[seen] = np.nanmedian(around[:, seen], axis=0)
     return result
 
@@ -198,9 +190,9 @@ def _median_of_neighbours(image: Array, used: Mask, tile: Array) -> Array:
 def _apart_from_neighbours(stations: Sequence[_Deviations]) -> Mask:
     """Return the pixels (H, W) that differ from their neighbours in most of their poses, or far in one.
 
-    With independent noise a pixel does so in three of four poses once in 10^7 times. One that sees a wall in
-    most poses, and is stuck, does in the others alone, by more than the `WILD` sigma at which residuals count
-    no more.
+    With independent noise a pixel does so in three of four poses less than once in 10^6 times. One that sees
+    a wall in most poses, and is stuck, does in the others alone, by more than the `WILD` sigma at which
+    residuals count no more.
     """
     used = np.sum([station.used for station in stations], axis=0)
     beyond, far = np.zeros(used.shape, int), np.zeros(used.shape, bool)
@@ -211,16 +203,16 @@ def _apart_from_neighbours(stations: Sequence[_Deviations]) -> Mask:
         apart = np.where(np.abs(around) < BEYOND, station.z - around, 0.0)
         beyond += np.abs(apart) > BEYOND
         far |= np.abs(apart) > WILD
-    return np.asarray((used >= _LEAST_POSES) & ((2 * beyond > used) | far))
+    return np.asarray((used >= _LEAST) & ((2 * beyond > used) | far))
 
 
 def _noisy(stations: Sequence[_Deviations]) -> Mask:
     """Return the pixels (H, W) whose frames scatter by `BEYOND` times as much as those of their neighbours.
 
-    With normal noise and four degrees of freedom a pixel does so twice in 10^7 times.
+    With normal noise and four degrees of freedom a pixel does so three times in 10^7.
     """
     freedom = np.sum([station.freedom for station in stations], axis=0)
-    seen = freedom >= _LEAST_POSES
+    seen = freedom >= _LEAST
     ratio = np.sum([station.scatter for station in stations], axis=0) / np.maximum(freedom, 1)
     usual = _median_of_neighbours(ratio, seen, np.zeros(seen.shape))
     with np.errstate(invalid="ignore"):
@@ -247,7 +239,7 @@ def _tiles_elsewhere(stations: Sequence[_Deviations]) -> list[Mapping[int, float
             {
                 tile: float(np.quantile(values, 1 - FEW))
                 for tile, values in known.items()
-                if len(values) >= _LEAST_POSES
+                if len(values) >= _LEAST
             }
         )
     return result
@@ -256,11 +248,10 @@ def _tiles_elsewhere(stations: Sequence[_Deviations]) -> list[Mapping[int, float
 _SQUARE = np.ones((3, 3), bool)
 #: Median of the size of normal noise, in sigmas.
 _MEDIAN_OF_NOISE = float(ndtri(0.75))
-#: Standard error of the variance that one such median gives (2 x 1.17), and how many of them are chance.
+#: Standard error of the variance that one such median gives: twice that of the sigma (1.17 / sqrt(n)).
 _ERROR_OF_SQUARE = 2.33
-_STANDARD_ERRORS = 2.0
 #: Size of normal noise that nearly all values do not exceed, and half as much again for few poses.
-_MOST_OF_NOISE = 1.5 * -float(ndtri(FEW / 2))
+_MOST_OF_NOISE = WIDER * -float(ndtri(FEW / 2))
 
 
 @dataclass(frozen=True)
@@ -278,7 +269,7 @@ class _Elsewhere:
     def of(self, pixels: Mask) -> float:
         """Return it for a region, by the median of its pixels; infinite where they are seen too seldom."""
         sizes = np.delete(self.sizes[:, pixels], self.number, axis=0)
-        seen = np.isfinite(sizes).sum(axis=0) >= _LEAST_POSES
+        seen = np.isfinite(sizes).sum(axis=0) >= _LEAST
         if 2 * seen.sum() < seen.size:
             return np.inf
         return float(np.median(np.nanquantile(sizes[:, seen], 1 - FEW, axis=0)))
@@ -290,17 +281,17 @@ def _objects(station: _Deviations, elsewhere: _Elsewhere, limit: float) -> Mask:
     if station.saturates or not station.is_judged:
         return result
     beyond = station.used & station.described & (station.z < -limit)
-    if beyond.sum() < _LEAST_PIXELS:
+    if beyond.sum() < _LEAST:
         return result
     joined = ndimage.binary_dilation(beyond, _SQUARE, iterations=_AROUND)
     labels, number = ndimage.label(joined, _SQUARE)
     for part in range(1, number + 1):
         wide = labels == part
         own = beyond & wide
-        if own.sum() < _LEAST_PIXELS:
+        if own.sum() < _LEAST:
             continue
         size = float(np.median(np.abs(station.z[own])))
-        noise_and_tenth = np.hypot(_MOST_OF_NOISE, (1 - _STEP) * size)
+        noise_and_tenth = np.hypot(_MOST_OF_NOISE, (1 - STEP) * size)
         if elsewhere.of(own) < noise_and_tenth and _ends_by_a_step(station, own, wide, elsewhere.tiles):
             result |= wide
     return result
@@ -319,15 +310,15 @@ def _ends_by_a_step(station: _Deviations, own: Mask, wide: Mask, usual: Mapping[
     for tile in np.unique(station.tile[border]):
         a, b = border & (station.tile == tile), near & (station.tile == tile)
         here = float(np.median(np.abs(station.z[a])))
-        if b.sum() < _LEAST_PIXELS and usual.get(int(tile), np.inf) < (1 - _STEP) * here:
+        if b.sum() < _LEAST and usual.get(int(tile), np.inf) < (1 - STEP) * here:
             b = near
         weight = int(min(a.sum(), b.sum()))
         if weight:
             inside += weight * here
             outside += weight * float(np.median(np.abs(station.z[b])))
             pixels += weight
-    if pixels < _LEAST_PIXELS:
+    if pixels < _LEAST:
         return False
     beyond_noise = (outside / pixels / _MEDIAN_OF_NOISE) ** 2 - 1
-    by_chance = _STANDARD_ERRORS * _ERROR_OF_SQUARE / np.sqrt(pixels)
-    return bool(beyond_noise < ((1 - _STEP) * inside / pixels) ** 2 + by_chance)
+    by_chance = STANDARD_ERRORS * _ERROR_OF_SQUARE / np.sqrt(pixels)
+    return bool(beyond_noise < ((1 - STEP) * inside / pixels) ** 2 + by_chance)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri
+from scipy.special import chdtrc, chdtri, ndtri
 
 Array = NDArray[Any]
 
@@ -21,6 +21,8 @@ Array = NDArray[Any]
 ALARM_RATE = 0.02
 #: Greatest share of the poses, or of the values, that may be wrong by themselves: what many show is physics.
 FEW = 0.15
+#: Standard errors up to which a difference may be due to chance (95 %).
+STANDARD_ERRORS = 2.0
 #: Threshold [nats] where no replicates say what chance gains: four sigma of one parameter.
 WITHOUT_REPLICATES = 8.0
 #: Share of replicates with the greatest gains, which determine the effective number of independent tests. All
@@ -28,6 +30,14 @@ WITHOUT_REPLICATES = 8.0
 _RARE = 0.1
 #: Spread of gains below which they do not vary [nats].
 _NO_SPREAD = 1e-9
+
+
+def noise_limit(count: int) -> float:
+    """Return the size [sigma] that noise has anywhere in ``count`` values in `ALARM_RATE` of recordings.
+
+    By Bonferroni's bound.
+    """
+    return -float(ndtri(ALARM_RATE / (2 * count)))
 
 
 def rate_of_each(by_chance: Array, widths: Sequence[int]) -> float:

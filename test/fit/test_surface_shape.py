@@ -12,6 +12,7 @@ import pytest
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.nuisances import flatness_beyond, nuisances_of
 from rim_camera_ros.diagnose.run import diagnose
+from rim_camera_ros.effects.candidate import Regressor
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.problem import Problem
@@ -83,7 +84,25 @@ def test_a_bow_and_a_twist_are_found_with_their_signs(tmp_path: Path) -> None:
     (flatness,) = [one for one in nuisances_of(found, model) if one.name == "flatness"]
     assert flatness.stated == 0.001
     assert flatness.found == pytest.approx(np.sqrt(np.mean(np.square([3.1, 1.4, 2.2]))) * 1e-3, rel=0.25)
-    assert flatness_beyond(found, model) is None
+    assert flatness_beyond(found) is None
+
+
+def test_a_shape_beyond_is_that_of_one_surface_in_its_stated_sizes(tmp_path: Path) -> None:
+    """Forty boards of chance shapes are not beyond together; a small one that is stated to be flatter is."""
+    model, board = camera(tmp_path), board_of(tmp_path)
+    found = fit(Problem(record(model, board, poses=3, seed=5), board), model)
+    stated = {f"surface_shape.b{i}.{form}": 0.001 for i in range(40) for form in FORMS}
+    stated["surface_shape.plate.twist"] = 0.0002
+    regressors = tuple(Regressor(label, "shape", size) for label, size in stated.items())
+    sizes = np.random.default_rng(3).standard_normal(len(stated))
+    for flat, message in ((0.0005, None), (-0.0017, r"shape: plate is twisted by 1\.7 mm, 8 times what")):
+        values = {label: z * size for (label, size), z in zip(stated.items(), sizes, strict=True)}
+        values["surface_shape.plate.twist"] = flat
+        several = replace(found, equations=replace(found.equations, regressors=regressors), parameters=values)
+        beyond = flatness_beyond(several)
+        assert (beyond is None) == (message is None)
+        if message is not None:
+            assert re.match(message, str(beyond))
 
 
 def test_only_what_has_an_extent_and_a_stated_size_may_bow(tmp_path: Path) -> None:

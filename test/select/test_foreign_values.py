@@ -20,7 +20,7 @@ from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.solver import fit
-from rim_camera_ros.select.foreign_values import ForeignValues, foreign_values
+from rim_camera_ros.select.foreign_values import ForeignValues, exclusion_notes, foreign_values
 
 from ..calibrate.helpers import camera, record, scene
 
@@ -70,7 +70,7 @@ def with_hand(data: Dataset, model: Camera, by: float = 0.12) -> tuple[Dataset, 
 
 def is_nothing(found: ForeignValues | None) -> bool:
     """Where nothing fits by decimetres, offsets of a few pixels may be those of half of their poses."""
-    return found is None or (not found.stations and found.pixels <= 5)
+    return found is None or (not found.stamps and found.pixels <= 5)
 
 
 def fitted(tmp_path: Path, data: Dataset) -> Fit:
@@ -81,13 +81,13 @@ def test_stuck_and_noisy_pixels_are_found_and_no_others(tmp_path: Path) -> None:
     data = record(camera(tmp_path), scene(tmp_path), poses=24, seed=4)
     found = foreign_values(fitted(tmp_path, with_defects(data)))
     assert found is not None
-    assert (found.pixels, found.stations) == (5, frozenset())
+    assert (found.pixels, found.stamps) == (5, frozenset())
     bad = np.any(list(found.masks.values()), axis=0)
     assert {tuple(int(k) for k in pixel) for pixel in np.argwhere(bad)} == {*STUCK, *NOISY}
     left = found.excluded_from(with_defects(data))
     assert all(one.count[bad].sum() == 0 for one in left.stations)
     assert all(np.isnan(one.distance[bad]).all() for one in left.stations)
-    (note,) = found.notes()
+    (note,) = exclusion_notes([found])
     assert note.startswith("excluded: defective pixels (5), which differ from their neighbours")
     assert foreign_values(fitted(tmp_path, left)) is None
 
@@ -110,8 +110,8 @@ def test_a_hand_is_found_where_it_is(tmp_path: Path) -> None:
     # at the others 0.12 m are less than five sigma of a pixel
     assert len(found.masks) >= 4
     assert used > 0.7 * sum(int(hands[number].sum()) for number in found.masks)
-    (note,) = found.notes()
-    assert f"in {len(found.stations)} stations: something that the scene file does not describe" in note
+    (note,) = exclusion_notes([found])
+    assert f"in {len(found.stamps)} stations: something that the scene file does not describe" in note
 
 
 def test_on_surfaces_of_unknown_tiles_there_are_no_objects(tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_on_surfaces_of_unknown_tiles_there_are_no_objects(tmp_path: Path) -> No
     data, _ = with_hand(record(model, board, poses=24, seed=4), model)
     unknown = replace(board, surfaces=(replace(board.surfaces[0], texture=None, reflectivity="unknown"),))
     found = foreign_values(fit(Problem(data, unknown), model))
-    assert found is None or not found.stations
+    assert found is None or not found.stamps
 
 
 def test_where_most_values_differ_it_is_no_object(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_farther_values_are_no_object_before_a_surface(tmp_path: Path) -> None:
     model = camera(tmp_path)
     data, _ = with_hand(record(model, scene(tmp_path), poses=24, seed=4), model, by=-0.12)
     found = foreign_values(fitted(tmp_path, data))
-    assert found is None or not found.stations
+    assert found is None or not found.stamps
 
 
 @pytest.mark.parametrize("name", sorted(registry()))
@@ -173,18 +173,15 @@ def test_a_hand_and_defects_before_a_board_are_consistent(tmp_path: Path) -> Non
 
 
 def test_what_was_found_in_several_rounds_is_one_note_a_kind() -> None:
+    """Also where the rounds were fitted on different grids: images of the first are 2 x 3, then 1 x 2."""
     mask = np.zeros((2, 3), bool)
-    other = mask.copy()
-    mask[0, 1] = other[1, 2] = True
-    first = ForeignValues({0: mask, 4: mask}, 0, frozenset({0, 4}), 0.03)
-    second = ForeignValues({4: other}, 0, frozenset({4}), 0.001)
-    third = ForeignValues({0: other, 1: other}, 2, frozenset(), 0.0)
-    every = third.after(second.after(first.after(None)))
-    pixels, objects = every.notes()
+    mask[0, 1] = mask[1, 2] = True
+    used, lit = np.ones((2, 3), bool), np.zeros((2, 3), bool)
+    first = ForeignValues({0: mask, 4: mask}, 0, frozenset({(0, 11), (1, 11)}), 0.03)
+    assert [int(distance.sum()) for distance, _ in first.kept([(used, lit)] * 6)] == [4, 6, 6, 6, 4, 6]
+    second = ForeignValues({3: np.array([[True, False]])}, 0, frozenset({(1, 11)}), 0.001)
+    third = ForeignValues({0: np.array([[False, True]])}, 2, frozenset(), 0.0)
+    pixels, objects = exclusion_notes([first, second, third])
     assert "defective pixels (2)" in pixels
     assert objects.startswith("excluded: 3.1 % of the values, in 2 stations")
-    assert every.masks[0].tolist() == every.masks[4].tolist() == (mask | other).tolist()
-    used, lit = np.ones((2, 3), bool), np.zeros((2, 3), bool)
-    kept = every.kept([(used, lit)] * 6)
-    assert [int(distance.sum()) for distance, _ in kept] == [4, 5, 6, 6, 4, 6]
-    assert ForeignValues({}, 0, frozenset(), 0.0).notes() == []
+    assert exclusion_notes([ForeignValues({}, 0, frozenset(), 0.0)]) == exclusion_notes([]) == []
