@@ -25,6 +25,7 @@ from rim_camera_ros.fit.pose_errors import WIDER
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.residuals import after_nuisances
+from rim_camera_ros.fit.robust_poses import PoseErrors, hardly_pulled
 from rim_camera_ros.fit.variance_components import WILD
 from rim_camera_ros.select.thresholds import FEW, STANDARD_ERRORS, noise_limit
 
@@ -95,15 +96,19 @@ def foreign_values(fitted: Fit) -> ForeignValues | None:
 
     Defective pixels are judged where there are no objects: a hand moves the offsets of its pixels.
     """
-    stations = [_Deviations.of(prediction, fitted) for prediction in fitted.forward.predictions(slopes=False)]
+    stations, poses = [], []
+    for prediction in fitted.forward.predictions(slopes=False):
+        stations.append(_Deviations.of(prediction, fitted))
+        poses.append(PoseErrors.of(prediction, fitted.nuisances))
     count = sum(int(station.used.sum()) for station in stations)
     if not count:
         return None
     limit = noise_limit(count)
-    sizes = np.stack([np.where(station.used, np.abs(station.z), np.nan) for station in stations])
+    robust = _hardly_pulled(stations, poses)
+    sizes = np.stack([np.where(station.used, np.abs(station.z), np.nan) for station in robust])
     found = [
         _objects(station, _Elsewhere(number, tiles, sizes), limit)
-        for number, (station, tiles) in enumerate(zip(stations, _tiles_elsewhere(stations), strict=True))
+        for number, (station, tiles) in enumerate(zip(robust, _tiles_elsewhere(robust), strict=True))
     ]
     masks = {number: mask for number, mask in enumerate(found) if mask.any()}
     objects = frozenset((stations[number].recording, stations[number].stamp) for number in masks)
@@ -150,6 +155,7 @@ class _Deviations:
 
     @classmethod
     def of(cls, prediction: Prediction, fitted: Fit) -> _Deviations:
+        """Return those of a prediction after its nuisances."""
         station, used = prediction.station, prediction.used
         rest, _ = after_nuisances(prediction, fitted.pattern, fitted.nuisances)
         freedom = np.maximum(station.count - 1, 0)
@@ -170,6 +176,12 @@ class _Deviations:
             freedom=np.where(known, freedom, 0),
             saturates=bool((station.saturated > 0).any()),
         )
+
+
+def _hardly_pulled(stations: Sequence[_Deviations], poses: Sequence[PoseErrors]) -> list[_Deviations]:
+    """Return those after errors of poses and offsets of pixels that objects hardly pull."""
+    residuals = hardly_pulled([one.residual for one in stations], [one.sigma for one in stations], poses)
+    return [replace(station, residual=rest) for station, rest in zip(stations, residuals, strict=True)]
 
 
 def _median_of_neighbours(image: Array, used: Mask, tile: Array) -> Array:
@@ -250,6 +262,8 @@ _SQUARE = np.ones((3, 3), bool)
 _MEDIAN_OF_NOISE = float(ndtri(0.75))
 #: Standard error of the variance that one such median gives: twice that of the sigma (1.17 / sqrt(n)).
 _ERROR_OF_SQUARE = 2.33
+#: Standard deviations about the mean that nearly all normal values exceed.
+_NEARLY_ALL = float(ndtri(1 - FEW))
 #: Size of normal noise that nearly all values do not exceed, and half as much again for few poses.
 _MOST_OF_NOISE = WIDER * -float(ndtri(FEW / 2))
 
@@ -276,7 +290,11 @@ class _Elsewhere:
 
 
 def _objects(station: _Deviations, elsewhere: _Elsewhere, limit: float) -> Mask:
-    """Return the pixels (H, W) that see an object before a surface, nearer than it, and those around it."""
+    """Return the pixels (H, W) that see an object before a surface, nearer than it, and those around it.
+
+    But for noise it is nearer by one length: nearly all of its pixels are beyond the limit of noise. Where
+    only the farthest are, they are the tail of what deviates by degrees.
+    """
     result = np.zeros(station.used.shape, bool)
     if station.saturates or not station.is_judged:
         return result
@@ -291,6 +309,8 @@ def _objects(station: _Deviations, elsewhere: _Elsewhere, limit: float) -> Mask:
         if own.sum() < _LEAST:
             continue
         size = float(np.median(np.abs(station.z[own])))
+        if size < limit + _NEARLY_ALL:
+            continue
         noise_and_tenth = np.hypot(_MOST_OF_NOISE, (1 - STEP) * size)
         if elsewhere.of(own) < noise_and_tenth and _ends_by_a_step(station, own, wide, elsewhere.tiles):
             result |= wide
