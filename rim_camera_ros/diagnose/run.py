@@ -144,7 +144,7 @@ def _without_stated_optics(
 def _once_more(
     inputs: Inputs, begin: Begun, found: FoundPhysics, judged: JudgedSetup, tried: list[Hypothesis]
 ) -> Diagnosis | None:
-    """Return the diagnosis without the poses that do not agree, or with errors that neighbours share.
+    """Return the diagnosis without what does not agree, with errors or with gains that neighbours share.
 
     None where neither is needed.
     """
@@ -163,25 +163,31 @@ def _once_more(
         if foreign is not None:
             found.result.forget()
             return _without_foreign(inputs, foreign, begin.problem.dataset, tried)
+    explains = found.is_modelled and not begin.sees_second_camera
+    if not inputs.correlated_error and judged.winner is None and (judged.reason is not None or explains):
+        size = likely_correlated_error(begin.problem, found.best_fit)
+        if size is not None:
+            found.result.forget()
+            shared = replace(inputs, dataset=dataset, spare=spare, setups=tried, correlated_error=size)
+            return _with_correlated_error(shared)
     stated = inputs.camera.radiometry.pattern_sigma < UNKNOWN_GAINS
     may_share = bool(found.result.found) and stated and not begin.sees_second_camera
     gains = spread_of_gains(found.result.fit) if may_share else None
-    if gains is not None and gains.is_shared and not gains.is_beyond:
-        found.result.forget()
-        return _with_free_gains(inputs, gains, begin.problem.dataset, tried)
-    explains = found.is_modelled and not begin.sees_second_camera
-    if inputs.correlated_error or judged.winner is not None or not (judged.reason is not None or explains):
+    if gains is None or not gains.is_shared or gains.is_beyond:
         return None
-    size = likely_correlated_error(begin.problem, found.best_fit)
-    if size is None:
-        return None
-    # thousands of pixels with correlated errors, taken as independent, would be evidence for effects and
-    # functions, and would move poses, by far more than they determine
     found.result.forget()
+    return _with_free_gains(inputs, gains, begin.problem.dataset, tried)
+
+
+def _with_correlated_error(inputs: Inputs) -> Diagnosis:
+    """Return the diagnosis with errors that neighbours share, on a coarser grid.
+
+    Thousands of pixels with correlated errors, taken as independent, would be evidence for effects and
+    functions, and would move poses, by far more than they determine.
+    """
     inputs.say("once more with errors that neighbours share")
     coarse = correlated_decimation(inputs.camera)
-    shared = replace(inputs, dataset=dataset, spare=spare, setups=tried, correlated_error=size)
-    again = _diagnosed(shared.decimated(coarse))
+    again = _diagnosed(inputs.decimated(coarse))
     return again if coarse == 1 else on_full_grid(again, inputs.camera, coarse)
 
 

@@ -91,7 +91,7 @@ def _offsets(residuals: Sequence[Array], sigmas: Sequence[Array], used: Sequence
     enough = np.sum(used, axis=0) >= _LEAST_STATIONS
     seen = np.stack([mask[enough] for mask in used])
     values, sigma = (np.stack([image[enough] for image in images]) for images in (residuals, sigmas))
-    found = np.zeros(seen.shape[1])
+    found = np.nanmedian(np.where(seen, values, np.nan), axis=0) if seen.size else np.zeros(0)
     for _ in range(_WEIGHTINGS):
         weight = seen / sigma**2 / np.maximum(1.0, np.abs(values - found) / sigma)
         found = np.sum(weight * values, axis=0) / np.sum(weight, axis=0)

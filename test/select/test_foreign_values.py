@@ -114,6 +114,36 @@ def test_a_hand_is_found_where_it_is(tmp_path: Path) -> None:
     assert f"in {len(found.stamps)} stations: something that the scene file does not describe" in note
 
 
+def test_large_hands_in_all_poses_are_found(tmp_path: Path) -> None:
+    """They cover 8 % of the image, enter it from any side, and tilt the pose that is fitted to them."""
+    model = camera(tmp_path)
+    data = record(model, scene(tmp_path), poses=24, seed=4)
+    rng = np.random.default_rng(2)
+    hands = {}
+    for number in range(24):
+        mask = np.zeros(model.shape, bool)
+        v, u = rng.integers(0, 25), rng.integers(0, 33)
+        mask[
+            [
+                np.s_[v : v + 11, :12],
+                np.s_[v : v + 11, -12:],
+                np.s_[:12, u : u + 11],
+                np.s_[-12:, u : u + 11],
+            ][number % 4]
+        ] = True
+        hands[number] = mask
+    rest = changed(data, {number: -0.3 * mask for number, mask in hands.items()})
+    for _ in range(4):
+        found = foreign_values(fitted(tmp_path, rest))
+        if found is None:
+            break
+        rest = found.excluded_from(rest)
+    kept = sum(int(((one.count > 0) & hands[number]).sum()) for number, one in enumerate(rest.stations))
+    every = sum(int(((one.count > 0) & hands[number]).sum()) for number, one in enumerate(data.stations))
+    assert every > 2000
+    assert kept < 0.2 * every
+
+
 def test_on_surfaces_of_unknown_tiles_there_are_no_objects(tmp_path: Path) -> None:
     """What follows the amplitude ends there by steps, as the brightness does."""
     model, board = camera(tmp_path), scene(tmp_path)
