@@ -75,14 +75,17 @@ def hardly_pulled(
     """
     if not residuals:
         return []
-    offset = np.zeros(residuals[0].shape)
+    offset = np.zeros_like(residuals[0])
     for _ in range(_TURNS):
-        moved = [np.array(image, float) for image in residuals]
+        moved = [np.array(image) for image in residuals]
         for image, sigma, errors in zip(moved, sigmas, poses, strict=True):
             used = errors.used
             image[used] -= errors.changes((image - offset)[used] / sigma[used]) @ errors.columns * sigma[used]
-        offset = _offsets(moved, sigmas, [errors.used for errors in poses])
-    return [np.where(errors.used, image - offset, image) for image, errors in zip(moved, poses, strict=True)]
+        offset = _offsets(moved, sigmas, [errors.used for errors in poses]).astype(offset.dtype)
+    return [
+        np.where(errors.used, image - offset, image).astype(image.dtype)
+        for image, errors in zip(moved, poses, strict=True)
+    ]
 
 
 def _offsets(residuals: Sequence[Array], sigmas: Sequence[Array], used: Sequence[Array]) -> Array:

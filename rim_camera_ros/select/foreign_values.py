@@ -165,15 +165,15 @@ class _Deviations:
         return cls(
             recording=station.recording,
             stamp=station.stamp,
-            residual=np.where(used, rest, 0.0),
-            sigma=np.where(used, prediction.sigma, 1.0),
+            residual=np.where(used, rest, 0.0).astype(np.float32),
+            sigma=np.where(used, prediction.sigma, 1.0).astype(np.float32),
             used=used,
             described=np.array([*(surface.is_described for surface in fitted.scene.surfaces), False])[
                 prediction.view.geometry.surface
             ],
             tile=prediction.view.geometry.tile,
-            scatter=np.where(known, scatter, 0.0),
-            freedom=np.where(known, freedom, 0),
+            scatter=np.where(known, scatter, 0.0).astype(np.float32),
+            freedom=np.where(known, freedom, 0).astype(np.int32),
             saturates=bool((station.saturated > 0).any()),
         )
 
