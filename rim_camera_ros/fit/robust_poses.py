@@ -1,4 +1,4 @@
-"""Errors of poses and offsets of pixels anew, by a loss that gross values hardly pull.
+"""Robust residuals: after errors of poses and offsets of pixels by a loss that gross values hardly pull.
 
 In the adjustment a value beyond `fit.residuals.ROBUST_LIMIT` sigmas still counts as one of so many. A hand
 over a tenth of a board has hundreds of them: they tilt the board's pose and move the offsets of pixels that
@@ -66,7 +66,7 @@ class PoseErrors:
         return result
 
 
-def hardly_pulled(
+def robust_residuals(
     residuals: Sequence[Array], sigmas: Sequence[Array], poses: Sequence[PoseErrors]
 ) -> list[Array]:
     """Return the residuals (H, W) [m] of stations after robust errors of poses and offsets of pixels.

@@ -25,7 +25,7 @@ from rim_camera_ros.fit.pose_errors import WIDER
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.residuals import after_nuisances
-from rim_camera_ros.fit.robust_poses import PoseErrors, hardly_pulled
+from rim_camera_ros.fit.robust_poses import PoseErrors, robust_residuals
 from rim_camera_ros.fit.variance_components import WILD
 from rim_camera_ros.select.thresholds import FEW, STANDARD_ERRORS, noise_limit
 
@@ -104,7 +104,7 @@ def foreign_values(fitted: Fit) -> ForeignValues | None:
     if not count:
         return None
     limit = noise_limit(count)
-    robust = _hardly_pulled(stations, poses)
+    robust = _robustly(stations, poses)
     sizes = np.stack([np.where(station.used, np.abs(station.z), np.nan) for station in robust])
     found = [
         _objects(station, _Elsewhere(number, tiles, sizes), limit)
@@ -178,9 +178,9 @@ class _Deviations:
         )
 
 
-def _hardly_pulled(stations: Sequence[_Deviations], poses: Sequence[PoseErrors]) -> list[_Deviations]:
-    """Return those after errors of poses and offsets of pixels that objects hardly pull."""
-    residuals = hardly_pulled([one.residual for one in stations], [one.sigma for one in stations], poses)
+def _robustly(stations: Sequence[_Deviations], poses: Sequence[PoseErrors]) -> list[_Deviations]:
+    """Return the deviations after robust errors of poses and offsets of pixels."""
+    residuals = robust_residuals([one.residual for one in stations], [one.sigma for one in stations], poses)
     return [replace(station, residual=rest) for station, rest in zip(stations, residuals, strict=True)]
 
 
@@ -262,8 +262,8 @@ _SQUARE = np.ones((3, 3), bool)
 _MEDIAN_OF_NOISE = float(ndtri(0.75))
 #: Standard error of the variance that one such median gives: twice that of the sigma (1.17 / sqrt(n)).
 _ERROR_OF_SQUARE = 2.33
-#: Standard deviations about the mean that nearly all normal values exceed.
-_NEARLY_ALL = float(ndtri(1 - FEW))
+#: Sigmas below the mean beyond which nearly all normal values lie.
+_BELOW_MOST = float(ndtri(1 - FEW))
 #: Size of normal noise that nearly all values do not exceed, and half as much again for few poses.
 _MOST_OF_NOISE = WIDER * -float(ndtri(FEW / 2))
 
@@ -292,8 +292,8 @@ class _Elsewhere:
 def _objects(station: _Deviations, elsewhere: _Elsewhere, limit: float) -> Mask:
     """Return the pixels (H, W) that see an object before a surface, nearer than it, and those around it.
 
-    But for noise it is nearer by one length: nearly all of its pixels are beyond the limit of noise. Where
-    only the farthest are, they are the tail of what deviates by degrees.
+    Nearly all of its pixels are beyond the limit of noise. Where only those with the largest deviations are,
+    they are the tail of what deviates by degrees.
     """
     result = np.zeros(station.used.shape, bool)
     if station.saturates or not station.is_judged:
@@ -309,7 +309,7 @@ def _objects(station: _Deviations, elsewhere: _Elsewhere, limit: float) -> Mask:
         if own.sum() < _LEAST:
             continue
         size = float(np.median(np.abs(station.z[own])))
-        if size < limit + _NEARLY_ALL:
+        if size < limit + _BELOW_MOST:
             continue
         noise_and_tenth = np.hypot(_MOST_OF_NOISE, (1 - STEP) * size)
         if elsewhere.of(own) < noise_and_tenth and _ends_by_a_step(station, own, wide, elsewhere.tiles):

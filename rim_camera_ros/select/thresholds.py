@@ -33,9 +33,9 @@ _NO_SPREAD = 1e-9
 
 
 def noise_limit(count: int) -> float:
-    """Return the size [sigma] that noise has anywhere in ``count`` values in `ALARM_RATE` of recordings.
+    """Return the size [sigma] that any of ``count`` values exceeds by noise in `ALARM_RATE` of recordings.
 
-    By Bonferroni's bound.
+    By Bonferroni's bound, for normal noise.
     """
     return -float(ndtri(ALARM_RATE / (2 * count)))
 

@@ -258,3 +258,5 @@ def test_dust_on_the_window_is_no_physics(tmp_path: Path) -> None:
     found = diagnose(replace(clean, stations=stations), board, model)
     assert (found.verdict, found.missing) == ("consistent", [])
     assert found.camera.radiometry.pattern_sigma == model.radiometry.pattern_sigma
+    (gains,) = [one for one in found.nuisances if one.name == "pixel_gain"]
+    assert gains.stated == model.radiometry.pattern_sigma

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from rim_camera_ros.fit.robust_poses import PoseErrors, hardly_pulled
+from rim_camera_ros.fit.robust_poses import PoseErrors, robust_residuals
 
 Array = NDArray[Any]
 
@@ -51,9 +51,9 @@ def test_without_errors_of_poses_nothing_changes() -> None:
     assert nothing.changes(np.arange(6.0)).shape == (0,)
     image = np.array([[0.01, 0.02, 0.03], [0.04, 0.05, 0.06]])
     # three stations are too few to know the offset of a pixel
-    result = hardly_pulled([image] * 3, [np.ones((2, 3))] * 3, [nothing] * 3)
+    result = robust_residuals([image] * 3, [np.ones((2, 3))] * 3, [nothing] * 3)
     assert all(one.tolist() == image.tolist() for one in result)
-    assert hardly_pulled([], [], []) == []
+    assert robust_residuals([], [], []) == []
 
 
 def test_an_object_stays_where_it_is_although_poses_and_offsets_were_fitted_to_it() -> None:
@@ -76,7 +76,7 @@ def test_an_object_stays_where_it_is_although_poses_and_offsets_were_fitted_to_i
         poses.append(pose(sigma, tuple(values)))
     mean = np.mean(pulled, axis=0)
     pulled = [image - mean for image in pulled]
-    found = hardly_pulled(pulled, [sigma] * 8, poses)
+    found = robust_residuals(pulled, [sigma] * 8, poses)
     for number, image in enumerate(found):
         inside, outside = image[corner], image[errors.used & ~corner]
         assert np.median(inside) == pytest.approx(-0.1 if number < 2 else 0.0, abs=0.015)

@@ -68,6 +68,14 @@ def with_hand(data: Dataset, model: Camera, by: float = 0.12) -> tuple[Dataset, 
     return changed(data, {number: -by * mask for number, mask in masks.items()}), masks
 
 
+def _turned(mask: Array) -> Array:
+    """What touches the left edge, at the top edge."""
+    result = np.zeros_like(mask)
+    side = min(mask.shape)
+    result[:side, :side] = mask[:side, :side].T
+    return result
+
+
 def is_nothing(found: ForeignValues | None) -> bool:
     """Where nothing fits by decimetres, offsets of a few pixels may be those of half of their poses."""
     return found is None or (not found.stamps and found.pixels <= 5)
@@ -122,16 +130,10 @@ def test_large_hands_in_all_poses_are_found(tmp_path: Path) -> None:
     hands = {}
     for number in range(24):
         mask = np.zeros(model.shape, bool)
-        v, u = rng.integers(0, 25), rng.integers(0, 33)
-        mask[
-            [
-                np.s_[v : v + 11, :12],
-                np.s_[v : v + 11, -12:],
-                np.s_[:12, u : u + 11],
-                np.s_[-12:, u : u + 11],
-            ][number % 4]
-        ] = True
-        hands[number] = mask
+        at = rng.integers(0, 25)
+        mask[at : at + 11, :12] = True
+        # from the left, the right, the top and the bottom
+        hands[number] = [mask, mask[:, ::-1], _turned(mask), _turned(mask)[::-1]][number % 4]
     rest = changed(data, {number: -0.3 * mask for number, mask in hands.items()})
     for _ in range(4):
         found = foreign_values(fitted(tmp_path, rest))
