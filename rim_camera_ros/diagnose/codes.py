@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.variance import NOISE_SIGMA
+from rim_camera_ros.fit.design import BEYOND
 
 #: Occurrences of a code above which its neighbours must have occurred, if the noise exceeds a few counts.
 _OFTEN = 30
@@ -18,8 +20,6 @@ LEAST_NOISE = 3.0
 _BESIDE = 100
 #: Share of the frequent codes without a neighbour that matters.
 LEAST_SHARE = 0.02
-#: Step of a regular grid over the noise below which rounding adds less than 1 % to its variance.
-_FINE = 0.35
 #: Least share of the codes that lie on a regular grid, to one count.
 _REGULAR = 0.98
 
@@ -40,16 +40,22 @@ class MissingCodes:
     grid: float = 0.0
 
     def is_fine_grid(self, noise: float) -> bool:
-        """Whether the codes are a regular grid that adds next to nothing to the ``noise`` [counts]."""
-        return 0 < self.grid < _FINE * noise
+        """Whether the codes are a regular grid whose rounding is within the uncertainty of a noise model.
+
+        ``noise`` [counts] is that of the most precise readings of the recording.
+        """
+        return 0 < self.grid**2 / 12 < BEYOND * NOISE_SIGMA * noise**2
 
 
-def note_on_grid(codes: MissingCodes, camera: Camera) -> str:
-    """Return in words that distances have coarser steps than the camera file states."""
-    step = codes.grid * camera.sensor.lsb
+def note_on_grid(codes: MissingCodes, camera: Camera, *, noise: float) -> str:
+    """Return in words that distances have coarser steps than the camera file states.
+
+    ``noise`` [counts] is that of the most precise readings of the recording.
+    """
+    step, precise = codes.grid * camera.sensor.lsb, noise * camera.sensor.lsb
     return (
         f"distances come in steps of {step * 1e3:.3g} mm, {codes.grid:.3g} times those of the camera file: "
-        f"rounding adds {step / np.sqrt(12) * 1e3:.2g} mm to {camera.noise.floor * 1e3:.2g} mm of noise and "
+        f"rounding adds {step / np.sqrt(12) * 1e3:.2g} mm to {precise * 1e3:.2g} mm of noise and "
         f"more, which changes nothing; with counts of such steps the camera's distance_lsb is {step:.6g}"
     )
 

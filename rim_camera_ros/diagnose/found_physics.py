@@ -97,10 +97,10 @@ def physics_of(inputs: Inputs, begin: Begun, result: Result) -> FoundPhysics:
     nothing = begin.sees_second_camera or begin.one_pose or bool(result.moved)
     rest = None if nothing else best_rest(result, begin.samples, inputs.seed)
     variance = _variance_given_response(result.explorations[-1].fit, camera)
-    noise = camera.noise.floor / camera.sensor.lsb
-    codes = missing_codes(dataset.codes, noise=noise)
-    if codes is not None and codes.is_fine_grid(noise):
-        dataset = replace(dataset, notes=[*dataset.notes, note_on_grid(codes, camera)])
+    codes = missing_codes(dataset.codes, noise=camera.noise.floor / camera.sensor.lsb)
+    precise = begin.variance.precise / camera.sensor.lsb
+    if codes is not None and codes.is_fine_grid(precise):
+        dataset = replace(dataset, notes=[*dataset.notes, note_on_grid(codes, camera, noise=precise)])
         codes = None
     described = None
     if rest is not None and _takes_their_place(rest, result, variance):

@@ -37,6 +37,8 @@ _DRIFTS = 4.0
 #: Probability of independent frames to be classified as ones whose first differs.
 _BEGINS_BY_CHANCE = 0.001
 _BINS = 10
+#: Quantile of the noise that counts as that of the most precise values.
+_PRECISE = 0.05
 #: Factors on the light that a response of another form than the true one may leave.
 _SCALES = (0.8, 1.25)
 
@@ -57,7 +59,7 @@ class Variance:
     ``ratio`` is measured over modelled variance of all pixels, with standard error ``sigma``; ``noise`` is
     the model fitted to them; ``common`` is the mean of `data.Station.common` over stations, with standard
     error ``common_sigma`` (1: pixels scatter independently). ``floor`` [m] is the RMS of the noise of station
-    means.
+    means, ``precise`` [m] that of one frame in the most precise twentieth of the values.
     ``background`` [counts] is unmodulated light that explains the excess as well as another noise (0: it does
     not). ``common_share`` is the share of a pixel's variance that all pixels have in common; ``movement`` is
     the common movement of the stations' frames (None: not known).
@@ -74,6 +76,7 @@ class Variance:
     background: float = 0.0
     common_share: float = 0.0
     movement: Movement | None = None
+    precise: float = 0.0
 
     @property
     def noise_is_wrong(self) -> bool:
@@ -155,13 +158,14 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
     """
     camera = forward.camera
     amplitude, measured, model, freedom, beyond = [], [], [], [], []
-    common, shares, floors = [], [], []
+    common, shares, floors, single = [], [], [], []
     moves: list[Movement] = []
     second = effect_of(camera, ForeignLight)
     for prediction in forward.predictions(slopes=False):
         station = prediction.station
         pixels = prediction.amplitude_used & (station.count == station.frames)
         floors.append(prediction.sigma[prediction.used] ** 2)
+        single.append(floors[-1] * station.count[prediction.used])
         if station.common is not None and pixels.any():
             common.append(station.common)
             shares.append((station.common - 1) / pixels.sum())
@@ -184,8 +188,10 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
         )
         freedom.append(np.full(int(pixels.sum()), station.frames - 1.0))
     floor = float(np.sqrt(np.mean(np.concatenate(floors)))) if sum(map(len, floors)) else 0.0
+    used = np.concatenate(single) if single else np.zeros(0)
+    precise = float(np.sqrt(np.quantile(used, _PRECISE))) if used.size else 0.0
     if not amplitude:
-        return Variance(1.0, np.inf, (), camera.noise, None, np.inf, floor, False)
+        return Variance(1.0, np.inf, (), camera.noise, None, np.inf, floor, False, precise=precise)
     parts = (amplitude, measured, model, freedom, beyond)
     a, s, m, f, d = (np.concatenate(part).astype(float) for part in parts)
     s, m = s / d, m / d
@@ -220,6 +226,7 @@ def examine_variance(forward: Forward, *, free_scale: bool = False) -> Variance:
         common_sigma=float(1.0 / np.sqrt(number * max(frames - 1, 1))),
         movement=together(moves) if moves else None,
         floor=floor,
+        precise=precise,
         repeated=True,
         background=_background(a, s, m, f, camera),
     )
