@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import added, in_order
 from rim_camera_ros.diagnose.accuracy import LEAST_EXPLAINED
+from rim_camera_ros.diagnose.at_rest import note_on_smoothing
 from rim_camera_ros.diagnose.formula import closed_form, product_form
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN, pair_terms
@@ -202,6 +203,8 @@ def unexplained(fitted: Fit, chi_square: float) -> tuple[Missing, Where]:
             f"; {few:.1%} of the values, beyond {limit:.1f} sigma, hold {held:.0%} of it, as a hand or a "
             "cable before the surfaces would"
         )
+    if note_on_smoothing(fitted.forward.dataset) is not None:
+        most += "; the driver smooths its images, which no camera file describes"
     sentence = (
         f"unknown physics: held-out values scatter by {np.sqrt(chi_square):.2f} times what noise and errors "
         f"of poses explain; neither an effect of the vocabulary nor a smooth function describes it{most}"

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.at_rest import at_rest, note_on_smoothing
 from rim_camera_ros.diagnose.begin import Begun, Inputs, begun, searched, setups_of
 from rim_camera_ros.diagnose.found_physics import FoundPhysics, physics_of
 from rim_camera_ros.diagnose.full_grid import on_full_grid
@@ -67,6 +68,11 @@ def diagnose(
     Raises `InputError` where no pixel can be compared.
     """
     say = progress if progress is not None else silent
+    if against is None:
+        dataset = at_rest(dataset)
+    smoothed = note_on_smoothing(dataset)
+    if smoothed is not None:
+        dataset = replace(dataset, notes=[*dataset.notes, smoothed])
     scene = with_stated_errors(scene, dataset)
     step = decimation_of(camera)
     inputs = Inputs(dataset, scene, camera, against, seed, threads, workers, say).decimated(step)

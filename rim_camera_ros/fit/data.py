@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.common_variation import Movement
+from rim_camera_ros.fit.neighbours import Neighbours
 from rim_camera_ros.frame import Pose, Settings
 from rim_camera_ros.scene import Scene
 
@@ -41,7 +42,8 @@ class Station:
     first frame to its last. ``common`` is the frame-to-frame variation that all pixels share and that is not
     in proportion to their light, as chi-square per degree of freedom of the mean complex deviation (1: none;
     None for one frame). ``common_light`` [counts^2] is its power if it is the same in all pixels, less that
-    of noise (negative by chance). ``movement`` says whether tilts explain it.
+    of noise (negative by chance). ``movement`` says whether tilts explain it. ``neighbours`` are the
+    correlations of the noise of pixels with that of others; None for one frame.
     """
 
     recording: int
@@ -60,6 +62,7 @@ class Station:
     common: float | None = None
     common_light: float | None = None
     movement: Movement | None = None
+    neighbours: Neighbours | None = None
     placement: int | None = None
     duration: float = 0.0
 

@@ -17,6 +17,7 @@ from rim_camera_ros.camera import FULL_SCALE, Camera
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.common_variation import common_variation
 from rim_camera_ros.fit.data import KEPT_FRAMES, Array, Dataset, Station
+from rim_camera_ros.fit.neighbours import neighbours_of
 from rim_camera_ros.frame import NANOSECONDS, RawFrame, Settings
 from rim_camera_ros.scene import Scene
 
@@ -103,7 +104,8 @@ class _Block:
             amplitude_variance = (self._sums[3] - self._sums[2].astype(float) ** 2 / n) / (n - 1)
         several = n > 1
         middle = (self._stamps[0] + self._stamps[-1]) // 2
-        common = common_variation(np.stack(self._kept), self._camera.sensor.ambiguity)
+        kept = np.stack(self._kept)
+        common = common_variation(kept, self._camera.sensor.ambiguity)
         return Station(
             recording=recording,
             pose=self.pose,
@@ -123,6 +125,7 @@ class _Block:
             common=None if common is None else common.ratio,
             common_light=None if common is None else common.light,
             movement=None if common is None else common.movement,
+            neighbours=neighbours_of(kept),
         )
 
 
