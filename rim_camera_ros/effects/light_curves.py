@@ -25,7 +25,9 @@ from rim_camera_ros.scene import Scene
 Array = NDArray[Any]
 
 PREFIX = "radiometry."
-_DEGREES = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
+#: Angles of the heights of surfaces; close together near normal incidence, where a print's gloss is some five
+#: degrees wide.
+_DEGREES = (0.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
 _PERIODS = (4, 8)
 #: Reflectivity to which the gloss is referred, and the least factor on the light.
 _REFERENCE = 0.3
@@ -194,8 +196,11 @@ class LightCurves:
             if abs(value) >= 0.005:
                 angle = at.rpartition(".")[2]
                 more = "more" if value > 0 else "less"
-                where = "" if labels is DIFFUSE else f" (for a reflectivity of {_REFERENCE:g})"
-                parts.append(f"{name} up to {abs(value):.0%} {more}, at {angle} degrees{where}")
+                if labels is DIFFUSE:
+                    where = " than at normal incidence"
+                else:
+                    where = f" for a reflectivity of {_REFERENCE:g}"
+                parts.append(f"{name} up to {abs(value):.0%} {more}{where}, at {angle} degrees")
         return " and ".join(parts)
 
 

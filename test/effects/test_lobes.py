@@ -40,6 +40,15 @@ def test_a_lobe_is_fitted_to_a_fiftieth_of_its_height(degrees: float) -> None:
     assert np.abs(fitted - (lobe - 1.0)).max() < 0.02
 
 
+def test_the_gloss_of_a_print_is_fitted_to_a_fiftieth_of_its_height() -> None:
+    """Half the light more within some 6 degrees: heights at every 10 degrees miss 12 % of it."""
+    columns = LightCurves().columns(view(0.3), 7.5, SURFACES)[: len(DIFFUSE)]
+    design = np.column_stack([np.ones(ANGLES.size), *(one.ravel() for one in columns)])
+    lobe = 0.5 * gauss(ANGLES.ravel(), np.radians(5.7))
+    fitted = design @ np.linalg.lstsq(design, lobe, rcond=None)[0]
+    assert np.abs(fitted - lobe).max() < 0.01
+
+
 @pytest.mark.parametrize("labels", [LABELS, SURFACES])
 def test_columns_are_the_derivatives_of_the_factor(labels: tuple[str, ...]) -> None:
     geometry = view(0.12)
@@ -62,10 +71,10 @@ def test_lobes_are_even_in_the_angle() -> None:
     """Near normal incidence a lobe is a parabola: half the angle has a quarter of the change."""
     curves = LightCurves({DIFFUSE[1]: 0.1})
     change = curves.surfaces(view(0.5)).ravel() - 1.0
-    at = {degrees: change[np.argmin(np.abs(ANGLES - np.radians(degrees)))] for degrees in (0, 0.25, 0.5, 20)}
+    at = {degrees: change[np.argmin(np.abs(ANGLES - np.radians(degrees)))] for degrees in (0, 0.25, 0.5, 10)}
     assert at[0] == 0.0
-    assert at[0.5] / at[0.25] == pytest.approx(4.0, rel=0.05)
-    assert at[20] == pytest.approx(0.1, rel=1e-3)
+    assert at[0.5] / at[0.25] == pytest.approx(4.0, rel=0.1)
+    assert at[10] == pytest.approx(0.1, rel=1e-3)
 
 
 def test_gloss_is_stronger_on_dark_surfaces() -> None:
