@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,7 +37,8 @@ _SEED = 20261129
 class View:
     """One frame with what it sees of the board: coordinates from -1 to 1 (H, W), cosines of incidence.
 
-    ``on`` marks the pixels that see the board. ``pose`` numbers the poses; ``rng`` is of this frame.
+    ``on`` marks the pixels that see the board. ``pose`` numbers the poses, ``in_pose`` the frames of a pose;
+    ``rng`` is of this frame.
     """
 
     frame: RawFrame
@@ -46,7 +48,13 @@ class View:
     on: NDArray[np.bool_]
     along: Array
     pose: int
+    in_pose: int
     rng: np.random.Generator
+
+    @property
+    def away(self) -> NDArray[np.bool_]:
+        """The pixels that are more than one pixel away from the board."""
+        return np.asarray(cv2.dilate(self.on.astype(np.uint8), np.ones((3, 3), np.uint8)) == 0)
 
     def moved(self, metres: Array) -> RawFrame:
         """Return the frame with distances changed [m]; whole counts are rounded with a dither."""
@@ -55,6 +63,11 @@ class View:
         seen = (self.frame.distance > 0) & (metres != 0)
         kept = np.where(seen, np.clip(dithered, 1, 65535), self.frame.distance)
         return replace(self.frame, distance=kept.astype(self.frame.distance.dtype))
+
+    def displaced(self, metres: Array) -> RawFrame:
+        """Return the frame with surfaces moved along the rays [m]: their light follows the distance."""
+        distance = np.maximum(self.frame.distance * self.camera.sensor.lsb, 0.1)
+        return replace(self, frame=self.dimmed((distance / (distance + metres)) ** 2)).moved(metres)
 
     def dimmed(self, share: Array) -> RawFrame:
         """Return the frame with a share of its light (H, W): its noise and its terms over the amplitude."""
@@ -130,6 +143,93 @@ def _power(view: View) -> RawFrame:
     return replace(view.frame, amplitude=amplitude.astype(view.frame.amplitude.dtype))
 
 
+def _cable(view: View) -> RawFrame:
+    """A dark cable, 2.5 px wide, 0.15 m before the board, across the image; elsewhere in each pose."""
+    rng = np.random.default_rng([_SEED, 7, view.pose])
+    height, width = view.on.shape
+    v, u = np.mgrid[:height, :width]
+    slope = rng.uniform(-0.4, 0.4)
+    from_cable = np.abs(u - rng.uniform(0.3, 0.7) * width - slope * (v - height / 2)) / np.hypot(1, slope)
+    covered = view.on & (from_cable < 1.25)
+    moved = view.moved(np.where(covered, -0.15, 0.0))
+    dark = np.round(0.3 * np.median(view.frame.amplitude[view.on]))
+    return replace(moved, amplitude=np.where(covered, dark, moved.amplitude).astype(moved.amplitude.dtype))
+
+
+def _label(view: View) -> RawFrame:
+    """A label of half the reflectivity on the board."""
+    label = view.on & (np.abs(view.x - 0.3) < 0.15) & (np.abs(view.y + 0.2) < 0.12)
+    return view.dimmed(np.where(label, 0.5, 1.0))
+
+
+def _rim(view: View) -> RawFrame:
+    """A frame around the board, 15 mm wide of 500, 4 mm high and bright."""
+    rim = view.on & ((np.abs(view.x) > 0.97) | (np.abs(view.y) > 0.96))
+    brighter = replace(view, frame=view.dimmed(np.where(rim, 1.3, 1.0)))
+    return brighter.moved(np.where(rim, -0.004 / view.along, 0.0))
+
+
+def _millimetres(view: View) -> RawFrame:
+    count = view.camera.sensor.lsb
+    whole = np.round(np.round(view.frame.distance * count, 3) / count)
+    return replace(view.frame, distance=whole.astype(view.frame.distance.dtype))
+
+
+def _eight_bits(view: View) -> RawFrame:
+    step = 3000.0 / 255
+    whole = np.round(np.round(view.frame.amplitude / step) * step)
+    return replace(view.frame, amplitude=whole.astype(view.frame.amplitude.dtype))
+
+
+def _dropouts(view: View) -> RawFrame:
+    lost = view.rng.random(view.on.shape) < 0.01
+    distance, amplitude = (np.where(lost, 0, x) for x in (view.frame.distance, view.frame.amplitude))
+    return replace(
+        view.frame,
+        distance=distance.astype(view.frame.distance.dtype),
+        amplitude=amplitude.astype(view.frame.amplitude.dtype),
+    )
+
+
+def _median_filter(view: View) -> RawFrame:
+    """The driver's median of 3 x 3 distances."""
+    filtered = cv2.medianBlur(view.frame.distance.astype(np.uint16), 3)
+    return replace(view.frame, distance=filtered.astype(view.frame.distance.dtype))
+
+
+def _pose_off(view: View) -> RawFrame:
+    """The board of one pose stands 10 mm nearer than it was measured."""
+    return view.displaced(np.where(view.on & (view.pose == 6), -0.01 / view.along, 0.0))
+
+
+def _moved_within(view: View) -> RawFrame:
+    """The board of two poses moves by 4 mm before the last frame."""
+    late = view.pose in (4, 11) and view.in_pose >= 2
+    return view.displaced(np.where(view.on & late, 0.004 / view.along, 0.0))
+
+
+def _passer_by(view: View) -> RawFrame:
+    """Somebody before the wall in a quarter of the poses, 0.5 m nearer."""
+    height, width = view.on.shape
+    rng = np.random.default_rng([_SEED, 8, view.pose])
+    left = rng.uniform(0.0, 0.85) * width
+    u = np.broadcast_to(np.arange(width), (height, width))
+    person = view.away & (u > left) & (u < left + 0.12 * width) & (view.pose % 4 == 1)
+    moved = view.moved(np.where(person, -0.5, 0.0))
+    cloth = np.round(0.4 * np.median(view.frame.amplitude) * (1 + 0.1 * view.rng.standard_normal(u.shape)))
+    return replace(moved, amplitude=np.where(person, cloth, moved.amplitude).astype(moved.amplitude.dtype))
+
+
+def _furniture(view: View) -> RawFrame:
+    """A box before the wall in all poses, 0.4 m deep, that the scene file does not have."""
+    height, width = view.on.shape
+    v, u = np.mgrid[:height, :width]
+    box = view.away & (u > 0.05 * width) & (u < 0.2 * width) & (v > 0.7 * height)
+    moved = view.moved(np.where(box, -0.4, 0.0))
+    wood = np.round(0.8 * np.median(view.frame.amplitude) * np.ones(u.shape))
+    return replace(moved, amplitude=np.where(box, wood, moved.amplitude).astype(moved.amplitude.dtype))
+
+
 IMPERFECTIONS: Mapping[str, Callable[[View], RawFrame]] = {
     "a board that bows by 2 mm": _bow(0.002),
     "a board that bows by 5 mm": _bow(0.005),
@@ -140,6 +240,17 @@ IMPERFECTIONS: Mapping[str, Callable[[View], RawFrame]] = {
     "a hand over 8 % of the board": _hand(0.08),
     "dust that takes 15 % of the light": _dust,
     "power that differs by 3 % from pose to pose": _power,
+    "a cable of 2.5 px before the board": _cable,
+    "a label on the board, of half the light": _label,
+    "a frame around the board, 4 mm high": _rim,
+    "distances in whole millimetres": _millimetres,
+    "amplitudes of 8 bits": _eight_bits,
+    "1 % of the pixels of each frame drop out": _dropouts,
+    "a median of 3 x 3 distances in the driver": _median_filter,
+    "the board of one pose 10 mm nearer": _pose_off,
+    "the board of two poses moves by 4 mm": _moved_within,
+    "a passer-by before the wall in 5 poses": _passer_by,
+    "furniture before the wall in all poses": _furniture,
 }
 
 
@@ -147,11 +258,13 @@ def views(frames: Sequence[RawFrame], surface: Surface, camera: Camera) -> list[
     """Return the frames with what they see of a rectangle, whatever stands before it."""
     assert surface.half_extent is not None
     result: list[View] = []
-    pose, last = -1, None
+    pose, in_pose, last = -1, 0, None
     for number, frame in enumerate(frames):
         placed = frame.truth[surface.name]
         if placed != last:
-            pose, last = pose + 1, placed
+            pose, in_pose, last = pose + 1, 0, placed
+        else:
+            in_pose += 1
         rotation, position = rotation_matrix(placed.orientation), np.array(placed.position)
         along = camera.rays @ rotation[:, 2]
         length = (position @ rotation[:, 2]) / along
@@ -159,7 +272,7 @@ def views(frames: Sequence[RawFrame], surface: Surface, camera: Camera) -> list[
         x, y = (local[..., axis] / surface.half_extent[axis] for axis in (0, 1))
         on = (np.abs(x) < 1) & (np.abs(y) < 1) & (length > 0) & (frame.distance > 0)
         rng = np.random.default_rng([_SEED, number])
-        result.append(View(frame, camera, x, y, on, np.abs(along), pose, rng))
+        result.append(View(frame, camera, x, y, on, np.abs(along), pose, in_pose, rng))
     return result
 
 

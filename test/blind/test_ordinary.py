@@ -73,3 +73,59 @@ def test_sizes(tmp_path: Path) -> None:
     gains = [np.median(power(one).amplitude[one.on] / one.frame.amplitude[one.on]) for one in (view, other)]
     assert gains[0] != gains[1]
     assert np.abs(np.log(gains)).max() < 0.12
+
+
+def test_sizes_of_what_is_before_the_scene(tmp_path: Path) -> None:
+    view, same_pose, _ = seen(tmp_path)
+    count = view.camera.sensor.lsb
+
+    def changed(name: str, one: View) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+        return (IMPERFECTIONS[name](one).distance.astype(float) - one.frame.distance) * count
+
+    cable = changed("a cable of 2.5 px before the board", view) < -0.1
+    # at 40 px by 30 px, 2.5 px of every row of the board
+    assert cable.sum() == pytest.approx(2.5 * 30, rel=0.3)
+    assert (cable == (changed("a cable of 2.5 px before the board", same_pose) < -0.1)).all()
+    label = IMPERFECTIONS["a label on the board, of half the light"](view).amplitude
+    assert (label[view.on] < 0.6 * view.frame.amplitude[view.on]).sum() == pytest.approx(
+        0.15 * 0.12 * 40 * 30, rel=0.3
+    )
+    box = changed("furniture before the wall in all poses", view) < -0.3
+    assert not (box & view.on).any()
+
+
+def test_what_drivers_do(tmp_path: Path) -> None:
+    view, other, _ = seen(tmp_path)
+    count = view.camera.sensor.lsb
+    frame = view.frame
+    metres = IMPERFECTIONS["distances in whole millimetres"](view).distance * count
+    assert np.abs(metres * 1e3 - np.round(metres * 1e3)).max() <= 0.5 * count * 1e3 + 1e-9
+    assert np.abs(metres - frame.distance * count).max() <= 0.0005 + count
+    steps = np.unique(IMPERFECTIONS["amplitudes of 8 bits"](view).amplitude)
+    assert np.diff(steps).min() >= 11
+    lost = IMPERFECTIONS["1 % of the pixels of each frame drop out"](view)
+    assert (lost.distance == 0)[view.on].mean() == pytest.approx(0.01, abs=0.008)
+    assert (lost.amplitude[lost.distance == 0] == 0).all()
+    filtered = IMPERFECTIONS["a median of 3 x 3 distances in the driver"]
+    inside = (np.abs(view.x) < 0.9) & (np.abs(view.y) < 0.9)
+    noise, smooth = (
+        np.std((second.distance.astype(float) - first.distance)[inside])
+        for first, second in ((frame, other.frame), (filtered(view), filtered(other)))
+    )
+    assert smooth < 0.7 * noise
+
+
+def test_surfaces_that_are_displaced_take_their_light_along(tmp_path: Path) -> None:
+    view, *_ = seen(tmp_path)
+    sixth = replace(view, pose=6)
+    frame = IMPERFECTIONS["the board of one pose 10 mm nearer"](sixth)
+    change = (frame.distance.astype(float) - view.frame.distance)[view.on] * view.camera.sensor.lsb
+    assert np.median(change) == pytest.approx(-0.01, abs=0.001)
+    # 1 / d^2 at 1.5 m
+    light = frame.amplitude[view.on].astype(float) / view.frame.amplitude[view.on]
+    assert np.median(light) == pytest.approx(1 + 2 * 0.01 / 1.5, abs=0.003)
+    assert (IMPERFECTIONS["the board of one pose 10 mm nearer"](view).distance == view.frame.distance).all()
+    late = IMPERFECTIONS["the board of two poses moves by 4 mm"]
+    assert (late(replace(view, pose=4, in_pose=1)).distance == view.frame.distance).all()
+    moved = late(replace(view, pose=4, in_pose=2)).distance.astype(float) - view.frame.distance
+    assert np.median(moved[view.on]) * view.camera.sensor.lsb == pytest.approx(0.004, abs=0.001)
