@@ -145,14 +145,13 @@ def run(given: argparse.Namespace) -> int:
         reviewed, changes = measurement_of(camera).review(camera, _frames(bag, topics), scene)
         measurement = measurement_of(reviewed)
         for part in measurement.parts(reviewed):
-            dataset = _stations(given, bag, part, scene, topics)
-            dataset.notes = [named(note) for note in dataset.notes]
             against = None
             if given.against is not None:
                 against = _stations(given, given.against, part, scene, topics_of(given))
             try:
+                # nothing else may keep the images: those of large sensors are freed once they are decimated
                 result = diagnose(
-                    dataset,
+                    _stations(given, bag, part, scene, topics, named=named),
                     scene,
                     part.camera,
                     against=against,
@@ -199,8 +198,19 @@ def _numbers(text: str) -> tuple[int, ...]:
     return numbers
 
 
-def _stations(given: argparse.Namespace, path: Path, part: Part, scene: Scene, topics: Topics) -> Dataset:
-    """Read the images of a part in a recording and keep the stations that have all poses."""
+def _stations(
+    given: argparse.Namespace,
+    path: Path,
+    part: Part,
+    scene: Scene,
+    topics: Topics,
+    *,
+    named: Callable[[str], str] = str,
+) -> Dataset:
+    """Read the images of a part in a recording and keep the stations that have all poses.
+
+    ``named`` changes the names of files in its notes.
+    """
     camera, names = part.camera, replace(topics, frequency=part.frequency)
     if given.scheduler is None:
         with Progress("read", None, quiet=given.quiet) as progress:
@@ -227,4 +237,5 @@ def _stations(given: argparse.Namespace, path: Path, part: Part, scene: Scene, t
         dataset = dataset.without({key for key in keys if key[1] in given.without_poses})
         excluded = ", ".join(map(str, sorted(set(given.without_poses))))
         dataset.notes.append(f"poses excluded on request: {excluded}")
+    dataset.notes = [named(note) for note in dataset.notes]
     return dataset

@@ -75,11 +75,14 @@ def diagnose(
         dataset = replace(dataset, notes=[*dataset.notes, smoothed])
     scene = with_stated_errors(scene, dataset)
     step = decimation_of(camera)
+    saturates = any(station.saturated.any() for station in dataset.stations)
     inputs = Inputs(dataset, scene, camera, against, seed, threads, workers, say).decimated(step)
+    # the images of a large sensor, if the caller keeps none either
+    del dataset, against
     result = _diagnosed(inputs)
     if step == 1:
         return result
-    if any(station.saturated.any() for station in dataset.stations):
+    if saturates:
         result.notes.append(_SATURATED_ELSEWHERE)
     return on_full_grid(result, camera, step)
 

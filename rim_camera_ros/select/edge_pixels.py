@@ -113,6 +113,7 @@ def promising(
     variants = [*blurs, *(edge_candidates(at_first_sight=True) if footprint else [])]
     first = fit(problem, camera, step, variants, iterations=0)
     leader = _leader(first, _AT_FIRST_SIGHT)
+    first.forget()
     if leader is None:
         return None
     side = leader.footprint
