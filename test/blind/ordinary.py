@@ -17,13 +17,14 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from rim_camera_ros.bags import Recording, RecordingWriter
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera
 from rim_camera_ros.effects.base import DistanceTerm
 from rim_camera_ros.effects.signal import Context, Signal
-from rim_camera_ros.frame import RawFrame
+from rim_camera_ros.frame import Pose, RawFrame
 from rim_camera_ros.rotations import rotation_matrix
 from rim_camera_ros.scene import Surface, load_scene
 
@@ -38,7 +39,7 @@ class View:
     """One frame with what it sees of the board: coordinates from -1 to 1 (H, W), cosines of incidence.
 
     ``on`` marks the pixels that see the board. ``pose`` numbers the poses, ``in_pose`` the frames of a pose;
-    ``rng`` is of this frame.
+    ``rng`` is of this frame, ``surface`` the name of the board.
     """
 
     frame: RawFrame
@@ -50,6 +51,7 @@ class View:
     pose: int
     in_pose: int
     rng: np.random.Generator
+    surface: str
 
     @property
     def away(self) -> NDArray[np.bool_]:
@@ -230,6 +232,26 @@ def _furniture(view: View) -> RawFrame:
     return replace(moved, amplitude=np.where(box, wood, moved.amplitude).astype(moved.amplitude.dtype))
 
 
+def _shade(view: View) -> RawFrame:
+    """The housing shades a corner: 40 % less light, over a tenth of the array."""
+    height, width = view.on.shape
+    v, u = np.mgrid[:height, :width]
+    from_corner = np.hypot(u / width, v / height)
+    return view.dimmed(1 - 0.4 / (1 + np.exp((from_corner - 0.35) / 0.04)))
+
+
+def _poses_err(view: View) -> RawFrame:
+    """The poses of the board err by 3 mm and 1.8 mrad (1-sigma), whatever is stated."""
+    rng = np.random.default_rng([_SEED, 9, view.pose])
+    name, placed = view.surface, view.frame.truth[view.surface]
+    turn = Rotation.from_quat(placed.orientation) * Rotation.from_rotvec(0.0018 * rng.standard_normal(3))
+    moved = Pose(
+        tuple((np.array(placed.position) + 0.003 * rng.standard_normal(3)).tolist()),
+        tuple(turn.as_quat().tolist()),
+    )
+    return replace(view.frame, truth={**view.frame.truth, name: moved})
+
+
 IMPERFECTIONS: Mapping[str, Callable[[View], RawFrame]] = {
     "a board that bows by 2 mm": _bow(0.002),
     "a board that bows by 5 mm": _bow(0.005),
@@ -251,6 +273,8 @@ IMPERFECTIONS: Mapping[str, Callable[[View], RawFrame]] = {
     "the board of two poses moves by 4 mm": _moved_within,
     "a passer-by before the wall in 5 poses": _passer_by,
     "furniture before the wall in all poses": _furniture,
+    "a corner that the housing shades by 40 %": _shade,
+    "poses that err by 3 mm and 1.8 mrad": _poses_err,
 }
 
 
@@ -272,7 +296,7 @@ def views(frames: Sequence[RawFrame], surface: Surface, camera: Camera) -> list[
         x, y = (local[..., axis] / surface.half_extent[axis] for axis in (0, 1))
         on = (np.abs(x) < 1) & (np.abs(y) < 1) & (length > 0) & (frame.distance > 0)
         rng = np.random.default_rng([_SEED, number])
-        result.append(View(frame, camera, x, y, on, np.abs(along), pose, in_pose, rng))
+        result.append(View(frame, camera, x, y, on, np.abs(along), pose, in_pose, rng, surface.name))
     return result
 
 
