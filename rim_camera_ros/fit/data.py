@@ -43,7 +43,8 @@ class Station:
     in proportion to their light, as chi-square per degree of freedom of the mean complex deviation (1: none;
     None for one frame). ``common_light`` [counts^2] is its power if it is the same in all pixels, less that
     of noise (negative by chance). ``movement`` says whether tilts explain it. ``neighbours`` are the
-    correlations of the noise of pixels with that of others; None for one frame.
+    correlations of the noise of pixels with that of others; None for one frame. ``unlike`` marks the pixels
+    that see a surface of another reflectivity than the scene file's: their amplitudes are taken as measured.
     """
 
     recording: int
@@ -65,6 +66,7 @@ class Station:
     neighbours: Neighbours | None = None
     placement: int | None = None
     duration: float = 0.0
+    unlike: NDArray[np.bool_] | None = None
 
     def part(self, rows: slice, columns: slice) -> Station:
         """Return the station with the chosen rows and columns of its images alone."""
@@ -72,7 +74,8 @@ class Station:
         images: dict[str, Any] = {
             name: np.ascontiguousarray(getattr(self, name)[rows, columns]) for name in names
         }
-        return replace(self, **images)
+        unlike = None if self.unlike is None else self.unlike[rows, columns]
+        return replace(self, **images, unlike=unlike)
 
     def without(self, values: NDArray[np.bool_]) -> Station:
         """Return the station without the values of some pixels (H, W)."""
@@ -84,6 +87,10 @@ class Station:
             for name in (*nothing, "amplitude", "count")
         }
         return replace(self, **images)
+
+    def with_unlike(self, pixels: NDArray[np.bool_]) -> Station:
+        """Return the station in which further pixels (H, W) see a surface of another reflectivity."""
+        return replace(self, unlike=pixels if self.unlike is None else self.unlike | pixels)
 
     @property
     def placed(self) -> int:

@@ -275,6 +275,9 @@ class Forward:
         before_response = np.where(lit, light.amplitude, 1.0)
         safe = before_response * pixel_gain
         latent, follows, by_measured = self._latent(station, safe, n, model, pixel_gain)
+        unlike = nameless if station.unlike is None else nameless | (station.unlike & (station.amplitude > 0))
+        if station.unlike is not None:
+            latent = np.where(station.unlike, self._noise_amplitude(station, latent), latent)
         delivered = Signal(light.distance, np.where(lit, latent, 0.0))
         terms = self._chain.evaluated(delivered.distance, latent, context, slopes=slopes)
         distance = delivered.distance + terms.total
@@ -313,7 +316,7 @@ class Forward:
         used &= np.minimum(safe, latent) > threshold + _ABOVE_THRESHOLD * single
         amplitude_used = used.copy()
         amplitude_used &= station.count == station.frames
-        amplitude_used &= ~self._undescribed[view.geometry.surface]
+        amplitude_used &= ~self._undescribed[view.geometry.surface] & ~unlike
         return Prediction(
             station=station,
             view=view,
@@ -341,8 +344,8 @@ class Forward:
             model_slope=np.where(lit, model_slope * pixel_gain, 0.0),
             gain=gain,
             pixel_gain=pixel_gain,
-            amplitude_follows=np.where(nameless, 0.0, follows),
-            amplitude_measured=np.where(nameless, 1.0, by_measured),
+            amplitude_follows=np.where(unlike, 0.0, follows),
+            amplitude_measured=np.where(unlike, 1.0, by_measured),
             spread=[effect for effect in self._chain.light if effect.spreads],
             light_curves=self.light_curves,
             linear=self.linear,

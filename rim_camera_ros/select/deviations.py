@@ -28,7 +28,8 @@ LEAST = 4
 class Deviations:
     """Residuals of a station [m] and their ``sigma``, where ``used``, with the ``tile`` of each pixel (H, W).
 
-    ``surface`` (H, W) is the number of the surface that a pixel sees.
+    ``surface`` (H, W) is the number of the surface that a pixel sees, ``amplitude`` (H, W) are the residuals
+    of the amplitudes in sigmas, where they are ``lit``.
 
     Where surfaces are ``described`` their tiles are known; elsewhere distances may end by steps where the
     brightness does. ``scatter`` (H, W) is the sum of squares of repeated frames about their mean, in
@@ -44,6 +45,8 @@ class Deviations:
     described: Mask
     tile: Array
     surface: Array
+    amplitude: Array
+    lit: Mask
     scatter: Array
     freedom: Array
     saturates: bool
@@ -62,7 +65,7 @@ class Deviations:
     def of(cls, prediction: Prediction, fitted: Fit) -> Deviations:
         """Return those of a prediction after its nuisances."""
         station, used = prediction.station, prediction.used
-        rest, _ = after_nuisances(prediction, fitted.pattern, fitted.nuisances)
+        rest, light = after_nuisances(prediction, fitted.pattern, fitted.nuisances)
         freedom = np.maximum(station.count - 1, 0)
         with np.errstate(invalid="ignore", divide="ignore"):
             scatter = freedom * station.distance_variance / (prediction.sigma**2 * station.count)
@@ -78,6 +81,10 @@ class Deviations:
             ],
             tile=prediction.view.geometry.tile,
             surface=prediction.view.geometry.surface,
+            amplitude=np.where(prediction.amplitude_used, light / prediction.amplitude_sigma, 0.0).astype(
+                np.float32
+            ),
+            lit=prediction.amplitude_used,
             scatter=np.where(known, scatter, 0.0).astype(np.float32),
             freedom=np.where(known, freedom, 0).astype(np.int32),
             saturates=bool((station.saturated > 0).any()),

@@ -6,7 +6,7 @@ They are found in the residuals of a fit, and excluded.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from rim_camera_ros.select.deviations import Deviations, Mask, robustly
 from rim_camera_ros.select.objects import objects_in_poses
 from rim_camera_ros.select.standing_objects import objects_in_all_poses
 from rim_camera_ros.select.thresholds import FEW, noise_limit
+from rim_camera_ros.select.unlike_regions import unlike_regions
 
 Array = NDArray[Any]
 
@@ -32,28 +33,35 @@ class ForeignValues:
     """Values to exclude: ``masks`` (H, W) by the number of the station.
 
     ``pixels`` is the number of defective pixels. An object before a surface takes a ``share`` of all values
-    used, at ``stamps`` (recording, [ns]).
+    used, at ``stamps`` (recording, [ns]). ``unlike`` are masks (H, W) of amplitudes alone, by the number of
+    the station: those of a label or a stain, a share ``unlike_share`` of all.
     """
 
     masks: Mapping[int, Mask]
-    pixels: int
-    stamps: frozenset[tuple[int, int]]
-    share: float
+    pixels: int = 0
+    stamps: frozenset[tuple[int, int]] = frozenset()
+    share: float = 0.0
+    unlike: Mapping[int, Mask] = field(default_factory=dict)
+    unlike_share: float = 0.0
 
     def excluded_from(self, dataset: Dataset) -> Dataset:
         """Return the dataset without these values."""
-        stations = [
-            station if number not in self.masks else station.without(self.masks[number])
-            for number, station in enumerate(dataset.stations)
-        ]
+        stations = list(dataset.stations)
+        for number, mask in self.masks.items():
+            stations[number] = stations[number].without(mask)
+        for number, mask in self.unlike.items():
+            stations[number] = stations[number].with_unlike(mask)
         return replace(dataset, stations=stations)
 
     def kept(self, masks: Sequence[tuple[Array, Array]]) -> list[tuple[Array, Array]]:
         """Return the pixels to fit, (H, W) each by station for distance and amplitude, without these."""
-        return [
-            (used & ~self.masks[number], lit & ~self.masks[number]) if number in self.masks else (used, lit)
-            for number, (used, lit) in enumerate(masks)
-        ]
+        result = []
+        for number, (used, lit) in enumerate(masks):
+            foreign, unlike = (
+                mask.get(number, np.zeros(used.shape, bool)) for mask in (self.masks, self.unlike)
+            )
+            result.append((used & ~foreign, lit & ~foreign & ~unlike))
+        return result
 
 
 def exclusion_notes(found: Sequence[ForeignValues]) -> list[str]:
@@ -71,6 +79,12 @@ def exclusion_notes(found: Sequence[ForeignValues]) -> list[str]:
             f"excluded: {100 * share:.2g} % of the values, in {len(stamps)} stations: something that the "
             "scene file does not describe stands before a surface there, as a hand, a cable or a clamp"
         )
+    unlike = sum(each.unlike_share for each in found)
+    if unlike:
+        result.append(
+            f"excluded: {100 * unlike:.2g} % of the amplitudes: a part of a surface reflects otherwise than "
+            "the scene file says, as a label, a stain or a cable close before it; its distances are used"
+        )
     return result
 
 
@@ -83,26 +97,40 @@ def foreign_values(fitted: Fit) -> ForeignValues | None:
     for prediction in fitted.forward.predictions(slopes=False):
         stations.append(Deviations.of(prediction, fitted))
         poses.append(PoseErrors.of(prediction, fitted.nuisances))
-    count = sum(int(station.used.sum()) for station in stations)
-    if not count:
+    used, lit = (sum(int(mask.sum()) for mask in masks) for masks in _used(stations))
+    if not used:
         return None
-    limit = noise_limit(count)
+    limit = noise_limit(used)
     robust = robustly(stations, poses)
-    found = [
-        standing | single
-        for standing, single in zip(
-            objects_in_all_poses(stations, fitted.pattern, limit=limit),
-            objects_in_poses(robust, limit=limit),
-            strict=True,
-        )
-    ]
-    masks = {number: mask for number, mask in enumerate(found) if mask.any()}
-    objects = frozenset((stations[number].recording, stations[number].stamp) for number in masks)
+    standing = objects_in_all_poses(stations, fitted.pattern, limit=limit)
+    single = objects_in_poses(robust, limit=limit)
+    objects = [a | b for a, b in zip(standing, single, strict=True)]
+    masks = _any(objects)
+    unlike = _any(
+        [own & ~mask for own, mask in zip(unlike_regions(robust, limit=limit), objects, strict=True)]
+    )
+    stamps = frozenset((stations[number].recording, stations[number].stamp) for number in masks)
     bad = np.zeros(fitted.forward.camera.shape, bool)
     if not masks:
         bad = defective_pixels(stations)
         masks = dict.fromkeys(range(len(stations)), bad) if bad.any() else {}
     lost = sum(int((mask & stations[number].used).sum()) for number, mask in masks.items())
-    if not lost or lost > FEW * count:
+    dark = sum(int((mask & stations[number].lit).sum()) for number, mask in unlike.items())
+    if not lost + dark or lost > FEW * used or dark > FEW * lit:
         return None
-    return ForeignValues(masks, int(bad.sum()), objects, lost / count if objects else 0.0)
+    return ForeignValues(
+        masks=masks,
+        pixels=int(bad.sum()),
+        stamps=stamps,
+        share=lost / used if stamps else 0.0,
+        unlike=unlike,
+        unlike_share=dark / max(lit, 1),
+    )
+
+
+def _used(stations: Sequence[Deviations]) -> tuple[list[Mask], list[Mask]]:
+    return [station.used for station in stations], [station.lit for station in stations]
+
+
+def _any(found: Sequence[Mask]) -> dict[int, Mask]:
+    return {number: mask for number, mask in enumerate(found) if mask.any()}

@@ -27,6 +27,8 @@ AROUND = 2
 #: nothing deviates, to a tenth; nor do its pixels, and tiles that it covers, in nearly all other poses. What
 #: follows from light, distance or amplitude goes on there.
 STEP = 0.9
+#: Least number of pixels of an object: noise alone has two beyond its limit side by side in no recording.
+_LEAST_REGION = 2
 
 
 def objects_in_poses(stations: Sequence[Deviations], *, limit: float) -> list[Mask]:
@@ -96,60 +98,81 @@ class _Elsewhere:
         return float(np.median(np.nanquantile(sizes[:, seen], 1 - FEW, axis=0)))
 
 
+@dataclass(frozen=True)
+class _Region:
+    """A region nearer than its surface: its pixels ``own`` (H, W), and those with the pixels around them.
+
+    ``size`` is the median of its deviations [sigma]. ``by_light`` says that its amplitudes deviate, too, and
+    must end by a step as well: it is small, or not far beyond the limit of noise.
+    """
+
+    own: Mask
+    wide: Mask
+    size: float
+    by_light: bool
+
+
 def _objects(station: Deviations, elsewhere: _Elsewhere, limit: float) -> Mask:
     """Return the pixels (H, W) that see an object before a surface, nearer than it, and those around it."""
     result = np.zeros(station.used.shape, bool)
     if station.saturates or not station.is_judged:
         return result
-    for own, wide, size in nearer_regions(station, limit=limit):
-        noise_and_tenth = np.hypot(MOST_OF_NOISE, (1 - STEP) * size)
-        if elsewhere.of(own) < noise_and_tenth and ends_by_a_step(station, own, wide, elsewhere.tiles):
-            result |= wide
+    for region in nearer_regions(station, limit=limit):
+        noise_and_tenth = np.hypot(MOST_OF_NOISE, (1 - STEP) * region.size)
+        if elsewhere.of(region.own) < noise_and_tenth and ends_by_a_step(station, region, elsewhere.tiles):
+            result |= region.wide
     return result
 
 
-def nearer_regions(station: Deviations, *, limit: float) -> Iterator[tuple[Mask, Mask, float]]:
-    """Yield the regions (H, W) nearer than their surfaces, with the pixels around them, and their size.
+def nearer_regions(station: Deviations, *, limit: float) -> Iterator[_Region]:
+    """Yield the regions that are nearer than their surfaces, beyond the ``limit`` of noise.
 
-    The size is the median of the deviations [sigma]. Nearly all pixels of an object are beyond the ``limit``
-    of noise. Where only those with the largest deviations are, they are the tail of what deviates by degrees.
+    Nearly all pixels of an object are beyond it. Where only those with the largest deviations are, or fewer
+    than four, they may be the tail of what deviates by degrees, unless their amplitudes are beyond it, too.
     """
     beyond = station.used & station.described & (station.z < -limit)
-    if beyond.sum() < LEAST:
+    if beyond.sum() < _LEAST_REGION:
         return
     joined = ndimage.binary_dilation(beyond, _SQUARE, iterations=AROUND)
     labels, number = ndimage.label(joined, _SQUARE)
     for part in range(1, number + 1):
         wide = labels == part
         own = beyond & wide
-        if own.sum() < LEAST:
+        if own.sum() < _LEAST_REGION:
             continue
         size = float(np.median(np.abs(station.z[own])))
-        if size >= limit + BELOW_MOST:
-            yield own, wide, size
+        is_tail = own.sum() < LEAST or size < limit + BELOW_MOST
+        if not is_tail or float(np.median(np.abs(station.amplitude[own]))) > limit:
+            yield _Region(own, wide, size, by_light=is_tail)
 
 
-def ends_by_a_step(station: Deviations, own: Mask, wide: Mask, usual: Mapping[int, float]) -> bool:
+def ends_by_a_step(station: Deviations, region: _Region, usual: Mapping[int, float]) -> bool:
     """Return whether the deviation of a region ends at its outline.
 
-    ``own`` are its pixels, ``wide`` includes those around them. Pixels outside of the same tile must scatter
-    as noise does; where a tile is covered and is as it should be in other poses, those of any tile.
+    Pixels outside of the same tile must scatter as noise does; where a tile is covered and is as it should be
+    in other poses, those of any tile.
     """
+    channels = [station.z, station.amplitude] if region.by_light else [station.z]
+    return all(_is_step(np.abs(channel), station, region, usual) for channel in channels)
+
+
+def _is_step(sizes: Array, station: Deviations, region: _Region, usual: Mapping[int, float]) -> bool:
+    own, wide = region.own, region.wide
     near = ndimage.binary_dilation(wide, _SQUARE, iterations=2 * AROUND) & ~wide & station.used
     core = ndimage.binary_erosion(ndimage.binary_closing(own, _SQUARE), _SQUARE, iterations=AROUND)
     border = own & ~core
     inside, outside, pixels = 0.0, 0.0, 0
     for tile in np.unique(station.tile[border]):
         a, b = border & (station.tile == tile), near & (station.tile == tile)
-        here = float(np.median(np.abs(station.z[a])))
+        here = float(np.median(sizes[a]))
         if b.sum() < LEAST and usual.get(int(tile), np.inf) < (1 - STEP) * here:
             b = near
         weight = int(min(a.sum(), b.sum()))
         if weight:
             inside += weight * here
-            outside += weight * float(np.median(np.abs(station.z[b])))
+            outside += weight * float(np.median(sizes[b]))
             pixels += weight
-    if pixels < LEAST:
+    if pixels < _LEAST_REGION:
         return False
     beyond_noise = (outside / pixels / _MEDIAN_OF_NOISE) ** 2 - 1
     by_chance = STANDARD_ERRORS * _ERROR_OF_SQUARE / np.sqrt(pixels)

@@ -76,6 +76,8 @@ def _of_surface(stations: Sequence[Deviations], own: Array, sees: Array) -> Devi
         described=described,
         tile=tile,
         surface=np.zeros(used.shape, int),
+        amplitude=np.zeros(used.shape),
+        lit=np.zeros(used.shape, bool),
         scatter=np.zeros(used.shape),
         freedom=np.zeros(used.shape, int),
         saturates=False,
@@ -86,11 +88,11 @@ def _before(surface: Deviations, others: Array, limit: float) -> Mask:
     """Return the regions that are nearer than a surface, where ``others`` (H, W) [m] are not."""
     result = np.zeros(surface.used.shape, bool)
     elsewhere = others - np.nanmedian(others) if np.isfinite(others).any() else others
-    for own, wide, size in nearer_regions(surface, limit=limit):
-        known = own & np.isfinite(elsewhere)
+    for region in nearer_regions(surface, limit=limit):
+        known = region.own & np.isfinite(elsewhere)
         if known.sum() < LEAST:
             continue
-        reads_alike = abs(float(np.median(elsewhere[known]))) < (1 - STEP) * size * surface.sigma[0, 0]
-        if reads_alike and ends_by_a_step(surface, own, wide, {}):
-            result |= wide
+        tenth = (1 - STEP) * region.size * surface.sigma[0, 0]
+        if abs(float(np.median(elsewhere[known]))) < tenth and ends_by_a_step(surface, region, {}):
+            result |= region.wide
     return result

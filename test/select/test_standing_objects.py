@@ -39,6 +39,8 @@ def recording(
             described=np.ones(SHAPE, bool),
             tile=np.where(surface == WALL, 0 if tile is None else tile, 9),
             surface=surface,
+            amplitude=np.zeros(SHAPE),
+            lit=np.ones(SHAPE, bool),
             scatter=np.zeros(SHAPE),
             freedom=np.zeros(SHAPE, int),
             saturates=saturates,
