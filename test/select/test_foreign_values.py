@@ -78,7 +78,7 @@ def _turned(mask: Array) -> Array:
 
 def is_nothing(found: ForeignValues | None) -> bool:
     """Where nothing fits by decimetres, offsets of a few pixels may be those of half of their poses."""
-    return found is None or (not found.stamps and found.pixels <= 5)
+    return found is None or (not found.stamps and not found.unlike and found.pixels <= 5)
 
 
 def fitted(tmp_path: Path, data: Dataset) -> Fit:
