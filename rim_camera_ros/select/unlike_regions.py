@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from rim_camera_ros.select.deviations import Deviations, Mask
-from rim_camera_ros.select.objects import objects_in_poses
+from rim_camera_ros.select.objects import AROUND, objects_in_poses
 
 Array = NDArray[Any]
 
@@ -29,15 +30,21 @@ def unlike_regions(stations: Sequence[Deviations], *, limit: float) -> list[Mask
 
 
 def _of_light(station: Deviations) -> Deviations:
-    """Return the deviations of the amplitudes of a station from the medians of their tiles, in sigmas."""
-    deviation = np.where(station.lit, station.amplitude, 0.0)
-    for tile in np.unique(station.tile[station.lit]):
-        own = station.lit & (station.tile == tile)
+    """Return the deviations of the amplitudes of a station from the medians of their tiles, in sigmas.
+
+    Pixels are judged away from the edges of tiles, across which a lens and neighbours mix the light.
+    """
+    side = 2 * AROUND + 1
+    inner = ndimage.minimum_filter(station.tile, side) == ndimage.maximum_filter(station.tile, side)
+    lit = station.lit & inner
+    deviation = np.where(lit, station.amplitude, 0.0)
+    for tile in np.unique(station.tile[lit]):
+        own = lit & (station.tile == tile)
         deviation[own] -= np.median(deviation[own])
     return replace(
         station,
         residual=deviation,
         sigma=np.ones(deviation.shape),
-        used=station.lit,
+        used=lit,
         amplitude=np.zeros(deviation.shape),
     )
