@@ -156,6 +156,7 @@ def reduce_frames(
 ) -> Iterator[Station]:
     """Yield the stations of a recording's frames; ``codes`` (65536,) is counted up.
 
+    A code counts where it differs from that of the frame before: a stuck pixel is one occurrence of its code.
     Where ``surfaces`` are given, poses of others are ignored: they begin no stations.
 
     Raises `InputError` for images of another size than the camera's, or another modulation frequency.
@@ -165,6 +166,7 @@ def reduce_frames(
     placement, stated = -1, None
     block: _Block | None = None
     key: Any = None
+    last: Array | None = None
     for frame in frames:
         if start is None:
             start = frame.stamp
@@ -183,7 +185,9 @@ def reduce_frames(
             block, key = _Block(frame, camera, poses.setdefault(messages, len(poses)), placement), own
         block.add(frame)
         if codes is not None and frame.distance.dtype == np.uint16:
-            codes += np.bincount(frame.distance.ravel(), minlength=FULL_SCALE)
+            changed = True if last is None else frame.distance != last
+            codes += np.bincount(frame.distance[changed].ravel(), minlength=FULL_SCALE)
+            last = frame.distance
     if block is not None and start is not None:
         yield block.station(recording, start)
 

@@ -9,6 +9,7 @@ within a tile, and read others as their neighbours do.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -93,6 +94,17 @@ def _before(surface: Deviations, others: Array, limit: float) -> Mask:
         if known.sum() < LEAST:
             continue
         tenth = (1 - STEP) * region.size * surface.sigma[0, 0]
-        if abs(float(np.median(elsewhere[known]))) < tenth and ends_by_a_step(surface, region, {}):
+        reads_alike = abs(float(np.median(elsewhere[known]))) < tenth
+        if reads_alike and ends_by_a_step(_from_tiles(surface, region.wide), region, {}):
             result |= region.wide
     return result
+
+
+def _from_tiles(surface: Deviations, region: Mask) -> Deviations:
+    """Return the deviations from what each tile has in common outside of a region: that may be physics."""
+    residual = surface.residual.copy()
+    for tile in np.unique(surface.tile[region & surface.used]):
+        own = surface.used & (surface.tile == tile)
+        if (own & ~region).any():
+            residual[own] -= np.median(residual[own & ~region])
+    return replace(surface, residual=residual)

@@ -32,6 +32,21 @@ def test_a_pose_stated_again_unchanged_is_the_same_placement(tmp_path: Path) -> 
     assert third != fourth
 
 
+def test_a_stuck_pixel_is_one_occurrence_of_its_code(tmp_path: Path) -> None:
+    """Its code would be frequent, without neighbours, as where a read-out has missing codes."""
+    truth = camera(tmp_path)
+    taken = list(frames(truth, scene(tmp_path), poses=4, repeats=10, seed=1))
+    for one in taken:
+        one.distance[7, 9] = 61_234
+    codes = np.zeros(65536, np.int64)
+    list(reduce_frames(taken, truth, codes=codes))
+    others = np.stack([one.distance for one in taken])
+    others[:, 7, 9] = 0
+    assert codes[61_234] == 1 + (others == 61_234).sum()
+    # of noise of many counts hardly a value is that of the frame before
+    assert codes.sum() > 0.95 * others.size
+
+
 def test_frames_whose_settings_were_lost_are_excluded(tmp_path: Path) -> None:
     truth = camera(tmp_path)
     taken = list(frames(truth, scene(tmp_path), poses=3, repeats=4, seed=1))

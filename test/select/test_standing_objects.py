@@ -102,3 +102,15 @@ def test_what_is_farther_is_no_object(far: float) -> None:
 
 def test_rows_of_saturated_pixels_are_not_judged() -> None:
     assert not np.any(excluded(*recording(BOX, NOTHING, pattern=PATTERN, saturates=True)))
+
+
+def test_a_box_before_tiles_of_which_physics_reads_one_too_near() -> None:
+    """The left part of the wall is dark, and read 60 mm too near: that is physics, and the box is none."""
+    dark = np.where(np.arange(SHAPE[1]) < 26, -0.06, 0.0) * np.ones(SHAPE)
+    tile = (dark < 0).astype(float)
+    found = excluded(*recording(BOX + dark, NOTHING, pattern=PATTERN, tile=tile))
+    for station, mask in zip(*[recording(BOX, NOTHING, pattern=PATTERN)[0], found], strict=True):
+        box = (BOX < 0) & (station.surface == WALL)
+        assert (mask & box).sum() == box.sum()
+    assert sum(mask.sum() for mask in found) < 12 * 16 * 16
+    assert not np.any(excluded(*recording(dark, NOTHING, pattern=PATTERN, tile=tile)))
