@@ -34,6 +34,7 @@ from rim_camera_ros.fit.data import Dataset, merged, with_stated_errors
 from rim_camera_ros.fit.decimation import decimated_camera
 from rim_camera_ros.fit.noise import POOR, NoiseFit, fit_noise
 from rim_camera_ros.scene import Scene
+from rim_camera_ros.select.at_rest import at_rest, note_on_smoothing
 
 Array = NDArray[Any]
 
@@ -149,10 +150,12 @@ def calibrate(
     dataset = merged(datasets)
     notes += dataset.notes
     dataset = replace(dataset, notes=[])
-    dataset = checks.with_plausible_poses(dataset, scene, camera, watch.ticking("poses"))
+    dataset = checks.with_plausible_poses(at_rest(dataset), scene, camera, watch.ticking("poses"))
     checks.require_variety(dataset, scene, camera, request.effects)
     notes += dataset.notes
     scene = with_stated_errors(scene, dataset)
+    smoothed = note_on_smoothing(dataset)
+    notes += [] if smoothed is None else [smoothed]
     watch.say("noise")
     noise = fit_noise(dataset, camera)
     if noise is not None:

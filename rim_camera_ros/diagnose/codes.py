@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.variance import NOISE_SIGMA
 from rim_camera_ros.fit.design import BEYOND
+from rim_camera_ros.select.thresholds import NOISE_SIGMA
 
 #: Occurrences of a code above which its neighbours must have occurred, if the noise exceeds a few counts.
 _OFTEN = 30

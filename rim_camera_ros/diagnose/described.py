@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import added, in_order
 from rim_camera_ros.diagnose.accuracy import LEAST_EXPLAINED
-from rim_camera_ros.diagnose.at_rest import note_on_smoothing
 from rim_camera_ros.diagnose.formula import closed_form, product_form
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN, pair_terms
@@ -31,6 +30,7 @@ from rim_camera_ros.fit.correlated_errors import correlated_error_of
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.variance_components import correlated_error_note, correlated_error_rms
+from rim_camera_ros.select.at_rest import note_on_smoothing
 from rim_camera_ros.select.compare import Result, curve_of_forms
 from rim_camera_ros.select.exploration import Exploration, explore
 from rim_camera_ros.select.thresholds import noise_limit

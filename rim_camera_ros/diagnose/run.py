@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.at_rest import at_rest, note_on_smoothing
 from rim_camera_ros.diagnose.begin import Begun, Inputs, begun, searched, setups_of
 from rim_camera_ros.diagnose.found_physics import FoundPhysics, physics_of
 from rim_camera_ros.diagnose.full_grid import on_full_grid
@@ -38,6 +37,7 @@ from rim_camera_ros.fit.decimation import correlated_decimation, decimation_of
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.variance_components import likely_correlated_error
 from rim_camera_ros.scene import Scene
+from rim_camera_ros.select.at_rest import at_rest, note_on_smoothing
 from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.foreign_values import ForeignValues, exclusion_notes, foreign_values
 from rim_camera_ros.select.trials import Workers, silent

@@ -20,14 +20,10 @@ from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.noise import relative_variance
 from rim_camera_ros.noise import Noise
+from rim_camera_ros.select.thresholds import LEAST_SIGMA, NOISE_SIGMA
 
 Array = NDArray[Any]
 
-#: Relative 1-sigma of a stated noise variance: a noise model is fitted to frames of another day, with a form
-#: of three terms. It is wrong where it deviates by more than `BEYOND` of these, ...
-NOISE_SIGMA = 0.02
-#: ... with this significance, in sigmas of the estimate from repeated frames.
-LEAST_SIGMA = 6.0
 #: Share of a pixel's variance above which the common variation of all pixels is light of a second camera: the
 #: read-out causes a little of it in every real camera.
 LEAST_COMMON_SHARE = 0.003

@@ -23,6 +23,11 @@ ALARM_RATE = 0.02
 FEW = 0.15
 #: Standard errors up to which a difference may be due to chance (95 %).
 STANDARD_ERRORS = 2.0
+#: Relative 1-sigma of a stated noise variance: a noise model is fitted to frames of another day, with a form
+#: of three terms. It is wrong where it deviates by more than `fit.design.BEYOND` of these, ...
+NOISE_SIGMA = 0.02
+#: ... with this significance, in sigmas of the estimate from repeated frames.
+LEAST_SIGMA = 6.0
 #: Threshold [nats] where no replicates say what chance gains: four sigma of one parameter.
 WITHOUT_REPLICATES = 8.0
 #: Share of replicates with the greatest gains, which determine the effective number of independent tests. All

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from rim_camera_ros.diagnose.at_rest import at_rest, note_on_smoothing
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.neighbours import Neighbours
+from rim_camera_ros.fit.reduction import reduce_frames
+from rim_camera_ros.select.at_rest import at_rest, note_on_smoothing
+
+from ..calibrate.bags import frames
+from ..calibrate.helpers import camera, scene
 
 STILL = Neighbours((0.004, -0.002), 0.003, 0.001, 4e4)
 
@@ -68,3 +73,18 @@ def test_drivers_that_smooth() -> None:
     # light that all pixels share is no filter
     common = Neighbours((0.31, 0.3), 0.3, 0.3, 4e4)
     assert note_on_smoothing(recording(**{f"at{k}": common for k in range(20)})) is None
+
+
+def test_frames_in_which_a_part_of_the_scene_moves(tmp_path: Path) -> None:
+    """From images: in one of fourteen poses half of the array comes 40 mm nearer before the third frame."""
+    truth = camera(tmp_path)
+    taken = list(frames(truth, scene(tmp_path), poses=14, repeats=4, seed=1))
+    counts = round(0.04 / truth.sensor.lsb)
+    for frame in taken[5 * 4 + 2 : 6 * 4]:
+        frame.distance[:, : truth.sensor.width // 2] -= counts
+    dataset = Dataset(list(reduce_frames(taken, truth)), frames=len(taken))
+    kept = at_rest(dataset)
+    assert [station.pose for station in kept.stations] == [k for k in range(14) if k != 5]
+    assert kept.frames == 13 * 4
+    assert "excluded: 1 of 14 stations" in kept.notes[0]
+    assert note_on_smoothing(kept) is None

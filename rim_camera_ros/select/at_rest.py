@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from rim_camera_ros.diagnose.setup import few_of
-from rim_camera_ros.diagnose.variance import LEAST_SIGMA, NOISE_SIGMA
 from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.neighbours import NEAR, pooled
+from rim_camera_ros.select.thresholds import FEW, LEAST_SIGMA, NOISE_SIGMA
 
 #: Share of the variance of repeated frames above which its cause matters: a noise model is known no better.
 _SHARE = BEYOND * NOISE_SIGMA
@@ -23,7 +22,7 @@ def at_rest(dataset: Dataset) -> Dataset:
     """
     moving = [station for station in dataset.stations if _moves(station)]
     placements = {(station.recording, station.placed) for station in moving}
-    if not moving or len(placements) > few_of(dataset).most:
+    if not moving or len(placements) > FEW * dataset.placements:
         return dataset
     kept = [station for station in dataset.stations if not _moves(station)]
     when = ", ".join(f"{station.time:.1f} s" for station in moving)
