@@ -73,6 +73,19 @@ def sigma_amplitude(
     return result
 
 
+#: Variance by rounding to whole counts [counts^2].
+ROUNDING = 1.0 / 12
+
+
+def rounding_of_mean(variance: NDArray[Any], frames: NDArray[Any]) -> NDArray[Any]:
+    """Return the variance [counts^2] that rounding to whole counts leaves in the mean of some frames.
+
+    ``variance`` [counts^2] is that of the noise of one frame. Noise of half a count or more makes roundings
+    independent (Widrow 1956); with less all frames are rounded alike, and their mean errs as one does.
+    """
+    return np.where(variance > 0.25, ROUNDING / frames, ROUNDING)
+
+
 def shot_noise_precision(*, ambiguity: float, amplitude: float, offset: float) -> float:
     """Return the photon-shot-noise limit of one distance in metres (eq. 2.8).
 

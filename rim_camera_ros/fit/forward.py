@@ -23,7 +23,7 @@ from rim_camera_ros.fit.views import NEAR, Margins, PoseColumn, View, Views
 from rim_camera_ros.fit.windows import on_whole_array, surrounded, view_within, window_of
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.geometry import Geometry, see
-from rim_camera_ros.noise import sigma_amplitude
+from rim_camera_ros.noise import ROUNDING, rounding_of_mean, sigma_amplitude
 from rim_camera_ros.phasor import wrap_residual
 from rim_camera_ros.scene import Scene
 
@@ -246,6 +246,7 @@ class Forward:
         pixel_gain: Array | float = 1.0
         if model.pixels is not None:
             pixel_gain = np.where(nameless, 1.0, np.exp(context.inside(model.pixels)))
+        nameless = nameless if station.unlike is None else nameless | station.unlike
         predicted = self._compare(
             station, view, context, before, signal, model, slopes, gain, nameless, pixel_gain
         )
@@ -275,9 +276,7 @@ class Forward:
         before_response = np.where(lit, light.amplitude, 1.0)
         safe = before_response * pixel_gain
         latent, follows, by_measured = self._latent(station, safe, n, model, pixel_gain)
-        unlike = nameless if station.unlike is None else nameless | (station.unlike & (station.amplitude > 0))
-        if station.unlike is not None:
-            latent = np.where(station.unlike, self._noise_amplitude(station, latent), latent)
+        latent = np.where(nameless, self._noise_amplitude(station, latent), latent)
         delivered = Signal(light.distance, np.where(lit, latent, 0.0))
         terms = self._chain.evaluated(delivered.distance, latent, context, slopes=slopes)
         distance = delivered.distance + terms.total
@@ -286,9 +285,7 @@ class Forward:
             residual = wrap_residual(residual, context.ambiguity)
         response, model_reading = self._chain.response, self._chain.published(before_response)
         slope_published: Any = 1.0 if response is None else response.slope(latent / pixel_gain)
-        model_slope: Any = before_response
-        if response is not None:
-            model_slope = before_response * response.slope(before_response)
+        model_slope: Any = before_response * (1.0 if response is None else response.slope(before_response))
         if response is not None and self.light_curves is not None:
             free = self.light_curves.response(before_response)
             model_reading, model_slope = model_reading * free, model_slope * free
@@ -298,9 +295,10 @@ class Forward:
             self._noise_amplitude(station, latent), light.distance, station.settings
         )
         variance = (variance + camera.sensor.lsb**2 / 12) / n
-        single_variance = amplitude_variance * slope_published**2 + 1.0 / 12
+        by_noise = amplitude_variance * slope_published**2
+        noise_variance = by_noise / n + rounding_of_mean(by_noise, n)
         # neighbours share the error of a prediction: their mean is no better than one of them
-        noise_variance, model_variance = single_variance / n, (model.tau * model_reading) ** 2
+        model_variance = (model.tau * model_reading) ** 2
         alike = (self.patches or {}).get((station.recording, station.placed))
         if alike is None or alike.shape != camera.shape:
             alike = self.views.alike(view)
@@ -311,12 +309,10 @@ class Forward:
         used = clean & lit & (station.count > 0) & (station.saturated == 0)
         used &= np.isfinite(residual) & np.isfinite(variance) & (station.count * 2 > station.frames)
         threshold = max(camera.sensor.amplitude_threshold, camera.minimum_amplitude or 0.0)
-        single = np.sqrt(single_variance)
         # nearer to the threshold, frames that noise took below it are missing, and the others are too bright
-        used &= np.minimum(safe, latent) > threshold + _ABOVE_THRESHOLD * single
-        amplitude_used = used.copy()
-        amplitude_used &= station.count == station.frames
-        amplitude_used &= ~self._undescribed[view.geometry.surface] & ~unlike
+        used &= np.minimum(safe, latent) > threshold + _ABOVE_THRESHOLD * np.sqrt(by_noise + ROUNDING)
+        amplitude_used = used & (station.count == station.frames)
+        amplitude_used &= ~(nameless | self._undescribed[view.geometry.surface])
         return Prediction(
             station=station,
             view=view,
@@ -344,8 +340,8 @@ class Forward:
             model_slope=np.where(lit, model_slope * pixel_gain, 0.0),
             gain=gain,
             pixel_gain=pixel_gain,
-            amplitude_follows=np.where(unlike, 0.0, follows),
-            amplitude_measured=np.where(unlike, 1.0, by_measured),
+            amplitude_follows=np.where(nameless, 0.0, follows),
+            amplitude_measured=np.where(nameless, 1.0, by_measured),
             spread=[effect for effect in self._chain.light if effect.spreads],
             light_curves=self.light_curves,
             linear=self.linear,
@@ -391,8 +387,9 @@ class Forward:
             return predicted, 1.0, 0.0
 
         def share_at(amplitude: Array) -> Array:
-            noise = 2 * np.pi / self.camera.noise_range * self.camera.sigma_distance(amplitude) / np.sqrt(n)
-            return np.asarray(model.tau**2 / (model.tau**2 + noise**2))
+            noise = 2 * np.pi / self.camera.noise_range * self.camera.sigma_distance(amplitude)
+            rounding = rounding_of_mean((noise * amplitude) ** 2, n) / amplitude**2
+            return np.asarray(model.tau**2 / (model.tau**2 + noise**2 / n + rounding))
 
         share = share_at(predicted)
         by_light = (share_at(predicted * (1 + _SMALL)) - share) / _SMALL

@@ -1,8 +1,8 @@
 """Regions of a surface that reflect otherwise than their tiles: a label, a stain, a cable close before it.
 
 Such a region ends within a tile by a step of the amplitude, while its distances are as they should be. So
-its amplitudes are taken as measured. The offset that every pixel of a tile shares is an error of the tile's
-reflectivity, which is a parameter of every fit.
+its amplitudes are taken as measured. What the pixels of a tile have in common in most poses is an error of
+the tile's reflectivity, which is a parameter of every fit.
 """
 
 from __future__ import annotations
@@ -23,28 +23,32 @@ Array = NDArray[Any]
 
 def unlike_regions(stations: Sequence[Deviations], *, limit: float) -> list[Mask]:
     """Return the pixels (H, W) of each station in such regions; ``limit`` is that of noise [sigma]."""
-    of_light = [_of_light(station) for station in stations]
+    lit = [station.lit & _is_inner(station.tile) for station in stations]
+    tiles = np.concatenate([station.tile[mask] for station, mask in zip(stations, lit, strict=True)])
+    values = np.concatenate([station.amplitude[mask] for station, mask in zip(stations, lit, strict=True)])
+    if not tiles.size:
+        return [np.zeros(station.used.shape, bool) for station in stations]
+    usual = np.zeros(max(int(station.tile.max()) for station in stations) + 1)
+    for tile in np.unique(tiles):
+        usual[tile] = np.median(values[tiles == tile])
+    of_light = [_of_light(station, mask, usual) for station, mask in zip(stations, lit, strict=True)]
     darker = objects_in_poses(of_light, limit=limit)
     opposite = [replace(station, residual=-station.residual) for station in of_light]
     return [a | b for a, b in zip(darker, objects_in_poses(opposite, limit=limit), strict=True)]
 
 
-def _of_light(station: Deviations) -> Deviations:
-    """Return the deviations of the amplitudes of a station from the medians of their tiles, in sigmas.
-
-    Pixels are judged away from the edges of tiles, across which a lens and neighbours mix the light.
-    """
+def _is_inner(tile: Array) -> Mask:
+    """Return the pixels (H, W) away from the edges of tiles, across which a lens and neighbours mix light."""
     side = 2 * AROUND + 1
-    inner = ndimage.minimum_filter(station.tile, side) == ndimage.maximum_filter(station.tile, side)
-    lit = station.lit & inner
-    deviation = np.where(lit, station.amplitude, 0.0)
-    for tile in np.unique(station.tile[lit]):
-        own = lit & (station.tile == tile)
-        deviation[own] -= np.median(deviation[own])
+    return np.asarray(ndimage.minimum_filter(tile, side) == ndimage.maximum_filter(tile, side))
+
+
+def _of_light(station: Deviations, lit: Mask, usual: Array) -> Deviations:
+    """Return the deviations of the amplitudes of a station from the ``usual`` ones of tiles (N,) [sigma]."""
     return replace(
         station,
-        residual=deviation,
-        sigma=np.ones(deviation.shape),
+        residual=np.where(lit, station.amplitude - usual[station.tile], 0.0),
+        sigma=np.ones(lit.shape),
         used=lit,
-        amplitude=np.zeros(deviation.shape),
+        amplitude=np.zeros(lit.shape),
     )
