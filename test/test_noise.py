@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from rim_camera_ros.noise import (
+    ROUNDING,
     Noise,
+    rounding_of_mean,
     shot_noise_precision,
     sigma_amplitude,
     signal_to_noise_precision,
@@ -87,3 +89,15 @@ def test_noise_is_circular_in_the_complex_plane() -> None:
     """A turn is L metres: moving by sigma_d along the circle of radius A is A 2 pi sigma_d / L counts."""
     found = sigma_amplitude(np.array([0.02]), np.array([1500.0]), ambiguity=L)
     assert found[0] == pytest.approx(1500 * 2 * math.pi * 0.02 / L, rel=1e-12)
+
+
+@pytest.mark.parametrize(("sigma", "averaged"), [(0.02, False), (0.8, True), (3.0, True)])
+def test_rounding_of_the_mean_of_frames(sigma: float, averaged: bool) -> None:
+    """Against 20,000 pixels of nine frames: means err by a rounding, or by a third of it beside the noise."""
+    rng = np.random.default_rng(4)
+    truth = rng.uniform(5, 60, 20_000)
+    frames = np.rint(truth + rng.normal(0, sigma, (9, truth.size)))
+    error = np.var(frames.mean(axis=0) - truth) - sigma**2 / 9
+    stated = rounding_of_mean(np.array([sigma**2]), np.array([9]))
+    assert stated == pytest.approx([ROUNDING / 9 if averaged else ROUNDING])
+    assert error == pytest.approx(float(stated[0]), rel=0.15, abs=0.02 * sigma**2)
