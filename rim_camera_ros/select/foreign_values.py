@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.robust_poses import PoseErrors
+from rim_camera_ros.fit.tiles import tile_error
 from rim_camera_ros.select.defective_pixels import defective_pixels
 from rim_camera_ros.select.deviations import Deviations, Mask, robustly
 from rim_camera_ros.select.objects import objects_in_poses
@@ -106,9 +108,10 @@ def foreign_values(fitted: Fit) -> ForeignValues | None:
     single = objects_in_poses(robust, limit=limit)
     objects = [a | b for a, b in zip(standing, single, strict=True)]
     masks = _any(objects)
-    unlike = _any(
-        [own & ~mask for own, mask in zip(unlike_regions(robust, limit=limit), objects, strict=True)]
-    )
+    # on another board all regions are unlike the tiles of the scene file
+    is_board = all(tile_error(fitted, surface.name) <= BEYOND for surface in fitted.scene.surfaces)
+    parts = unlike_regions(robust, limit=limit) if is_board else []
+    unlike = _any([own & ~mask for own, mask in zip(parts, objects, strict=False)])
     stamps = frozenset((stations[number].recording, stations[number].stamp) for number in masks)
     bad = np.zeros(fitted.forward.camera.shape, bool)
     if not masks:
