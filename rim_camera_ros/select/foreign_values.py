@@ -16,7 +16,6 @@ from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.robust_poses import PoseErrors
-from rim_camera_ros.fit.tiles import tile_error
 from rim_camera_ros.select.defective_pixels import defective_pixels
 from rim_camera_ros.select.deviations import Deviations, Mask, robustly
 from rim_camera_ros.select.objects import objects_in_poses
@@ -108,9 +107,7 @@ def foreign_values(fitted: Fit) -> ForeignValues | None:
     single = objects_in_poses(robust, limit=limit)
     objects = [a | b for a, b in zip(standing, single, strict=True)]
     masks = _any(objects)
-    # on another board all regions are unlike the tiles of the scene file
-    is_board = all(tile_error(fitted, surface.name) <= BEYOND for surface in fitted.scene.surfaces)
-    parts = unlike_regions(robust, limit=limit) if is_board else []
+    parts = unlike_regions(robust, limit=limit) if _predicts_amplitudes(fitted) else []
     unlike = _any([own & ~mask for own, mask in zip(parts, objects, strict=False)])
     stamps = frozenset((stations[number].recording, stations[number].stamp) for number in masks)
     bad = np.zeros(fitted.forward.camera.shape, bool)
@@ -129,6 +126,15 @@ def foreign_values(fitted: Fit) -> ForeignValues | None:
         unlike=unlike,
         unlike_share=dark / max(lit, 1),
     )
+
+
+def _predicts_amplitudes(fitted: Fit) -> bool:
+    """Whether amplitudes are those of the scene: before another board every part is unlike its tile.
+
+    Their errors must be within three times what the scene file states of its reflectivities.
+    """
+    stated = max(surface.reflectivity_sigma for surface in fitted.scene.surfaces)
+    return fitted.forward.amplitude_model.tau <= BEYOND * stated
 
 
 def _used(stations: Sequence[Deviations]) -> tuple[list[Mask], list[Mask]]:
