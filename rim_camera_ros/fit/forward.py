@@ -276,7 +276,8 @@ class Forward:
         before_response = np.where(lit, light.amplitude, 1.0)
         safe = before_response * pixel_gain
         latent, follows, by_measured = self._latent(station, safe, n, model, pixel_gain)
-        latent = np.where(nameless, self._noise_amplitude(station, latent), latent)
+        measured = self._noise_amplitude(station, latent)
+        latent = np.where(nameless, measured, latent)
         delivered = Signal(light.distance, np.where(lit, latent, 0.0))
         terms = self._chain.evaluated(delivered.distance, latent, context, slopes=slopes)
         distance = delivered.distance + terms.total
@@ -291,9 +292,7 @@ class Forward:
             model_reading, model_slope = model_reading * free, model_slope * free
             slope_published = slope_published * self.light_curves.response(latent / pixel_gain)
         model_reading = model_reading * pixel_gain
-        variance, amplitude_variance = self._variances(
-            self._noise_amplitude(station, latent), light.distance, station.settings
-        )
+        variance, amplitude_variance = self._variances(measured, light.distance, station.settings)
         variance = (variance + camera.sensor.lsb**2 / 12) / n
         by_noise = amplitude_variance * slope_published**2
         noise_variance = by_noise / n + rounding_of_mean(by_noise, n)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.fit.amplitudes import AMPLITUDE_MODEL
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.design import BEYOND
 from rim_camera_ros.fit.problem import Fit
@@ -98,7 +99,10 @@ def foreign_values(fitted: Fit) -> ForeignValues | None:
     for prediction in fitted.forward.predictions(slopes=False):
         stations.append(Deviations.of(prediction, fitted))
         poses.append(PoseErrors.of(prediction, fitted.nuisances))
-    used, lit = (sum(int(mask.sum()) for mask in masks) for masks in _used(stations))
+    used, lit = (
+        sum(int(mask.sum()) for mask in masks)
+        for masks in ([one.used for one in stations], [one.lit for one in stations])
+    )
     if not used:
         return None
     limit = noise_limit(used)
@@ -107,8 +111,10 @@ def foreign_values(fitted: Fit) -> ForeignValues | None:
     single = objects_in_poses(robust, limit=limit)
     objects = [a | b for a, b in zip(standing, single, strict=True)]
     masks = _any(objects)
-    parts = unlike_regions(robust, limit=limit) if _predicts_amplitudes(fitted) else []
-    unlike = _any([own & ~mask for own, mask in zip(parts, objects, strict=False)])
+    unlike: Mapping[int, Mask] = {}
+    if _predicts_amplitudes(fitted):
+        parts = unlike_regions(robust, limit=limit)
+        unlike = _any([own & ~mask for own, mask in zip(parts, objects, strict=True)])
     stamps = frozenset((stations[number].recording, stations[number].stamp) for number in masks)
     bad = np.zeros(fitted.forward.camera.shape, bool)
     if not masks:
@@ -133,12 +139,8 @@ def _predicts_amplitudes(fitted: Fit) -> bool:
 
     Their errors must be within three times what the scene file states of its reflectivities.
     """
-    stated = max(surface.reflectivity_sigma for surface in fitted.scene.surfaces)
+    stated = max(AMPLITUDE_MODEL, *(surface.reflectivity_sigma for surface in fitted.scene.surfaces))
     return fitted.forward.amplitude_model.tau <= BEYOND * stated
-
-
-def _used(stations: Sequence[Deviations]) -> tuple[list[Mask], list[Mask]]:
-    return [station.used for station in stations], [station.lit for station in stations]
 
 
 def _any(found: Sequence[Mask]) -> dict[int, Mask]:

@@ -32,10 +32,10 @@ def objects_in_all_poses(stations: Sequence[Deviations], offsets: Array, *, limi
     [sigma].
     """
     found = [np.zeros(station.used.shape, bool) for station in stations]
-    readings = np.stack([np.where(station.used, station.residual + offsets, np.nan) for station in stations])
-    surfaces = np.stack([station.surface for station in stations])
     if any(station.saturates for station in stations):
         return found
+    readings = np.stack([np.where(station.used, station.residual + offsets, np.nan) for station in stations])
+    surfaces = np.stack([station.surface for station in stations])
     for number in np.unique(surfaces[np.isfinite(readings)]).tolist():
         own = np.where(surfaces == number, readings, np.nan)
         others = np.where(surfaces == number, np.nan, readings)
