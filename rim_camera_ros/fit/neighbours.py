@@ -22,19 +22,25 @@ class Neighbours:
 
     Each is a mean along rows and columns, 0 where pixels are independent; ``far_later`` is that among the
     frames after the first, which may contain a remainder of the exposure before (0 where there are none).
-    ``pairs`` is the number of independent pairs: the standard deviation of a correlation of independent
-    pixels is 1 over its root.
+    ``pairs`` is the number of independent pairs, ``pairs_later`` that in the frames after the first: the
+    standard deviation of a correlation of independent pixels is 1 over its root.
     """
 
     near: tuple[float, ...]
     far: float
     far_later: float
     pairs: float
+    pairs_later: float
 
     @property
     def sigma(self) -> float:
         """Standard deviation of the correlations of independent pixels."""
         return 1.0 / float(np.sqrt(max(self.pairs, 1.0)))
+
+    @property
+    def sigma_later(self) -> float:
+        """Standard deviation of that in the frames after the first."""
+        return 1.0 / float(np.sqrt(max(self.pairs_later, 1.0)))
 
 
 def neighbours_of(frames: Array) -> Neighbours | None:
@@ -50,7 +56,7 @@ def neighbours_of(frames: Array) -> Neighbours | None:
     near = tuple(_correlation(deviation, valid, lag)[0] for lag in NEAR)
     far, pairs = _correlation(deviation, valid, FAR)
     later = _correlation(_of_phase(frames[1:], valid), valid, FAR)[0] if len(frames) > 2 else 0.0
-    return Neighbours(near, far, later, pairs * (len(frames) - 1))
+    return Neighbours(near, far, later, pairs * (len(frames) - 1), pairs * (len(frames) - 2))
 
 
 def _of_phase(frames: Array, valid: Array) -> Array:
@@ -83,4 +89,5 @@ def pooled(each: Iterable[Neighbours | None]) -> Neighbours | None:
     weight = np.array([one.pairs for one in known])
     near = np.average([one.near for one in known], axis=0, weights=weight)
     far, later = np.average([(one.far, one.far_later) for one in known], axis=0, weights=weight)
-    return Neighbours(tuple(near.tolist()), float(far), float(later), float(weight.sum()))
+    later_pairs = sum(one.pairs_later for one in known)
+    return Neighbours(tuple(near.tolist()), float(far), float(later), float(weight.sum()), later_pairs)

@@ -36,7 +36,10 @@ def at_rest(dataset: Dataset) -> Dataset:
 
 def _moves(station: Station) -> bool:
     found = station.neighbours
-    return found is not None and min(found.far, found.far_later) > max(_SHARE, LEAST_SIGMA * found.sigma)
+    if found is None:
+        return False
+    pairs = ((found.far, found.sigma), (found.far_later, found.sigma_later))
+    return all(value > max(_SHARE, LEAST_SIGMA * sigma) for value, sigma in pairs)
 
 
 def note_on_smoothing(dataset: Dataset) -> str | None:

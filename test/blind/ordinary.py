@@ -92,7 +92,7 @@ class View:
 def _bow(metres: float) -> Callable[[View], RawFrame]:
     def changed(view: View) -> RawFrame:
         height = metres * (1 - (view.x**2 + view.y**2) / 2)
-        return view.moved(np.where(view.on, height / view.along, 0.0))
+        return view.displaced(np.where(view.on, height / view.along, 0.0))
 
     return changed
 
@@ -168,7 +168,7 @@ def _rim(view: View) -> RawFrame:
     """A frame around the board, 15 mm wide of 500, 4 mm high and bright."""
     rim = view.on & ((np.abs(view.x) > 0.97) | (np.abs(view.y) > 0.96))
     brighter = replace(view, frame=view.dimmed(np.where(rim, 1.3, 1.0)))
-    return brighter.moved(np.where(rim, -0.004 / view.along, 0.0))
+    return brighter.displaced(np.where(rim, -0.004 / view.along, 0.0))
 
 
 def _millimetres(view: View) -> RawFrame:

@@ -24,8 +24,10 @@ def test_independent_pixels() -> None:
     found = neighbours_of(images(np.random.default_rng(1).normal(0, 4, (6, *SHAPE))))
     assert found is not None
     assert found.pairs == pytest.approx(5 * (54 * 80 + 60 * 74))
-    for value in (*found.near, found.far, found.far_later):
+    assert found.pairs_later == pytest.approx(4 * (54 * 80 + 60 * 74))
+    for value in (*found.near, found.far):
         assert abs(value) < 4 * found.sigma
+    assert abs(found.far_later) < 4 * found.sigma_later
 
 
 def test_a_mean_of_three_by_three() -> None:
@@ -50,7 +52,7 @@ def test_a_part_of_the_image_that_moves_in_the_last_frame() -> None:
     first = neighbours_of(images(noise[::-1]))
     assert first is not None
     assert first.far == pytest.approx(found.far)
-    assert abs(first.far_later) < 4 * first.sigma
+    assert abs(first.far_later) < 4 * first.sigma_later
 
 
 def test_pixels_that_are_not_valid_and_single_frames() -> None:
@@ -65,8 +67,9 @@ def test_pixels_that_are_not_valid_and_single_frames() -> None:
 
 def test_the_mean_over_stations_is_weighted() -> None:
     assert pooled([None]) is None
-    found = pooled([Neighbours((0.3, 0.1), 0.0, 0.0, 300.0), None, Neighbours((0.7, 0.5), 0.4, 0.2, 100.0)])
+    several = [Neighbours((0.3, 0.1), 0.0, 0.0, 300.0, 200.0), Neighbours((0.7, 0.5), 0.4, 0.2, 100.0, 56.0)]
+    found = pooled([several[0], None, several[1]])
     assert found is not None
     assert found.near == pytest.approx((0.4, 0.2))
     assert (found.far, found.far_later) == pytest.approx((0.1, 0.05))
-    assert found.sigma == pytest.approx(0.05)
+    assert (found.sigma, found.sigma_later) == pytest.approx((0.05, 0.0625))

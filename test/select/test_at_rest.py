@@ -17,7 +17,7 @@ from rim_camera_ros.select.at_rest import at_rest, note_on_smoothing
 from ..calibrate.bags import frames
 from ..calibrate.helpers import camera, scene
 
-STILL = Neighbours((0.004, -0.002), 0.003, 0.001, 4e4)
+STILL = Neighbours((0.004, -0.002), 0.003, 0.001, 4e4, 2e4)
 
 
 def recording(**found: Neighbours | None) -> Dataset:
@@ -56,6 +56,7 @@ def test_a_few_that_move_are_excluded_with_their_times() -> None:
         {"at3": replace(STILL, far=0.05, far_later=0.05)},  # less than a noise model is known to
         {"at3": replace(STILL, far=0.4)},  # only the first frame differs
         {"at3": replace(STILL, far=0.4, far_later=0.4, pairs=100.0)},  # by chance
+        {"at3": replace(STILL, far=0.4, far_later=0.4, pairs_later=100.0)},  # by chance in two frames
         {f"at{k}": replace(STILL, far=0.4, far_later=0.4) for k in (1, 5, 8, 13)},  # no accident
     ],
 )
@@ -65,13 +66,13 @@ def test_what_is_no_movement_of_a_few(found: dict[str, Neighbours]) -> None:
 
 
 def test_drivers_that_smooth() -> None:
-    smooth = Neighbours((0.35, 0.11), 0.002, 0.0, 4e4)
+    smooth = Neighbours((0.35, 0.11), 0.002, 0.0, 4e4, 2e4)
     note = note_on_smoothing(recording(**{f"at{k}": smooth for k in range(20)}))
     assert note is not None
     assert "by 0.35 at 1 px and 0.11 at 2 px" in note
     assert "switch off the driver's filters" in note
     # light that all pixels share is no filter
-    common = Neighbours((0.31, 0.3), 0.3, 0.3, 4e4)
+    common = Neighbours((0.31, 0.3), 0.3, 0.3, 4e4, 2e4)
     assert note_on_smoothing(recording(**{f"at{k}": common for k in range(20)})) is None
 
 
