@@ -89,7 +89,8 @@ class AmplitudeOffset(DistanceTerm):
         rows = sorted(self.hyperbola.items())
         near = all(hyperbola.a < 0 for _, hyperbola in rows)
         for key, hyperbola in rows:
-            at = hyperbola.b + max(2.0, abs(hyperbola.a) / 0.05)
+            # of a negative pole, too, at an amplitude that a pixel can have
+            at = max(hyperbola.b, 0.0) + max(2.0, abs(hyperbola.a) / 0.05)
             size = hyperbola.a / (at - hyperbola.b) * (-1e3 if near else 1e3)
             parts.append(f"{size:.0f} mm at {at:.0f} counts (setting {row_name(key)})")
         where = "near" if near else "far"

@@ -23,6 +23,9 @@ def test_of_both_signs() -> None:
     )
     beyond_the_pole = AmplitudeOffset({1.0: Hyperbola(10.0, 200.0)}).sentence()
     assert "too far, by 50 mm at 400 counts (setting 1)" in beyond_the_pole
+    # 4.6 / (92 + 158): with a negative pole, 50 mm would be at -66 counts
+    below_zero = AmplitudeOffset({16.0: Hyperbola(4.6, -158.0)}).sentence()
+    assert "too far, by 18 mm at 92 counts (setting 16)" in below_zero
     assert "too near, by 18 mm at 60 gon" in IncidenceAngle({60.0: (0.0, 0.0, 0.0, 3e-4)}).sentence()
     assert "too far, by 18 mm at 60 gon" in IncidenceAngle({60.0: (0.0, 0.0, 0.0, -3e-4)}).sentence()
     assert "too long by 1.1 mm per metre" in DistanceScale(0.0011).sentence()
