@@ -1,8 +1,7 @@
 """What an effect is: one frozen dataclass of parameters that can simulate, correct, and be fitted.
 
-How effects combine (see the chain in `rim_camera_ros.effects.ORDER`): scene and optics effects act on
-the complex image and deliver one distance and one amplitude per pixel; every other term is evaluated
-at *that* distance and amplitude, and the terms add up to the measured distance.
+How effects combine (see `rim_camera_ros.effects.ORDER`): scene and optics act on the complex image and deliver
+a distance and an amplitude per pixel; every other term is evaluated at these, and all terms add up.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.physics import Physics
 from rim_camera_ros.effects.signal import Column, Context, Image, Signal, from_phasor, phasor_derivative
 from rim_camera_ros.parameters import flatten, with_values
-from rim_camera_ros.phasor import to_phasor, wrap
+from rim_camera_ros.phasor import to_phasor, wrap, wrap_residual
 
 if TYPE_CHECKING:
     from rim_camera_ros.effects.discrepancy import Change, DiscrepancyColumn
@@ -298,8 +297,7 @@ def solve_terms(
 ) -> Image:
     """Return d with d + term(d) = measured by fixed-point iteration, modulo L for a wrapping camera.
 
-    The terms of these cameras change by far less than a metre per metre, so that the iteration
-    contracts (the cyclic error, the steepest, by about 0.07 a step).
+    Terms change by far less than a metre per metre: it contracts (the cyclic error by about 0.07 a step).
     """
     wraps = context.camera.sensor.wraps
     distance = measured
@@ -308,10 +306,9 @@ def solve_terms(
         distance = measured - term(previous)
         if wraps:
             distance = wrap(distance, context.ambiguity)
-        step = np.abs(distance - previous)
-        if wraps:
-            step = np.minimum(step, context.ambiguity - step)
-        if not np.any(step > tolerance):
+        step = distance - previous
+        step = wrap_residual(step, context.ambiguity) if wraps else step
+        if not np.any(np.abs(step) > tolerance):
             break
     return distance
 
@@ -324,6 +321,11 @@ class ComplexEffect(Effect):
     def direct(self) -> float:
         """Share of the light of a pixel that arrives in the pixel itself or next to it."""
         return 1.0
+
+    @property
+    def margin(self) -> int | None:
+        """Dark pixels around a part of the array with which `apply` needs no others (None: needs all)."""
+        return None
 
     @property
     def has_inverse(self) -> bool:

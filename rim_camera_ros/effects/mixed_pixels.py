@@ -86,8 +86,13 @@ class MixedPixels(ComplexEffect):
 
     def apply(self, phasor: Image, context: Context) -> Image:
         if self.footprint is not None:
-            phasor = phasor * self._gathered(_light_around(context).ratio(self.footprint))
+            ratio = context.inside(_light_around(context).ratio(self.footprint))
+            phasor = phasor * self._gathered(ratio)
         return self._blurred(phasor)
+
+    @property
+    def margin(self) -> int:
+        return 0 if self.blur < _POINT else len(_gaussian(self.blur)[1]) // 2
 
     def _gathered(self, ratio: Image) -> Image:
         return ratio if self.share is None else 1.0 + self.share * (ratio - 1.0)
@@ -103,7 +108,8 @@ class MixedPixels(ComplexEffect):
         if self.footprint is None:
             return {"blur": self._blur_column(phasor)}
         light = _light_around(context)
-        ratio, wider = light.ratio(self.footprint), light.ratio_column(self.footprint)
+        found = light.ratio(self.footprint), light.ratio_column(self.footprint)
+        ratio, wider = (context.inside(image) for image in found)
         share = 1.0 if self.share is None else self.share
         columns = {
             "blur": self._blur_column(phasor * self._gathered(ratio)),

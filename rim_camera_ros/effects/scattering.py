@@ -93,6 +93,10 @@ class Scattering(ComplexEffect):
     def direct(self) -> float:
         return 1.0 - self.total_weight
 
+    @property
+    def margin(self) -> int:
+        return 0
+
     def lean(self) -> Scattering:
         """Return the effect without halos that spread no light, except the last one."""
         kernels = tuple(kernel for kernel in self.kernels if kernel.weight > 0)
@@ -244,7 +248,7 @@ class Scattering(ComplexEffect):
         )
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
 def _operator(effect: Scattering, shape: tuple[int, int], dtype: str) -> Spreading:
     ghost = effect.ghost
     return Spreading(

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.chain import Chain, deliver, ideal_amplitude
-from rim_camera_ros.effects import effects_of, registry
+from rim_camera_ros.chain import Chain
+from rim_camera_ros.effects import effects_of
 from rim_camera_ros.effects.light_curves import LightCurves
-from rim_camera_ros.effects.signal import Context, Signal
+from rim_camera_ros.effects.signal import Signal
 from rim_camera_ros.fit.amplitudes import AmplitudeModel, gains_and_error
 from rim_camera_ros.fit.correlated_errors import correlated_columns, half_waves_of
 from rim_camera_ros.fit.data import Dataset, Station
+from rim_camera_ros.fit.light import Light, LightPath
 from rim_camera_ros.fit.prediction import Prediction
-from rim_camera_ros.fit.undescribed import with_measured_light
 from rim_camera_ros.fit.views import NEAR, Margins, PoseColumn, View, Views
-from rim_camera_ros.fit.windows import on_whole_array, surrounded, view_within, window_of
+from rim_camera_ros.fit.windows import light_within, on_whole_array, surrounded, view_within, window_of
 from rim_camera_ros.frame import Settings
-from rim_camera_ros.geometry import Geometry, see
 from rim_camera_ros.noise import ROUNDING, rounding_of_mean, sigma_amplitude
 from rim_camera_ros.phasor import wrap_residual
 from rim_camera_ros.scene import Scene
@@ -32,9 +30,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-#: Relative change of the light up to which effects reuse what they computed of a geometry: light bounced
-#: between surfaces is then wrong by a ten thousandth of all light.
-_SAME_LIGHT = 0.01
 #: Sigmas of one frame by which the pixels used are brighter than the amplitude below which nothing is
 #: measured: noise takes next to none of their frames below it.
 _ABOVE_THRESHOLD = 3.0
@@ -78,19 +73,13 @@ class Forward:
         self.correlated_error = 0.0
         self.tick: Callable[[], None] | None = None
         self.threads = 1
-        # the last entry is for rays that meet nothing, whose surface number is -1
-        self._undescribed = np.array([*(not surface.is_described for surface in scene.surfaces), False])
         self._chain = Chain.of(camera.effects.values(), of_means=True)
         self._order = {name: i for i, name in enumerate(effects_of(camera))}
+        self._path = LightPath(camera, scene, self._chain)
         # what acts on neighbours, or moves while a frame is taken, needs the whole array
-        self._pointwise = all(effect.pointwise for effect in camera.effects.values())
-        self._pointwise = self._pointwise and not scene.camera_motion.moves
-        self._of_geometry = [name for name, effect in registry().items() if effect.remembers_geometry]
-        # where light spreads over the array, that of undescribed surfaces comes in as measured
-        self._first = min(self._order[name] for name, effect in registry().items() if effect.spreads)
         light = self._chain.light
-        self._emitting = [effect for effect in light if self._order[effect.name] < self._first]
-        self._spreading = light[len(self._emitting) :]
+        others = [effect for effect in camera.effects.values() if effect not in light]
+        self._windows = all(effect.pointwise for effect in others) and not scene.camera_motion.moves
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"views": None, "tick": None}
@@ -172,104 +161,50 @@ class Forward:
             return self.light_curves.light_of(published, effect.compressed)
         return np.asarray(effect.expanded(published))
 
-    def _light(self, geometry: Geometry, power: float) -> Array:
-        """Return the amplitude [counts] before all effects: power rho cos(incidence) / d^2; [counts m^2]."""
-        light = ideal_amplitude(geometry, power)
-        if self.light_curves is None:
-            return light
-        factor = self.light_curves.factor(geometry, self.camera.sensor.ambiguity)
-        return np.where(geometry.hit, light * factor, 0.0)
-
     def _predict(
         self, station: Station, memory: dict[str, Any], model: AmplitudeModel, slopes: bool
     ) -> Prediction:
-        camera, whole_view, whole_station = self.camera, self.views.view(station), station
-        window = window_of(whole_view) if self._pointwise else None
-        view = whole_view if window is None else view_within(whole_view, window)
-        station = station if window is None else station.part(*window)
-        geometry = view.geometry
-        settings = replace(station.settings, integration_time=camera.integration_time(station.settings))
+        camera, view, path, margin = self.camera, self.views.view(station), self._path, self._path.margin
+        window = window_of(view, margin=margin) if self._windows and margin is not None else None
+        seen, there = view, station
+        if window is not None:
+            seen, there = view_within(view, window), station.part(*window)
         gain = model.gains.get((station.recording, station.pose), 1.0)
-        power = camera.radiometry.gain * camera.integration_time(settings) * gain
-        ideal = self._light(geometry, power)
-        nameless = self._undescribed[geometry.surface] & (station.amplitude > 0)
-        if nameless.any():
-            ideal = np.where(nameless, self._noise_amplitude(station, ideal), ideal)
-        motion = self.scene.camera_motion
-
-        def geometry_at(seconds: float) -> tuple[Any, Any]:
-            if not motion.moves or abs(seconds) < 1e-9:
-                return geometry, ideal
-            moved = {name: motion.carry(pose, seconds) for name, pose in view.poses.items()}
-            there = see(self.scene, moved, camera.rays)
-            return there, self._light(there, power)
-
-        for name in self._of_geometry:
-            memory.pop(name, None)
-            if name in whole_view.memory:
-                memory[name] = whole_view.memory[name]
-        context = Context(
-            camera=camera,
-            settings=settings,
-            stamp=station.stamp,
-            time=station.time,
-            geometry=geometry,
-            geometry_at=geometry_at,
-            footprint=lambda cells: self.views.footprint(
-                whole_view, cells, ambiguity=camera.sensor.ambiguity
-            ),
-            moving=motion.moves,
-            incidence=geometry.incidence,
-            window=window,
-            saturated=station.saturated > 0,
+        alone = path.pointwise or window is None
+        light = path.delivered(
+            there if alone else station,
+            seen if alone else view,
+            power=camera.radiometry.gain * camera.integration_time(station.settings) * gain,
+            views=self.views,
+            curves=self.light_curves,
+            measured=self._noise_amplitude,
             memory=memory,
-            light_tolerance=_SAME_LIGHT,
             notes=self.notes,
         )
-        before: dict[str, Signal] = {}
-        signal = deliver(self._emitting, Signal(geometry.distance, ideal), context, before=before)
-        signal, undescribed = with_measured_light(
-            signal,
-            station,
-            context,
-            chain=self._chain,
-            light=self._noise_amplitude,
-            nameless=nameless,
-            effects=self._spreading,
-            place=self._first,
-        )
-        signal = deliver(self._spreading, signal, context, before=before)
-        whole_view.memory.update({name: memory[name] for name in self._of_geometry if name in memory})
-        if nameless.any():
-            measured = self._noise_amplitude(station, signal.amplitude)
-            signal = Signal(signal.distance, np.where(nameless, measured, signal.amplitude))
-        pixel_gain: Array | float = 1.0
-        if model.pixels is not None:
-            pixel_gain = np.where(nameless, 1.0, np.exp(context.inside(model.pixels)))
-        nameless = nameless if station.unlike is None else nameless | station.unlike
-        predicted = self._compare(
-            station, view, context, before, signal, model, slopes, gain, nameless, pixel_gain
-        )
-        predicted.undescribed = undescribed
+        own = light if alone or window is None else light_within(light, seen, window)
+        predicted = self._compare(there, seen, own, model, slopes, gain)
         if window is None:
             return predicted
-        whole = on_whole_array(predicted, whole_station, whole_view)
-        return surrounded(whole, chain=self._chain, light=self._noise_amplitude, effects=self._spreading)
+        if not alone:
+            return on_whole_array(predicted, station, view, light)
+        whole = on_whole_array(predicted, station, view)
+        return surrounded(whole, chain=self._chain, light=self._noise_amplitude, effects=path.spreading)
 
     def _compare(
         self,
         station: Station,
         view: View,
-        context: Context,
-        before: dict[str, Signal],
-        light: Signal,
+        from_scene: Light,
         model: AmplitudeModel,
         slopes: bool,
         gain: float,
-        nameless: Array,
-        pixel_gain: Array | float,
     ) -> Prediction:
-        camera = self.camera
+        camera, context = self.camera, from_scene.context
+        light, nameless = from_scene.delivered, from_scene.nameless
+        pixel_gain: Array | float = 1.0
+        if model.pixels is not None:
+            pixel_gain = np.where(nameless, 1.0, np.exp(context.inside(model.pixels)))
+        nameless = nameless if station.unlike is None else nameless | station.unlike
         n = np.maximum(station.count, 1)
         lit = light.amplitude > 0
         # gains multiply readings, after the response: otherwise its power would change all of them
@@ -311,13 +246,13 @@ class Forward:
         # nearer to the threshold, frames that noise took below it are missing, and the others are too bright
         used &= np.minimum(safe, latent) > threshold + _ABOVE_THRESHOLD * np.sqrt(by_noise + ROUNDING)
         amplitude_used = used & (station.count == station.frames)
-        amplitude_used &= ~(nameless | self._undescribed[view.geometry.surface])
+        amplitude_used &= ~(nameless | self._path.is_undescribed(view.geometry))
         return Prediction(
             station=station,
             view=view,
             context=context,
             order=self._order,
-            before=before,
+            before=from_scene.before,
             delivered=delivered,
             distance=distance,
             amplitude=latent,
@@ -342,6 +277,8 @@ class Forward:
             amplitude_follows=np.where(nameless, 0.0, follows),
             amplitude_measured=np.where(nameless, 1.0, by_measured),
             spread=[effect for effect in self._chain.light if effect.spreads],
+            spread_light=from_scene.spread,
+            undescribed=from_scene.undescribed,
             light_curves=self.light_curves,
             linear=self.linear,
         )

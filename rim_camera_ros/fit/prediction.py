@@ -15,6 +15,7 @@ from rim_camera_ros.effects.light_curves import RESPONSE, LightCurves
 from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.fit.channels import Places
 from rim_camera_ros.fit.data import Station
+from rim_camera_ros.fit.light import DARK, SpreadLight
 from rim_camera_ros.fit.undescribed import Undescribed
 from rim_camera_ros.fit.views import PoseColumn, View
 from rim_camera_ros.phasor import to_phasor
@@ -26,8 +27,6 @@ Column = tuple[Array, Array | None]
 
 #: Key of the derivatives by the emitter's power, which are kept with those by the poses.
 _POWER = "power"
-#: Counts below which there is no light.
-_DARK = 1e-6
 
 
 @dataclass
@@ -72,6 +71,7 @@ class Prediction:
     model_reading: Array
     model_slope: Array
     gain: float
+    spread_light: SpreadLight
     pixel_gain: Array | float = 1.0
     amplitude_follows: Array | float = 1.0
     amplitude_measured: Array | float = 0.0
@@ -139,15 +139,15 @@ class Prediction:
         if not self.spread:
             return Groups(groups, self.gain_column(), np.zeros(count))
         direct: Array = np.ones(number.shape, np.complex64)
-        light: Array | None = None
         for effect in self.spread:
             assert isinstance(effect, ComplexEffect)
             before, inverse = self._through(effect)
-            light = np.nan_to_num(np.abs(before), posinf=0.0) if light is None else light
             direct = effect.direct * direct * before * inverse
-        assert light is not None
-        total = np.bincount(groups.ravel() + 1, weights=light.ravel(), minlength=count + 1)
-        share = total[1:] / max(float(total.sum()), _DARK)
+        light = self.spread_light.before_spreading(self.spread)
+        total = np.bincount(
+            groups.ravel() + 1, weights=self.context.inside(light).ravel(), minlength=count + 1
+        )
+        share = total[1:] / max(float(light.sum()), DARK)
         return Groups(groups, self._delivered_change(direct), share, self._delivered_change(1.0 - direct))
 
     def _delivered_change(self, relative: Array) -> tuple[Array, Array]:
@@ -158,14 +158,8 @@ class Prediction:
         """Return the image before a spreading effect, and the inverse of that after it (0 where dark)."""
         found = self._images.get(effect.name)
         if found is None:
-            light = self.before[effect.name]
-            before = to_phasor(light.distance, light.amplitude, self.context.ambiguity)
-            image = effect.apply(before, self.context)
-            # far from all light, halos are so small that their inverse exceeds single precision
-            dark = np.abs(image) < _DARK
-            inverse = np.where(dark, 0, 1.0 / np.where(dark, 1.0, image))
-            found = (before.astype(np.complex64), inverse.astype(np.complex64))
-            self._images[effect.name] = found
+            before, inverse = (self.context.inside(image) for image in self.spread_light.through(effect))
+            found = self._images[effect.name] = (before, inverse)
         return found
 
     def reading_change(self, by_distance: Array | float, relative: Array | float) -> tuple[Array, Array]:
@@ -200,7 +194,9 @@ class Prediction:
                 relative = np.where(after > 0, a / after, 0.0)
             change = relative + 1j * (2 * np.pi / self.context.ambiguity) * np.nan_to_num(d)
             result[path] = self.light_change(name, change)
-        if self.undescribed is not None and name in self.before and isinstance(effect, ComplexEffect):
+        undone = isinstance(effect, ComplexEffect) and effect.spreads and name in self.before
+        if self.undescribed is not None and undone:
+            assert isinstance(effect, ComplexEffect)
             for path, change in self.undescribed.changes(effect, self.context):
                 own, of_light = result[path], self._spread_change(-1, change)
                 result[path] = (own[0] + of_light[0], own[1] + of_light[1])

@@ -1,7 +1,8 @@
 """The part of the array in which rays meet the scene, where that is a small one.
 
 A board held by hand covers a twentieth of a large sensor. Outside of it there is nothing to predict, so that
-what acts on each pixel by itself is computed within the window around it alone. The numbers are the same.
+what acts on each pixel by itself is computed within the window around it alone, and so are the derivatives by
+light that changes there. Light that spreads is computed of the whole array. The numbers are the same.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from rim_camera_ros.chain import Chain
 from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.effects.signal import Signal, Window
 from rim_camera_ros.fit.data import Station
+from rim_camera_ros.fit.light import Light
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.undescribed import sees_nothing_described, with_measured_light
 from rim_camera_ros.fit.views import View
@@ -27,6 +29,8 @@ Array = NDArray[Any]
 #: Share of the array up to which a window is computed alone. Its images are put back, so that a hundredth of
 #: 176 x 144 pixels still takes 1.3 ms where all of them take 2.3 (no effects); derivatives are not put back.
 _LARGEST = 0.5
+#: Pixels of which the sides of windows are multiples: effects keep what they need for images of one size.
+_STEP = 8
 
 #: What images of a prediction are where nothing is seen; NaN those that are not named.
 _NOTHING: dict[str, float | bool] = {
@@ -56,15 +60,26 @@ _IMAGES = (
 )
 
 
-def window_of(view: View) -> Window | None:
-    """Return the rows and columns in which rays meet the scene; None where they are most of the array."""
+def window_of(view: View, *, margin: int = 0) -> Window | None:
+    """Return the rows and columns in which rays meet the scene; None where they are most of the array.
+
+    They include a ``margin`` of pixels around the scene, where the array has them. Few sizes occur.
+    """
     hit = view.geometry.hit
     sides = [np.flatnonzero(hit.any(axis=axis)) for axis in (1, 0)]
     if not sides[0].size:
         return None
-    rows, columns = (slice(int(side[0]), int(side[-1]) + 1) for side in sides)
+    rows, columns = (_around(side, margin, size) for side, size in zip(sides, hit.shape, strict=True))
     covered = (rows.stop - rows.start) * (columns.stop - columns.start)
     return (rows, columns) if covered <= _LARGEST * hit.size else None
+
+
+def _around(side: Array, margin: int, size: int) -> slice:
+    """Return the numbers from first to last of a ``side`` (N,) with a margin, multiples of `_STEP`."""
+    first, last = max(int(side[0]) - margin, 0), min(int(side[-1]) + margin + 1, size)
+    number = min(-(-(last - first) // _STEP) * _STEP, size)
+    first = min(first, size - number)
+    return slice(first, first + number)
 
 
 def view_within(view: View, window: Window) -> View:
@@ -91,42 +106,104 @@ def _geometry_within(geometry: Geometry, window: Window) -> Geometry:
     return replace(geometry, **{name: getattr(geometry, name)[window] for name in names})
 
 
-def on_whole_array(inner: Prediction, station: Station, view: View) -> Prediction:
+def light_within(light: Light, view: View, window: Window) -> Light:
+    """Return the light of a window, of whose pixels ``view`` is, from that of the whole array.
+
+    The images before and after what spreads light remain those of the whole array.
+    """
+    around = light.context.geometry_at
+
+    def geometry_at(seconds: float) -> tuple[Geometry, Array]:
+        # where there are windows nothing moves
+        assert around is not None
+        return view.geometry, around(seconds)[1][window]
+
+    context = replace(
+        light.context,
+        geometry=view.geometry,
+        geometry_at=geometry_at,
+        incidence=view.geometry.incidence,
+        saturated=None if light.context.saturated is None else light.context.saturated[window],
+        window=window,
+    )
+    undescribed = light.undescribed
+    if undescribed is not None:
+        images = {name: getattr(undescribed, name)[window] for name in ("image", "nameless", "outside")}
+        undescribed = replace(undescribed, **images)
+    return Light(
+        context,
+        {name: _within(signal, window) for name, signal in light.before.items()},
+        _within(light.delivered, window),
+        light.nameless[window],
+        undescribed,
+        light.spread,
+    )
+
+
+def _within(signal: Signal, window: Window) -> Signal:
+    images = {name: value[window] for name, value in vars(signal).items() if np.ndim(value) == 2}
+    return replace(signal, **images)
+
+
+def put(values: Any, window: Window, shape: tuple[int, ...], nothing: float | bool = np.nan) -> Any:
+    """Return the images of a window as those of an array of a ``shape``, with ``nothing`` around it."""
+    if np.ndim(values) < 2:
+        return values
+    result = np.full(shape, nothing, np.asarray(values).dtype)
+    result[window] = values
+    return result
+
+
+def on_whole_array(
+    inner: Prediction, station: Station, view: View, around: Light | None = None
+) -> Prediction:
     """Return the prediction of a window as one of all pixels, which keeps that of the window.
 
-    Its columns of the pose are those of the view, without waves of correlated errors: `Prediction.inner` has
-    all of them.
+    ``around`` is the light of the whole array (None: it was computed within the window alone). The columns of
+    the pose are those of the view, without waves of correlated errors: `Prediction.inner` has all of them.
     """
     window = inner.context.window
     assert window is not None
     shape = view.geometry.distance.shape
-
-    def put(values: Any, nothing: float | bool = np.nan) -> Any:
-        if np.ndim(values) < 2:
-            return values
-        result = np.full(shape, nothing, np.asarray(values).dtype)
-        result[window] = values
-        return result
+    images = {name: put(getattr(inner, name), window, shape, _NOTHING.get(name, np.nan)) for name in _IMAGES}
+    if around is not None:
+        delivered = around.delivered
+        delivered = Signal(delivered.distance, delivered.amplitude.copy())
+        delivered.amplitude[window] = inner.delivered.amplitude
+        return replace(
+            inner,
+            **images,
+            station=station,
+            view=view,
+            context=around.context,
+            before=around.before,
+            delivered=delivered,
+            undescribed=around.undescribed,
+            pose_columns=view.pose_columns,
+            of_window=inner,
+            _images={},
+            _changes={},
+            _by_light=None,
+        )
 
     def light(signal: Signal) -> Signal:
-        return Signal(
-            put(signal.distance), put(signal.amplitude, 0.0), put(signal.offset), put(signal.published, 0.0)
-        )
+        dark = (np.nan, 0.0, np.nan, 0.0)
+        parts = (signal.distance, signal.amplitude, signal.offset, signal.published)
+        return Signal(*(put(part, window, shape, none) for part, none in zip(parts, dark, strict=True)))
 
     def geometry_at(seconds: float) -> tuple[Geometry, Array]:
         # where there are windows nothing moves
         assert inner.context.geometry_at is not None
-        return view.geometry, put(inner.context.geometry_at(seconds)[1], 0.0)
+        return view.geometry, put(inner.context.geometry_at(seconds)[1], window, shape, 0.0)
 
     context = replace(
         inner.context,
         geometry=view.geometry,
         geometry_at=geometry_at,
-        incidence=put(inner.context.incidence),
+        incidence=put(inner.context.incidence, window, shape),
         saturated=station.saturated > 0,
         window=None,
     )
-    images = {name: put(getattr(inner, name), _NOTHING.get(name, np.nan)) for name in _IMAGES}
     return replace(
         inner,
         **images,

@@ -14,7 +14,7 @@ from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.mixed_pixels import MixedPixels
 from rim_camera_ros.effects.signal import Signal
 from rim_camera_ros.fit.forward import Forward
-from rim_camera_ros.fit.prediction import Prediction
+from rim_camera_ros.fit.light import SpreadLight
 
 from ..calibrate.helpers import camera, record, scene
 
@@ -24,11 +24,11 @@ def test_a_pixel_with_next_to_no_light_is_dark() -> None:
     amplitude = np.zeros((5, 7))
     amplitude[2, 3] = 1000.0
     light = Signal(np.full((5, 7), 1.7), amplitude)
-    context = SimpleNamespace(ambiguity=7.49481)
-    one: Any = SimpleNamespace(_images={}, before={"mixed_pixels": light}, context=context)
+    context: Any = SimpleNamespace(ambiguity=7.49481)
+    spread = SpreadLight({"mixed_pixels": light}, context)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        before, inverse = Prediction._through(one, MixedPixels(0.0725))
+        before, inverse = spread.through(MixedPixels(0.0725))
     assert np.isfinite(inverse).all()
     assert np.count_nonzero(inverse) == 1
     np.testing.assert_allclose(before[2, 3] * inverse[2, 3], 1.0, rtol=1e-6)
