@@ -1,6 +1,6 @@
 """What an effect is: one frozen dataclass of parameters that can simulate, correct, and be fitted.
 
-How effects combine (see `rim_camera_ros.effects.ORDER`): scene and optics act on the complex image and deliver
+How effects combine (see `rim_camera_ros.effects.ORDER`): scene and optics act on the complex image, deliver
 a distance and an amplitude per pixel; every other term is evaluated at these, and all terms add up.
 """
 
