@@ -56,7 +56,13 @@ def judged_setup(inputs: Inputs, begin: Begun, found: FoundPhysics, setups: list
     if not moved and found.described is None:
         disputed = disputed_effect(result)
         extra = [] if disputed is None else found.final.spans[disputed]
-        moved = moved_given_physics(found.final, begin.may_have_moved(inputs), extra=extra)
+        may_have_moved = begin.may_have_moved(inputs)
+        moved = moved_given_physics(found.final, may_have_moved, extra=extra)
+        if moved and result.beside_edges is not None:
+            # what an inexact form leaves beside edges looks like a tilt: it must show away from them as well
+            away = moved_given_physics(result.away_from_edges(), may_have_moved)
+            seen = {(pose.placement, pose.surface) for pose in away}
+            moved = [pose for pose in moved if (pose.placement, pose.surface) in seen]
         form_size = SHARE * found.final.conditional.relative_size(extra)
     setup = check_setup(
         conditional,

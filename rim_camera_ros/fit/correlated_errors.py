@@ -34,16 +34,22 @@ def half_waves_of(poses: int) -> int:
     return int(np.clip(np.sqrt(_MOST_WAVES / max(poses, 1)), 1, _MOST_HALF_WAVES))
 
 
-def correlated_columns(view: View, size: float, *, half_waves: int) -> list[PoseColumn]:
+def correlated_columns(
+    view: View, size: float, *, measured: tuple[Array, Array], half_waves: int
+) -> list[PoseColumn]:
     """Return the waves of which correlated errors of a pose consist, with a total 1-sigma of ``size`` [m].
 
-    They are products of cosines over the rows and columns that the surfaces of the pose cover, with mean
-    squares of 1 and fewer than ``half_waves`` half waves each way. `shares_of` gives their sizes.
+    They are products of cosines over the rows and columns in which the surfaces of the pose were ``measured``
+    (as `Dataset.measured`), with mean squares of 1 and fewer than ``half_waves`` half waves each way.
+    `shares_of` gives their sizes.
     """
-    hit = view.geometry.hit
-    if not hit.any():
+    hit, window = view.geometry.hit, view.window or (slice(None), slice(None))
+    seen = [
+        hit.any(axis=axis) & side[part] for axis, side, part in zip((1, 0), measured, window, strict=True)
+    ]
+    if not all(side.any() for side in seen):
         return []
-    rows, columns = (_waves(hit.any(axis=axis), half_waves) for axis in (1, 0))
+    rows, columns = (_waves(side, half_waves) for side in seen)
     numbers = [(i, j) for i in range(len(rows)) for j in range(len(columns))]
     sizes = size * shares_of(half_waves)
     dark = np.zeros(hit.shape)

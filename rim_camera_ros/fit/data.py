@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from os import PathLike
 from typing import Any
 
@@ -117,6 +118,15 @@ class Dataset:
     def poses(self) -> int:
         """Number of different poses over all recordings."""
         return len({(station.recording, station.pose) for station in self.stations})
+
+    @cached_property
+    def measured(self) -> dict[tuple[int, int], tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
+        """The rows (H,) and columns (W,) that have a measurement, by recording and placement."""
+        found: dict[tuple[int, int], NDArray[np.bool_]] = {}
+        for station in self.stations:
+            key, seen = (station.recording, station.placed), station.count > 0
+            found[key] = seen | found[key] if key in found else seen
+        return {key: (seen.any(axis=1), seen.any(axis=0)) for key, seen in found.items()}
 
     @property
     def placements(self) -> int:

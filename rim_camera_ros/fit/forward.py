@@ -165,7 +165,9 @@ class Forward:
         self, station: Station, memory: dict[str, Any], model: AmplitudeModel, slopes: bool
     ) -> Prediction:
         camera, view, path, margin = self.camera, self.views.view(station), self._path, self._path.margin
-        window = window_of(view, margin=margin) if self._windows and margin is not None else None
+        measured, window = self.dataset.measured[station.recording, station.placed], None
+        if self._windows and margin is not None:
+            window = window_of(view, measured, margin=margin)
         seen, there = view, station
         if window is not None:
             seen, there = view_within(view, window), station.part(*window)
@@ -268,7 +270,7 @@ class Forward:
             slope_distance=1.0 + terms.by_distance,
             slope_amplitude=terms.by_amplitude,
             slope_published=np.broadcast_to(slope_published, safe.shape),
-            pose_columns=self._pose_columns(view),
+            pose_columns=self._pose_columns(view, station),
             model_amplitude=safe,
             model_reading=model_reading,
             model_slope=np.where(lit, model_slope * pixel_gain, 0.0),
@@ -283,11 +285,13 @@ class Forward:
             linear=self.linear,
         )
 
-    def _pose_columns(self, view: View) -> list[PoseColumn]:
+    def _pose_columns(self, view: View, station: Station) -> list[PoseColumn]:
         if not self.correlated_error:
             return view.pose_columns
+        measured = self.dataset.measured[station.recording, station.placed]
         half_waves = half_waves_of(self.dataset.poses)
-        return [*view.pose_columns, *correlated_columns(view, self.correlated_error, half_waves=half_waves)]
+        waves = correlated_columns(view, self.correlated_error, measured=measured, half_waves=half_waves)
+        return [*view.pose_columns, *waves]
 
     def _noise_amplitude(self, station: Station, predicted: Array) -> Array:
         """Return the light [counts] at which noise is evaluated: the measured one, not the predicted one.

@@ -101,7 +101,7 @@ def with_measured_light(
             phasor = effect.invert(phasor, context)
         before = from_phasor(phasor, before, context)
         undone = Undescribed(phasor, nameless, outside, place)
-    common = _in_common(before, signal, context)
+    common = _in_common(before, signal, seen, context)
     result = Signal(
         np.where(outside, before.distance - common, signal.distance),
         np.where(outside | nameless, before.amplitude, signal.amplitude),
@@ -115,8 +115,11 @@ def _with_normal_incidence(context: Context) -> Context:
     return context if incidence is None else replace(context, incidence=np.nan_to_num(incidence))
 
 
-def _in_common(before: Signal, signal: Signal, context: Context) -> float:
-    """Return the mean [m] of measured distances less those of the scene, modulo the ambiguity range."""
-    difference = (before.distance - signal.distance)[signal.amplitude > 0]
+def _in_common(before: Signal, signal: Signal, seen: Array, context: Context) -> float:
+    """Return the mean [m] of distances less those of the scene, modulo the ambiguity range.
+
+    It is over the pixels (H, W) with a measurement, the ``seen`` ones.
+    """
+    difference = (before.distance - signal.distance)[(signal.amplitude > 0) & seen]
     turns = np.exp(2j * np.pi * difference[np.isfinite(difference)] / context.ambiguity)
     return float(np.angle(turns.sum()) * context.ambiguity / (2 * np.pi))

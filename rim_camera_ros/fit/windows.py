@@ -1,8 +1,9 @@
-"""The part of the array in which rays meet the scene, where that is a small one.
+"""The part of the array in which the scene was measured, where that is a small one.
 
-A board held by hand covers a twentieth of a large sensor. Outside of it there is nothing to predict, so that
-what acts on each pixel by itself is computed within the window around it alone, and so are the derivatives by
-light that changes there. Light that spreads is computed of the whole array. The numbers are the same.
+A board held by hand covers a twentieth of a large sensor. Outside of it there is nothing to compare, so that
+what acts on each pixel by itself is computed within the window around it alone. The numbers are the same.
+Light that spreads is computed of the whole array, its derivatives within the window: they are without light
+that changes where the scene has a surface but the camera measured nothing, and exact where it has none.
 """
 
 from __future__ import annotations
@@ -60,14 +61,15 @@ _IMAGES = (
 )
 
 
-def window_of(view: View, *, margin: int = 0) -> Window | None:
-    """Return the rows and columns in which rays meet the scene; None where they are most of the array.
+def window_of(view: View, measured: tuple[Array, Array], *, margin: int = 0) -> Window | None:
+    """Return the rows and columns in which the scene was measured; None where they are most of the array.
 
-    They include a ``margin`` of pixels around the scene, where the array has them. Few sizes occur.
+    ``measured`` are those with a measurement, as `Dataset.measured`. Where the array has them, ``margin``
+    pixels around are included. Few sizes occur.
     """
     hit = view.geometry.hit
-    sides = [np.flatnonzero(hit.any(axis=axis)) for axis in (1, 0)]
-    if not sides[0].size:
+    sides = [np.flatnonzero(hit.any(axis=axis) & seen) for axis, seen in zip((1, 0), measured, strict=True)]
+    if not all(side.size for side in sides):
         return None
     rows, columns = (_around(side, margin, size) for side, size in zip(sides, hit.shape, strict=True))
     covered = (rows.stop - rows.start) * (columns.stop - columns.start)

@@ -17,7 +17,7 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.candidate import Candidate
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.select.effect_sizes import effect_size
-from rim_camera_ros.select.exploration import Exploration
+from rim_camera_ros.select.exploration import Exploration, explored, further_equations
 from rim_camera_ros.select.foreign_values import ForeignValues
 from rim_camera_ros.select.moved_poses import MovedPose
 from rim_camera_ros.select.thresholds import STANDARD_ERRORS, WITHOUT_REPLICATES
@@ -292,6 +292,16 @@ class Result:
     def fit(self) -> Fit:
         """The fit of the final camera."""
         return self.explorations[-1].fit
+
+    def away_from_edges(self) -> Exploration:
+        """Return the final exploration without its candidates, by the pixels that no edge reaches."""
+        final = self.explorations[-1]
+        if self.beside_edges is None:
+            return final
+        before = self.explorations[self.beside_edges - 1]
+        problem = replace(self.problem, masks=before.fit.forward.masks)
+        fitted = further_equations(final.fit, final.forms, self.folds, problem)
+        return explored(fitted, [], forms=final.forms, replicates=0)
 
     def forget(self) -> None:
         """Free the sums per pixel, where the search is repeated."""

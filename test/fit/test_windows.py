@@ -32,7 +32,7 @@ from rim_camera_ros.scene import Scene, load_scene
 from rim_camera_ros.select.candidates import candidates
 from rim_camera_ros.select.edge_pixels import edge_candidates
 
-from ..calibrate.helpers import SCENE, camera, record
+from ..calibrate.helpers import SCENE, camera, record, scene
 
 POINTWISE = [kind for kind in ORDER if kind.pointwise]
 IMAGES = [
@@ -62,7 +62,7 @@ def forward_of(stated: Camera, board: Scene, data: Dataset) -> Forward:
 
 
 def whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(forward_module, "window_of", lambda view, margin: None)
+    monkeypatch.setattr(forward_module, "window_of", lambda view, measured, margin: None)
 
 
 def windows(predictions: list[Prediction]) -> list[float]:
@@ -189,6 +189,57 @@ def with_wall(station: Station) -> Station:
         "count": np.where(nothing, station.frames, station.count),
     }
     return replace(station, **images)
+
+
+def measured_in_part(dataset: Dataset) -> Dataset:
+    """A recording of a plane that fills the array, with values of 14 x 17 pixels somewhere in each pose."""
+    stations = []
+    for one in dataset.stations:
+        seen = np.zeros(one.count.shape, bool)
+        top, left = 3 * one.pose, 26 - 3 * one.pose
+        seen[top : top + 14, left : left + 17] = True
+        stations.append(one.without(~seen))
+    return replace(dataset, stations=stations)
+
+
+@pytest.mark.parametrize("correlated_error", [0.0, 0.004])
+@pytest.mark.parametrize(("spreading", "within"), [("none", 1e-9), ("scattering", 0.15)])
+def test_a_surface_that_is_measured_in_part(
+    spreading: str, within: float, correlated_error: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is compared is the same; derivatives are without the light that comes from unmeasured parts.
+
+    Scattering spreads 12 % of the light, of which next to all comes from there.
+    """
+    plain, board = camera(tmp_path), scene(tmp_path)
+    stated = with_effects(
+        plain, {kind.name: kind.example(plain) for kind in POINTWISE} | SPREADING[spreading]
+    )
+    data = measured_in_part(record(stated, board, poses=8, seed=7))
+
+    def found() -> tuple[list[Prediction], list[np.ndarray]]:
+        forward = forward_of(stated, board, data)
+        forward.correlated_error = correlated_error
+        columns = []
+        for one in forward.predictions():
+            drawn = random_effects(one, gain_sigma=0.02, stray_light=0.0)
+            pixels = one.places(np.flatnonzero(one.used))
+            columns.append(np.stack([pixels.take(change[0]) * sigma for _, sigma, _, *change in drawn]))
+        return list(forward.predictions()), columns
+
+    mine, own = found()
+    assert max(windows(mine)) < 0.3
+    whole(monkeypatch)
+    expected, theirs = found()
+    for got, want in zip(mine, expected, strict=True):
+        assert np.array_equal(got.used, want.used)
+        assert want.used.any()
+        for name in IMAGES:
+            a, b = (np.broadcast_to(getattr(one, name), want.used.shape)[want.used] for one in (got, want))
+            np.testing.assert_allclose(a, b, rtol=1e-9, err_msg=name)
+    for columns, wanted in zip(own, theirs, strict=True):
+        size = np.sqrt(np.mean(wanted**2, axis=1))
+        assert np.all(np.sqrt(np.mean((columns - wanted) ** 2, axis=1)) <= within * size)
 
 
 def test_terms_of_neighbours_see_the_whole_array(tmp_path: Path) -> None:
