@@ -164,8 +164,9 @@ class Forward:
     def _predict(
         self, station: Station, memory: dict[str, Any], model: AmplitudeModel, slopes: bool
     ) -> Prediction:
-        camera, view, path, margin = self.camera, self.views.view(station), self._path, self._path.margin
+        camera, path, margin = self.camera, self._path, self._path.margin
         measured, window = self.dataset.measured[station.recording, station.placed], None
+        view = self.views.view(station, measured)
         if self._windows and margin is not None:
             window = window_of(view, measured, margin=margin)
         seen, there = view, station

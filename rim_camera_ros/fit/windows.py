@@ -22,14 +22,11 @@ from rim_camera_ros.fit.data import Station
 from rim_camera_ros.fit.light import Light
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.undescribed import sees_nothing_described, with_measured_light
-from rim_camera_ros.fit.views import View
+from rim_camera_ros.fit.views import LARGEST_WINDOW, View
 from rim_camera_ros.geometry import Geometry
 
 Array = NDArray[Any]
 
-#: Share of the array up to which a window is computed alone. Its images are put back, so that a hundredth of
-#: 176 x 144 pixels still takes 1.3 ms where all of them take 2.3 (no effects); derivatives are not put back.
-_LARGEST = 0.5
 #: Pixels of which the sides of windows are multiples: effects keep what they need for images of one size.
 _STEP = 8
 
@@ -73,7 +70,7 @@ def window_of(view: View, measured: tuple[Array, Array], *, margin: int = 0) -> 
         return None
     rows, columns = (_around(side, margin, size) for side, size in zip(sides, hit.shape, strict=True))
     covered = (rows.stop - rows.start) * (columns.stop - columns.start)
-    return (rows, columns) if covered <= _LARGEST * hit.size else None
+    return (rows, columns) if covered <= LARGEST_WINDOW * hit.size else None
 
 
 def _around(side: Array, margin: int, size: int) -> slice:
