@@ -112,12 +112,13 @@ def footprint_light(
     *,
     ambiguity: float,
     cells: Cells = FINE,
+    where: NDArray[np.bool_] | bool = True,
 ) -> FootprintLight:
     """Return the light around the centres of the pixels of a ``geometry``, seen through ``rays`` (H, W, 3).
 
-    ``ambiguity`` is the ambiguity range [m].
+    ``ambiguity`` is the ambiguity range [m]. Pixels not ``where`` (H, W) see the same all around.
     """
-    pixels = np.flatnonzero(beside_edges(geometry, 1) & geometry.hit)
+    pixels = np.flatnonzero(beside_edges(geometry, 1) & geometry.hit & where)
     down, across = (np.gradient(rays, axis=axis).reshape(-1, 1, 1, 3)[pixels] for axis in (0, 1))
     rows, columns = (place[..., None] for place in cells.places)
     moved = rays.reshape(-1, 1, 1, 3)[pixels] + rows * down + columns * across

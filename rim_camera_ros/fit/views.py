@@ -205,6 +205,7 @@ class Views:
                 self.camera.rays,
                 ambiguity=ambiguity,
                 cells=cells,
+                where=view.where_measured,
             )
             view.memory[f"footprint {cells.number}"] = found
         return found
