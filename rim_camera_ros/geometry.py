@@ -82,8 +82,9 @@ def see(scene: Scene, poses: Mapping[str, Pose], rays: Array) -> Geometry:
             reflectivity[mine] = surface.nominal_reflectivity
             tile[mine] = start
         else:
-            reflectivity[mine] = surface.texture.reflectivity(local[:, 0], local[:, 1])
-            tile[mine] = start + surface.texture.tile(local[:, 0], local[:, 1])
+            number = surface.texture.tile(local[:, 0], local[:, 1])
+            reflectivity[mine] = surface.texture.values.values.ravel()[number]
+            tile[mine] = start + number
     along = np.sum(directions * normals, axis=-1)
     normals = np.where(along[:, None] > 0, -normals, normals)
     return Geometry(

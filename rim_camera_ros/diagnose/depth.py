@@ -22,9 +22,9 @@ from rim_camera_ros.diagnose.setup_trials import moved, normal_of, to_poses
 from rim_camera_ros.effects.candidate import Block, Column, Regressor
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.pose_columns import PoseColumn, by_shift
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.problem import Fit, Problem
-from rim_camera_ros.fit.views import PoseColumn, by_shift
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.select.compare import Result, paired_error
 from rim_camera_ros.select.evidence import Scores
@@ -62,7 +62,9 @@ class _Direction:
         if not mine.any():
             nothing = np.zeros(mine.shape)
             return nothing, nothing
-        change = by_shift(self.at(view.poses[self.surface]), view, mine, prediction.context.camera.rays)
+        change = by_shift(
+            self.at(view.poses[self.surface]), view.geometry, mine, prediction.context.camera.rays
+        )
         return prediction.pose_change(PoseColumn(self.label, _SIGMA, *change))
 
 

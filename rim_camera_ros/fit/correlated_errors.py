@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.fit.pose_columns import PoseColumn
 from rim_camera_ros.fit.prediction import Prediction
-from rim_camera_ros.fit.views import PoseColumn, View
+from rim_camera_ros.fit.views import View
 
 Array = NDArray[Any]
 

@@ -19,9 +19,9 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.candidate import Block, Column, Groups, Regressor, effect_block
 from rim_camera_ros.effects.light_curves import FALLOFF, LOBE, tile_labels
 from rim_camera_ros.effects.sections import light_block, optics_columns
+from rim_camera_ros.fit.pose_columns import PoseColumn, by_shift
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.surface_shape import SHAPE, surface_shape_block
-from rim_camera_ros.fit.views import PoseColumn, by_shift
 from rim_camera_ros.scene import Scene
 
 #: Label of the radiometric gain.
@@ -228,7 +228,9 @@ def _scale_column(prediction: Prediction, scale: Regressor, number: int, surface
     if not mine.any():
         return None
     shift = np.array(view.poses[surface].position)
-    return PoseColumn(scale.label, scale.prior, *by_shift(shift, view, mine, prediction.context.rays))
+    return PoseColumn(
+        scale.label, scale.prior, *by_shift(shift, view.geometry, mine, prediction.context.rays)
+    )
 
 
 def known_optics(camera: Camera) -> Block:

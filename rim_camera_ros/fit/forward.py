@@ -17,8 +17,9 @@ from rim_camera_ros.fit.amplitudes import AmplitudeModel, gains_and_error
 from rim_camera_ros.fit.correlated_errors import correlated_columns, half_waves_of
 from rim_camera_ros.fit.data import Dataset, Station
 from rim_camera_ros.fit.light import Light, LightPath
+from rim_camera_ros.fit.pose_columns import PoseColumn
 from rim_camera_ros.fit.prediction import Prediction
-from rim_camera_ros.fit.views import NEAR, Margins, PoseColumn, View, Views
+from rim_camera_ros.fit.views import NEAR, Margins, View, Views
 from rim_camera_ros.fit.windows import light_within, on_whole_array, surrounded, view_within, window_of
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.noise import ROUNDING, rounding_of_mean, sigma_amplitude

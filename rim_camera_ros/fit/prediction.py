@@ -16,8 +16,9 @@ from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.fit.channels import Places
 from rim_camera_ros.fit.data import Station
 from rim_camera_ros.fit.light import DARK, SpreadLight
+from rim_camera_ros.fit.pose_columns import PoseColumn
 from rim_camera_ros.fit.undescribed import Undescribed
-from rim_camera_ros.fit.views import PoseColumn, View
+from rim_camera_ros.fit.views import View
 from rim_camera_ros.phasor import to_phasor
 
 Array = NDArray[Any]

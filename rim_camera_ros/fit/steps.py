@@ -20,7 +20,7 @@ from rim_camera_ros.fit.bounds import Bounds, least_within
 from rim_camera_ros.fit.covariate_table import LABEL, with_empirical_changes
 from rim_camera_ros.fit.design import GAIN, is_linear
 from rim_camera_ros.fit.normal_equations import Reduced
-from rim_camera_ros.fit.views import OPTICAL_AXES
+from rim_camera_ros.fit.pose_columns import OPTICAL_AXES
 from rim_camera_ros.rotations import quaternion, rotation_matrix
 from rim_camera_ros.scene import Scene, ScenePose
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.effects.candidate import Block, Column, Regressor
+from rim_camera_ros.fit.pose_columns import PoseColumn, by_shift
 from rim_camera_ros.fit.prediction import Prediction
-from rim_camera_ros.fit.views import PoseColumn, by_shift
 from rim_camera_ros.rotations import rotation_matrix
 from rim_camera_ros.scene import Scene, Surface
 
@@ -67,7 +67,7 @@ def _of_surface(prediction: Prediction, number: int, surface: Surface) -> list[P
     assert surface.half_extent is not None
     pose = view.poses[surface.name]
     rotation = rotation_matrix(pose.orientation)
-    along, light = by_shift(rotation[:, 2], view, mine, prediction.context.rays)
+    along, light = by_shift(rotation[:, 2], view.geometry, mine, prediction.context.rays)
     local = (view.geometry.points[mine] - np.array(pose.position)) @ rotation
     x, y = local[:, 0] / surface.half_extent[0], local[:, 1] / surface.half_extent[1]
     result = []

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.signal import Window
 from rim_camera_ros.fit.data import Station
+from rim_camera_ros.fit.pose_columns import PoseColumn, free_columns, truth_columns
 from rim_camera_ros.footprint import Cells, FootprintLight, footprint_light
 from rim_camera_ros.frame import Pose
 from rim_camera_ros.geometry import Geometry, see, surface_seen
@@ -51,10 +52,6 @@ _KEPT_BYTES = 400_000_000
 #: Bytes that a pixel of a view takes, by the arrays of its geometry and of the errors of a pose.
 _PIXEL_BYTES = 140
 
-#: Axes of the optical frame that a free surface turns about.
-OPTICAL_AXES = {"roll": (0.0, 0.0, 1.0), "pitch": (1.0, 0.0, 0.0), "yaw": (0.0, 1.0, 0.0)}
-_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-
 
 @dataclass(frozen=True)
 class View:
@@ -78,23 +75,6 @@ class View:
     def where_measured(self) -> NDArray[np.bool_]:
         """The pixels of the whole array, (H, W) or (1, 1) for all, in the rows and columns measured."""
         return np.ones((1, 1), bool) if self.measured is None else np.logical_and.outer(*self.measured)
-
-
-@dataclass(frozen=True)
-class PoseColumn:
-    """Derivative of the distance by one error of one pose.
-
-    ``path`` names it: ``pose.SURFACE.offset|tilt_x|tilt_y`` with the 1-sigma ``prior`` of the reference
-    instrument, or ``scene.SURFACE.AXIS`` of a free pose. ``distance`` (H, W) in m per m or per rad;
-    ``amplitude`` (H, W) the relative change of the light, by the distance and by the angle of incidence.
-    ``is_smooth``: it is smooth over the array, so that optics which spread light do not change it.
-    """
-
-    path: str
-    prior: float
-    distance: Array
-    amplitude: Array
-    is_smooth: bool = False
 
 
 class Views:
@@ -223,10 +203,12 @@ class Views:
             clean &= _alone(geometry.tile)
         surfaces = self.scene.surfaces
         there = [plane for plane in surfaces if plane.name in poses]
-        uncertain = len(there) > 1 or there[0].type != "plane"
-        if uncertain:
+        if len(there) > 1 or there[0].type != "plane":
+            pixels = np.flatnonzero(clean)
             for rays in self._rays_around(margins.outline):
-                clean[clean] = surface_seen(self.scene, poses, rays[clean]) == geometry.surface[clean]
+                seen = surface_seen(self.scene, poses, rays.reshape(-1, 3)[pixels])
+                pixels = pixels[seen == geometry.surface.ravel()[pixels]]
+            clean = _pixels(pixels, clean.shape)
         first = 0
         for i, surface in enumerate(surfaces):
             start, first = first, first + surface.tiles
@@ -235,33 +217,34 @@ class Views:
                 continue
             pose = poses[surfaces[i].name]
             rotation = rotation_matrix(pose.orientation)
+            mine = clean & (geometry.surface == i)
+            pixels = np.flatnonzero(mine)
             for rays in self._rays_around(margins.tile):
-                mine = clean & (geometry.surface == i)
-                length = surfaces[i].lengths(pose, np.zeros(3), rays[mine])
+                own = rays.reshape(-1, 3)[pixels]
+                length = surfaces[i].lengths(pose, np.zeros(3), own)
                 met = np.isfinite(length)
-                local = (
-                    np.where(met, length, 0.0)[:, None] * rays[mine] - np.array(pose.position)
-                ) @ rotation
+                local = (np.where(met, length, 0.0)[:, None] * own - np.array(pose.position)) @ rotation
                 local = np.nan_to_num(local)  # beside pixels that have no ray
-                same = start + texture.tile(local[:, 0], local[:, 1]) == geometry.tile[mine]
-                clean[mine] = same | ~met
+                same = start + texture.tile(local[:, 0], local[:, 1]) == geometry.tile.ravel()[pixels]
+                pixels = pixels[same | ~met]
+            clean = np.where(mine, _pixels(pixels, clean.shape), clean)
         return clean
 
     def _pose_columns(self, view: View) -> list[PoseColumn]:
-        """Return how errors of the poses change the distance of a view, surface by surface.
-
-        The plane n . (d r) = n . p gives dd = n . dp / (n . r) for a shift and (w x n) . (p - X) / (n . r)
-        for a small rotation w about p.
-        """
+        """Return how errors of the poses change the distance of a view, surface by surface."""
         result: list[PoseColumn] = []
         for i, surface in enumerate(self.scene.surfaces):
             mine = (view.geometry.surface == i) & view.where_measured
             if not mine.any():
                 continue
             if surface.pose == "truth":
-                result += _truth_columns(surface, view, mine, self.camera.rays)
+                result += truth_columns(
+                    surface, view.poses[surface.name], view.geometry, mine, self.camera.rays
+                )
             elif isinstance(surface.pose, ScenePose) and surface.pose.free:
-                result += _free_columns(surface, surface.pose, view, mine, self.camera.rays)
+                result += free_columns(
+                    surface, view.poses[surface.name], view.geometry, mine, self.camera.rays
+                )
         return result
 
 
@@ -297,68 +280,11 @@ def _alone(tile: Array) -> NDArray[np.bool_]:
     return np.asarray(minimum_filter(tile, 3) == maximum_filter(tile, 3))
 
 
-def _truth_columns(surface: Surface, view: View, mine: Array, rays: Array) -> list[PoseColumn]:
-    """Return the errors of a recorded pose, made independent of each other: C = L D L', L of unit diagonal.
-
-    A column is the change of distances by its error and by the parts of later errors that correlate with it.
-    """
-    pose = view.poses[surface.name]
-    rotation = rotation_matrix(pose.orientation)
-    names, changes = ["offset"], [by_shift(rotation[:, 2], view, mine, rays)]
-    if surface.type != "sphere":
-        names += ["tilt_x", "tilt_y"]
-        changes += [_by_rotation(axis, pose, view, mine, rays) for axis in (rotation[:, 0], rotation[:, 1])]
-    rest = surface.pose_covariance(pose)[: len(names), : len(names)].copy()
-    result = []
-    for k, name in enumerate(names):
-        variance = float(rest[k, k])
-        if variance <= 0:
-            continue
-        share = rest[:, k] / variance
-        rest -= np.outer(share, share) * variance
-        together = [(factor, change) for factor, change in zip(share, changes, strict=True) if factor != 0]
-        column, light = (np.sum([f * change[part] for f, change in together], axis=0) for part in (0, 1))
-        result.append(PoseColumn(f"pose.{surface.name}.{name}", float(np.sqrt(variance)), column, light))
+def _pixels(pixels: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return the image (H, W) of some pixels (N,), flat."""
+    result = np.zeros(shape, bool)
+    result.ravel()[pixels] = True
     return result
-
-
-def _free_columns(
-    surface: Surface, pose: ScenePose, view: View, mine: Array, rays: Array
-) -> list[PoseColumn]:
-    result = []
-    for name in pose.free:
-        path = f"scene.{surface.name}.{name}"
-        if name in _AXES:
-            column = by_shift(np.array(_AXES[name]), view, mine, rays)
-            result.append(PoseColumn(path, 1.0, *column))
-        else:
-            column = _by_rotation(np.array(OPTICAL_AXES[name]), view.poses[surface.name], view, mine, rays)
-            result.append(PoseColumn(path, 0.3, *column))
-    return result
-
-
-def _along_rays(view: View, mine: Array, rays: Array) -> Array:
-    return np.asarray(np.einsum("nk,nk->n", view.geometry.normals[mine], rays[mine]))
-
-
-def by_shift(direction: Array, view: View, mine: Array, rays: Array) -> tuple[Array, Array]:
-    """Return the changes of distance and (relative) light by a shift; a plane's incidence does not change."""
-    column, light = np.zeros(mine.shape), np.zeros(mine.shape)
-    column[mine] = view.geometry.normals[mine] @ direction / _along_rays(view, mine, rays)
-    light[mine] = -2 * column[mine] / view.geometry.distance[mine]
-    return column, light
-
-
-def _by_rotation(axis: Array, pose: Pose, view: View, mine: Array, rays: Array) -> tuple[Array, Array]:
-    """Return the changes of distance and (relative) light by a small rotation about the pose's position."""
-    column, light = np.zeros(mine.shape), np.zeros(mine.shape)
-    arm = np.array(pose.position) - view.geometry.points[mine]
-    turned = np.cross(axis, view.geometry.normals[mine])
-    along = _along_rays(view, mine, rays)
-    column[mine] = np.einsum("nk,nk->n", turned, arm) / along
-    by_angle = np.einsum("nk,nk->n", turned, rays[mine]) / along
-    light[mine] = by_angle - 2 * column[mine] / view.geometry.distance[mine]
-    return column, light
 
 
 def _rays_around(rays: Array, margin: float) -> list[Array]:
