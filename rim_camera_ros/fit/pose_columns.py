@@ -1,7 +1,7 @@
 """Derivatives of distances and light by errors of the poses of surfaces.
 
-The plane n . (d r) = n . p gives dd = n . dp / (n . r) for a shift and (w x n) . (p - X) / (n . r) for a small
-rotation w about p.
+The plane n . (d r) = n . p gives dd = n . dp / (n . r) for a shift, and (w x n) . (p - X) / (n . r) for a
+small rotation w about p.
 """
 
 from __future__ import annotations
