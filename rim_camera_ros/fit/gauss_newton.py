@@ -63,10 +63,6 @@ _OVER_THE_BEND = 0.1
 #: Ratio of decrements below which a step comes nearer to the solution of the equations, whatever its
 #: objective (natural monotonicity; Deuflhard 2004, Newton Methods for Nonlinear Problems, sec. 4.3).
 _NEARER = 0.5
-#: Step of a parameter in units of its sigma, or of all together (squared, the decrement), and change of
-#: chi-square between two iterations (for that tolerance), below which the adjustment has converged.
-TOLERANCE = 0.05
-_LEVEL = 0.5
 
 
 class GaussNewton:
@@ -245,12 +241,13 @@ class GaussNewton:
         solved = self._solved
         # before that, objectives have different errors of amplitudes
         comparable = self._warm or count > _SETTLED
-        worse = comparable and here.objective > self._objective + _LEVEL
+        level = here.level(self._tolerance)
+        worse = comparable and here.objective > self._objective + level
         if not worse or self._tried >= len(_DAMPING) or count > self._iterations or solved is None:
             return False
         # weights follow the residuals: the objective need not be least at the solution of the equations
         undamped = abs(replace(solved, damping=0.0).forecast)
-        if np.isinf(solved.damping) or undamped < _LEVEL or here.decrement < _NEARER * solved.decrement:
+        if np.isinf(solved.damping) or undamped < level or here.decrement < _NEARER * solved.decrement:
             return False
         if not self._near or self._tried or self._return is not None or count >= self._iterations:
             return True
@@ -284,7 +281,7 @@ class GaussNewton:
         if self._tried == 0:
             self._damping = self._damping / _LESS_DAMPED if self._damping > _DAMPING[0] else 0.0
         self._tried = 0
-        if here.objective > self._objective + _LEVEL and self._near:
+        if here.objective > self._objective + here.level(self._tolerance) and self._near:
             self._return = self._solved
             return
         self._fell = self._objective - here.objective
@@ -314,11 +311,9 @@ class GaussNewton:
             holds_shapes=count < _SHAPES_HELD and bool(self._held(here.regressors)),
         )
         self._find_errors(self._solved)
-        linear = np.array([is_linear(label) for label in here.labels], bool)
-        small = bool(np.all(linear | (np.abs(here.step) <= self._tolerance * here.sigma)))
-        self._converged = small and not self._solved.holds_shapes
+        self._converged = here.moves_little(self._tolerance) and not self._solved.holds_shapes
         # parameters that are hardly distinguishable wander along a valley with a level floor
-        level = _LEVEL * (self._tolerance / TOLERANCE) ** 2
+        level = here.level(self._tolerance)
         is_level = self._damping == 0 and abs(self._square - here.square) < level
         settled = count >= min(self._settled, _SETTLED) and not self._solved.holds_shapes
         # or no step within the bounds that lowers the objective gains anything (Moré 1978, sec. 8)
@@ -327,7 +322,7 @@ class GaussNewton:
             is_level |= abs(self._fell) < level and forecast < level
         else:
             left = forecast
-        self._converged |= settled and (is_level or abs(left) < self._tolerance)
+        self._converged |= settled and (is_level or abs(left) < self._tolerance * here.unit_variance)
         # chi-square that was level while shapes were held need not be once they move
         self._square = np.inf if self._solved.holds_shapes else here.square
         try:

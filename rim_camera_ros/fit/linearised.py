@@ -13,6 +13,7 @@ from scipy import linalg
 from rim_camera_ros.effects.candidate import Regressor
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.fit.bounds import least_within
+from rim_camera_ros.fit.design import is_linear
 from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.normal_equations import NormalEquations, Reduced
 from rim_camera_ros.fit.steps import linear_of
@@ -20,6 +21,11 @@ from rim_camera_ros.fit.steps import linear_of
 Array = NDArray[Any]
 
 NO_SOLUTION = "the adjustment found no finite solution"
+#: Step of a parameter in units of its sigma, or of all together (squared, the decrement), and change of
+#: chi-square between two iterations (for that tolerance), below which the adjustment has converged: all with
+#: the variance of unit weight. Of inexact models, smaller steps do not lower the objective (robust weights).
+TOLERANCE = 0.05
+_LEVEL = 0.5
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,21 @@ class Linearised:
     def labels(self) -> list[str]:
         """Labels of the regressors."""
         return [regressor.label for regressor in self.regressors]
+
+    @property
+    def unit_variance(self) -> float:
+        """Variance of unit weight, 1 at least: chi-square over its expected value."""
+        return max(float(self.square) / max(float(self.reduced.expected), 1.0), 1.0)
+
+    def level(self, tolerance: float) -> float:
+        """Return the change of chi-square that is none, for a ``tolerance`` of the parameters."""
+        return float(_LEVEL * self.unit_variance * (tolerance / TOLERANCE) ** 2)
+
+    def moves_little(self, tolerance: float) -> bool:
+        """Return whether the step is below ``tolerance`` of each sigma, with the variance of unit weight."""
+        linear = np.array([is_linear(label) for label in self.labels], bool)
+        within = tolerance * np.sqrt(self.unit_variance) * self.sigma
+        return bool(np.all(linear | (np.abs(self.step) <= within)))
 
     @property
     def sigma(self) -> Array:

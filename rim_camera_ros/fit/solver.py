@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.effects.candidate import Block
-from rim_camera_ros.fit.gauss_newton import TOLERANCE, GaussNewton
+from rim_camera_ros.fit.gauss_newton import GaussNewton
+from rim_camera_ros.fit.linearised import TOLERANCE
 from rim_camera_ros.fit.problem import Fit, Point, Problem
 from rim_camera_ros.fit.views import Views
 

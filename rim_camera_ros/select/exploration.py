@@ -17,7 +17,7 @@ from rim_camera_ros.effects.candidate import MANY_PIXELS, Block, Candidate
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.bounds import BEYOND_POSSIBLE
 from rim_camera_ros.fit.design import is_linear
-from rim_camera_ros.fit.gauss_newton import TOLERANCE
+from rim_camera_ros.fit.linearised import TOLERANCE
 from rim_camera_ros.fit.problem import Fit, Point, Problem, blocks_of
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.select.evidence import Scores
