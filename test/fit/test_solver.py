@@ -22,6 +22,7 @@ from rim_camera_ros.effects.scattering import Kernel, Scattering
 from rim_camera_ros.errors import InputError
 from rim_camera_ros.fit.amplitudes import AmplitudeModel
 from rim_camera_ros.fit.forward import Forward
+from rim_camera_ros.fit.linearised import Linearised
 from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.frame import Pose
@@ -127,6 +128,32 @@ def test_hidden_parameters_come_back_within_their_sigma(tmp_path: Path) -> None:
     chi_square, rows = Scores(result.equations, range(len(result.parameters))).chi_square(held_out=True)
     # simulated amplitudes are better than the percent to which any amplitude is predicted
     assert 0.85 < chi_square / rows < 1.02
+
+
+def test_an_inexact_model_is_fitted_to_a_share_of_what_its_residuals_leave_uncertain(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Residuals beyond the stated noise, with outliers: fewer steps than for noise alone."""
+    truth = camera(tmp_path, *known())
+    board = scene(tmp_path)
+    data = record(truth, board, poses=24, seed=3)
+    rng = np.random.default_rng(12)
+    stations = []
+    for one in data.stations:
+        noise = np.sqrt(one.distance_variance / np.maximum(one.count, 1))
+        stations.append(replace(one, distance=one.distance + 2.0 * noise * rng.standard_t(3, noise.shape)))
+    problem = Problem(replace(data, stations=stations), board)
+    start = with_numbers(truth, {"effects.cyclic_error.harmonics.0.amplitude": 0.006})
+    found = fit(problem, start, iterations=12)
+    monkeypatch.setattr(Linearised, "unit_variance", 1.0)
+    exact = fit(problem, start, iterations=40)
+    assert found.converged
+    assert found.iterations < exact.iterations
+    scale = np.sqrt(found.chi_square / found.rows)
+    assert scale > 1.5
+    for path, value in found.parameters.items():
+        if path in exact.sigma:
+            assert value == pytest.approx(exact.parameters[path], abs=0.1 * scale * exact.sigma[path]), path
 
 
 def test_nothing_is_found_where_nothing_is_missing(tmp_path: Path) -> None:

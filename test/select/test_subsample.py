@@ -271,11 +271,12 @@ def test_a_bend_is_crossed_once_and_a_wrong_way_goes_back_to_its_beginning() -> 
         return Solved(nothing, [name], eye, right, (-far, far), 0.0, {}, {}, decrement=100.0)
 
     def at(objective: float, decrement: float = 100.0) -> Any:
-        return SimpleNamespace(objective=objective, decrement=decrement)
+        return SimpleNamespace(objective=objective, decrement=decrement, level=lambda tolerance: 0.5)
 
     work = GaussNewton.__new__(GaussNewton)
     gone: list[tuple[str, float]] = []
     work.__dict__.update(_warm=True, _near=True, _iterations=12, _objective=1000.0, _return=None)
+    work.__dict__.update(_tolerance=0.05)
     work.__dict__.update(_tried=0, _damping=0.0, _solved=solved("before the bend"), _exhausted=False)
     work.__dict__.update(
         _go=lambda one: gone.append((one.labels[0], one.damping)), _find_errors=lambda _: None
@@ -314,11 +315,13 @@ def test_steps_are_shortened_until_one_goes_down() -> None:
     work = GaussNewton.__new__(GaussNewton)
     places = [float(begun.step[0])]
     work.__dict__.update(_warm=True, _near=False, _iterations=12, _objective=0.0, _return=None)
+    work.__dict__.update(_tolerance=0.05)
     work.__dict__.update(_tried=0, _damping=0.0, _solved=begun, _exhausted=False)
     work.__dict__.update(_go=lambda one: places.append(float(one.step[0])), _find_errors=lambda _: None)
 
     def here() -> Any:
-        return SimpleNamespace(objective=-20 * places[-1] + 50 * places[-1] ** 2, decrement=100.0)
+        objective = -20 * places[-1] + 50 * places[-1] ** 2
+        return SimpleNamespace(objective=objective, decrement=100.0, level=lambda tolerance: 0.5)
 
     count = 1
     while work.went_too_far(here(), count):
