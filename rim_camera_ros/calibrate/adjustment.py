@@ -133,7 +133,13 @@ def _on_grid(
                 seed=seed,
                 part_is_enough=is_first,
                 begin=part,
+                may_hold_foreign=refinement.may_hold_foreign,
             )
+            if outcome.foreign is not None:
+                # the search would add what explains them
+                watch.say("again, with fewer values")
+                problem = replace(problem, masks=refinement.without(outcome.foreign, outcome.solution.fit))
+                continue
         else:
             outcome = exactly(problem, camera, facts, words, views=views, say=watch.say, begin=begin)
         is_first = False

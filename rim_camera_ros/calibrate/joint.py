@@ -41,6 +41,7 @@ from rim_camera_ros.select.candidates import candidates
 from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.evidence import Scores, folds_of
 from rim_camera_ros.select.exploration import explore
+from rim_camera_ros.select.foreign_values import ForeignValues
 from rim_camera_ros.select.search import search
 from rim_camera_ros.select.subsample import MANY_PIXELS, at_stations, subsample_of
 from rim_camera_ros.select.thresholds import WITHOUT_REPLICATES
@@ -73,6 +74,7 @@ class Outcome:
     found: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     part: Result | None = None
+    foreign: ForeignValues | None = None
 
 
 def by_search(
@@ -85,11 +87,13 @@ def by_search(
     seed: int = 0,
     part_is_enough: bool = False,
     begin: Result | None = None,
+    may_hold_foreign: bool = False,
 ) -> Outcome:
     """Fit the effects of the camera file that the recordings determine, and add those that a search finds.
 
     Large recordings are searched by some of their poses first; the search goes on with all poses, unless
-    ``part_is_enough``. ``begin`` is the result by some of the poses, where it is known already.
+    ``part_is_enough``. ``begin`` is the result by some of the poses, where it is known already. With
+    ``may_hold_foreign`` values that do not see the scene are looked for before anything is added.
     """
     kept = _undetermined(problem, camera, say)
     names = [name for name in [*effects_of(camera), *OPTICS] if name not in kept and _is_fitted(name)]
@@ -108,7 +112,17 @@ def by_search(
         say("all stations")
     part = begin if part_is_enough else None
     pool = asked if part is None else []
-    result = search(free, camera, facts, effects=pool, begin=begin, seed=seed, views=views, progress=say)
+    result = search(
+        free,
+        camera,
+        facts,
+        effects=pool,
+        begin=begin,
+        may_hold_foreign=may_hold_foreign and begin is None,
+        seed=seed,
+        views=views,
+        progress=say,
+    )
     last = result.explorations[-1]
     solution = _solved(last.fit, last.scores, result.folds, camera, result.problem)
     named = list(last.candidates)[: len(last.spans)]
@@ -129,7 +143,7 @@ def by_search(
     joined = [finding.effect for finding in result.found]
     notes = [_LAMBERT] if set(joined) & OF_SURFACES else []
     found_names = [name for name in joined if name not in OF_SURFACES]
-    return Outcome(solution, result.problem, effect_statuses, found_names, notes, part)
+    return Outcome(solution, result.problem, effect_statuses, found_names, notes, part, result.foreign)
 
 
 def exactly(

@@ -120,11 +120,17 @@ class Refinement:
                 return replace(problem, pattern_prior=size), "other offsets of pixels"
         return None
 
+    @property
+    def may_hold_foreign(self) -> bool:
+        """Whether values that do not see the scene are looked for."""
+        return len(self._foreign) < MOST_ROUNDS
+
     def _without_foreign(self, fitted: Fit) -> Sequence[tuple[Array, Array]] | None:
-        """Return the pixels without values that do not see the scene; None where there are none."""
-        foreign = foreign_values(fitted) if len(self._foreign) < MOST_ROUNDS else None
-        if foreign is None:
-            return None
+        foreign = foreign_values(fitted) if self.may_hold_foreign else None
+        return None if foreign is None else self.without(foreign, fitted)
+
+    def without(self, foreign: ForeignValues, fitted: Fit) -> Sequence[tuple[Array, Array]]:
+        """Return the pixels of a fit without values that do not see the scene."""
         self._foreign.append(foreign)
         now = self._masks if fitted.forward.masks is None else fitted.forward.masks
         self._masks = foreign.kept(self._masks)

@@ -167,8 +167,8 @@ def _once_more(
         kept = judged.without_bad_poses(begin.problem.dataset)
         return _diagnosed(replace(inputs, dataset=kept, setups=None, spare=spare - bad))
     if judged.reason is None and begin.may_hold_foreign(inputs):
-        # given the physics that was found, others are seen
-        foreign = foreign_values(found.best_fit)
+        # given the physics that was found, others are seen; beside edges, what its inexact form leaves
+        foreign = foreign_values(found.result.without_edges(found.best_fit))
         if foreign is not None:
             found.result.forget()
             return _without_foreign(inputs, foreign, begin.problem.dataset, tried)

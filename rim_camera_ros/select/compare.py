@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence, Set
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -302,6 +303,17 @@ class Result:
         problem = replace(self.problem, masks=before.fit.forward.masks)
         fitted = further_equations(final.fit, final.forms, self.folds, problem)
         return explored(fitted, [], forms=final.forms, replicates=0)
+
+    def without_edges(self, fitted: Fit) -> Fit:
+        """Return a fit with the residuals of the pixels alone that no edge reaches."""
+        if self.beside_edges is None:
+            return fitted
+        clean = self.explorations[self.beside_edges - 1].fit.forward.masks
+        forward = copy(fitted.forward)
+        if clean is not None and forward.masks is not None:
+            pairs = zip(forward.masks, clean, strict=True)
+            forward.masks = [(used & own, lit & shown) for (used, lit), (own, shown) in pairs]
+        return replace(fitted, forward=forward)
 
     def forget(self) -> None:
         """Free the sums per pixel, where the search is repeated."""
