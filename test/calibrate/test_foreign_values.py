@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import pytest
+
+from rim_camera_ros.calibrate import joint
 from rim_camera_ros.calibrate.adjustment import Adjustment, adjust
 from rim_camera_ros.calibrate.recordings import Watch
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.select.compare import Result
 
 from ..select.test_foreign_values import with_hand
 from .helpers import camera, record, scene
@@ -15,12 +20,12 @@ from .helpers import camera, record, scene
 TRUE = 0.012
 
 
-def calibrated(tmp_path: Path, data: Dataset) -> Adjustment:
+def calibrated(tmp_path: Path, data: Dataset, effects: list[str] | None) -> Adjustment:
     return adjust(
         camera(tmp_path),
         data,
         scene(tmp_path),
-        ["cyclic_error"],
+        effects,
         steps=(1, 1),
         surfaces=1,
         geometry=False,
@@ -33,9 +38,9 @@ def calibrated(tmp_path: Path, data: Dataset) -> Adjustment:
 def test_a_hand_in_a_third_of_the_poses_is_excluded(tmp_path: Path) -> None:
     truth = camera(tmp_path, CyclicError((Harmonic(4, TRUE, 0.7),)))
     data = record(truth, scene(tmp_path), poses=24, seed=4)
-    clean = calibrated(tmp_path, data)
+    clean = calibrated(tmp_path, data, ["cyclic_error"])
     disturbed, hands = with_hand(data, truth, by=0.25)
-    found = calibrated(tmp_path, disturbed)
+    found = calibrated(tmp_path, disturbed, ["cyclic_error"])
     here, there = found.outcome.solution.fit, clean.outcome.solution.fit
     path = "effects.cyclic_error.harmonics.0.amplitude"
     assert abs(here.parameters[path] - there.parameters[path]) < here.sigma[path]
@@ -46,3 +51,24 @@ def test_a_hand_in_a_third_of_the_poses_is_excluded(tmp_path: Path) -> None:
     assert masks is not None
     lost = [int((hands[number] & masks[number][0]).sum()) for number in hands]
     assert sum(lost) < 0.25 * sum(int(mask.sum()) for mask in hands.values())
+
+
+@pytest.mark.long
+def test_effects_are_searched_without_a_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No effect is added that would explain the hand, not even before it is excluded."""
+    truth = camera(tmp_path, CyclicError((Harmonic(4, TRUE, 0.7),)))
+    disturbed, _ = with_hand(record(truth, scene(tmp_path), poses=24, seed=4), truth, by=0.25)
+    searches: list[tuple[list[str], bool]] = []
+    honest = joint.search
+
+    def watched(*args: Any, **options: Any) -> Result:
+        result = honest(*args, **options)
+        searches.append(([finding.effect for finding in result.found], result.foreign is not None))
+        return result
+
+    monkeypatch.setattr(joint, "search", watched)
+    found = calibrated(tmp_path, disturbed, None)
+    assert found.outcome.found == ["cyclic_error"]
+    assert [effects for effects, holds in searches if holds] == [[]] * sum(holds for _, holds in searches)
+    assert searches[0][1]
+    assert not searches[-1][1]

@@ -12,11 +12,14 @@ import pytest
 
 from rim_camera_ros.effects.candidate import priors_of
 from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.forward import Forward
 from rim_camera_ros.fit.normal_equations import reduce_folds
 from rim_camera_ros.fit.problem import Fit, Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.select import moved_poses as module
-from rim_camera_ros.select.evidence import Scores
+from rim_camera_ros.select.compare import Result
+from rim_camera_ros.select.evidence import Scores, folds_of
+from rim_camera_ros.select.exploration import explore
 from rim_camera_ros.select.moved_poses import (
     FREEDOM,
     MayHaveMoved,
@@ -127,3 +130,33 @@ def test_what_many_poses_show_given_physics_is_physics(
     monkeypatch.setattr(module, "moved_poses", lambda *_, most, **__: POSES[:most])
     step: Any = SimpleNamespace(conditional=None)
     assert moved_given_physics(step, MayHaveMoved(most, 20.0)) == expected
+
+
+def test_a_tilt_by_pixels_beside_edges_alone_is_none(tmp_path: Path) -> None:
+    """Beside edges, an inexact form of what acts there leaves residuals that look like a tilt of one pose."""
+    truth, board = camera(tmp_path), scene(tmp_path)
+    data = record(truth, board, poses=16, seed=3)
+    forward = Forward(data, board, truth)
+    forward.estimate_amplitudes()
+    clean, edges = forward.pixels_used(), forward.pixels_near_edges()
+    side = np.where(np.arange(44) < 20, 0.06, -0.06)
+    stations = []
+    for one, (away, _), (near, _) in zip(data.stations, clean, edges, strict=True):
+        by = np.where(near & ~away & (one.pose == 6), side, 0.0)
+        stations.append(replace(one, distance=one.distance + by))
+    data = replace(data, stations=stations)
+    problem, folds = Problem(data, board), folds_of(data)
+    steps = [explore(replace(problem, masks=masks), truth, [], folds) for masks in (clean, edges)]
+    result = Result(truth, [], steps, 0.0, 0.0, replace(problem, masks=edges), folds, beside_edges=1)
+    seen = moved_poses(steps[1].conditional, least_gain=20.0, most=3)
+    assert [pose.placement for pose in seen] == [(0, 6)]
+    assert moved_poses(result.away_from_edges().conditional, least_gain=20.0, most=3) == []
+    kept = result.without_edges(steps[1].fit).forward.masks
+    assert kept is not None
+    for (used, lit), (away, shown) in zip(kept, clean, strict=True):
+        assert np.array_equal(used, away)
+        assert np.array_equal(lit, shown)
+    # of a search without such pixels, both are those of its end
+    plain = replace(result, beside_edges=None)
+    assert plain.away_from_edges() is steps[1]
+    assert plain.without_edges(steps[1].fit) is steps[1].fit
