@@ -138,7 +138,7 @@ def _on_grid(
             if outcome.foreign is not None:
                 # the search would add what explains them
                 watch.say("again, with fewer values")
-                problem = replace(problem, masks=refinement.without(outcome.foreign, outcome.solution.fit))
+                problem = refinement.without(problem, outcome.foreign, outcome.solution.fit)
                 continue
         else:
             outcome = exactly(problem, camera, facts, words, views=views, say=watch.say, begin=begin)

@@ -76,6 +76,7 @@ class Refinement:
             say(f"again, with {refined[1]}")
             solved = replace(
                 solved,
+                dataset=problem.dataset,
                 masks=problem.masks,
                 scene=problem.scene,
                 variance_factors=problem.variance_factors,
@@ -88,9 +89,9 @@ class Refinement:
 
     def next(self, problem: Problem, fitted: Fit) -> tuple[Problem, str] | None:
         """Return the problem to fit next, and its change in words; None: no assumption is contradicted."""
-        fewer = self._without_foreign(fitted)
-        if fewer is not None:
-            return replace(problem, masks=fewer), "fewer values"
+        foreign = foreign_values(fitted) if self.may_hold_foreign else None
+        if foreign is not None:
+            return self.without(problem, foreign, fitted), "fewer values"
         inner = without_edges(fitted, self._masks, beside=self._beside) if self.edges else None
         if inner is not None:
             masks, self.edges_within, note = inner
@@ -125,16 +126,12 @@ class Refinement:
         """Whether values that do not see the scene are looked for."""
         return len(self._foreign) < MOST_ROUNDS
 
-    def _without_foreign(self, fitted: Fit) -> Sequence[tuple[Array, Array]] | None:
-        foreign = foreign_values(fitted) if self.may_hold_foreign else None
-        return None if foreign is None else self.without(foreign, fitted)
-
-    def without(self, foreign: ForeignValues, fitted: Fit) -> Sequence[tuple[Array, Array]]:
-        """Return the pixels of a fit without values that do not see the scene."""
+    def without(self, problem: Problem, foreign: ForeignValues, fitted: Fit) -> Problem:
+        """Return a problem whose pixels are those of a fit without values that do not see the scene."""
         self._foreign.append(foreign)
         now = self._masks if fitted.forward.masks is None else fitted.forward.masks
         self._masks = foreign.kept(self._masks)
-        return foreign.kept(now)
+        return replace(problem, masks=foreign.kept(now), dataset=foreign.marked_in(problem.dataset))
 
     def _weighed(self, problem: Problem, fitted: Fit) -> tuple[Problem, str] | None:
         if problem.variance_factors:

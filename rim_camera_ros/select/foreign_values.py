@@ -51,6 +51,11 @@ class ForeignValues:
         stations = list(dataset.stations)
         for number, mask in self.masks.items():
             stations[number] = stations[number].without(mask)
+        return self.marked_in(replace(dataset, stations=stations))
+
+    def marked_in(self, dataset: Dataset) -> Dataset:
+        """Return the dataset with the pixels marked whose light is not that of the scene."""
+        stations = list(dataset.stations)
         for number, mask in self.unlike.items():
             stations[number] = stations[number].with_unlike(mask)
         return replace(dataset, stations=stations)

@@ -1,30 +1,38 @@
-"""A hand before the board does not move what is calibrated."""
+"""A hand before the board, or a label on it, does not move what is calibrated."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import pytest
 
 from rim_camera_ros.calibrate import joint
 from rim_camera_ros.calibrate.adjustment import Adjustment, adjust
 from rim_camera_ros.calibrate.recordings import Watch
+from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.compare import Result
 
 from ..select.test_foreign_values import with_hand
+from ..select.test_unlike_regions import dimmed, region, wall
 from .helpers import camera, record, scene
 
 TRUE = 0.012
 
 
-def calibrated(tmp_path: Path, data: Dataset, effects: list[str] | None) -> Adjustment:
+def calibrated(
+    tmp_path: Path, data: Dataset, effects: list[str] | None, board: Scene | None = None
+) -> Adjustment:
     return adjust(
         camera(tmp_path),
         data,
-        scene(tmp_path),
+        board or scene(tmp_path),
         effects,
         steps=(1, 1),
         surfaces=1,
@@ -72,3 +80,24 @@ def test_effects_are_searched_without_a_hand(tmp_path: Path, monkeypatch: pytest
     assert [effects for effects, holds in searches if holds] == [[]] * sum(holds for _, holds in searches)
     assert searches[0][1]
     assert not searches[-1][1]
+
+
+def test_a_label_is_calibrated_by_the_light_that_it_reflects(tmp_path: Path) -> None:
+    """Its distances are those of two fifths of the light, of which the scene file says nothing."""
+    true = Hyperbola(9.0, -30.0)
+    offset = AmplitudeOffset(MappingProxyType(dict.fromkeys((16.0, 60.0, 100.0), true)))
+    data = record(camera(tmp_path, offset), wall(tmp_path), poses=24, seed=4)
+    rng, stations = np.random.default_rng(6), []
+    for one in data.stations:
+        label = region(camera(tmp_path), (int(rng.integers(3, 24)), int(rng.integers(3, 30))), (8, 9))
+        with np.errstate(divide="ignore"):
+            farther = true.a / (0.4 * one.amplitude - true.b) - true.a / (one.amplitude - true.b)
+        stations.append(dimmed(one, label, 0.4, nearer=-np.where(one.count > 0, farther, 0.0)))
+    effects = ["amplitude_offset"]
+    clean = calibrated(tmp_path, data, effects, wall(tmp_path))
+    found = calibrated(tmp_path, replace(data, stations=stations), effects, wall(tmp_path))
+    assert any("a part of a surface reflects otherwise" in note for note in found.notes)
+    here, there = found.outcome.solution.fit, clean.outcome.solution.fit
+    for setting in (16, 60, 100):
+        path = f"effects.amplitude_offset.hyperbola.{setting}.a"
+        assert abs(here.parameters[path] - there.parameters[path]) < here.sigma[path], path

@@ -31,7 +31,9 @@ def region(model: Camera, at: tuple[int, int], size: tuple[int, int]) -> Mask:
     return mask
 
 
-def dimmed(station: Station, mask: Mask, share: float, *, nearer: float = 0.0) -> Station:
+def dimmed(
+    station: Station, mask: Mask, share: float, *, nearer: float | NDArray[np.float64] = 0.0
+) -> Station:
     return replace(
         station,
         amplitude=np.where(mask, share * station.amplitude, station.amplitude).astype(np.float32),
