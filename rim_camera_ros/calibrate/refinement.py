@@ -23,6 +23,7 @@ from rim_camera_ros.fit.variance_components import (
     pose_variance_note,
 )
 from rim_camera_ros.select.foreign_values import MOST_ROUNDS, ForeignValues, exclusion_notes, foreign_values
+from rim_camera_ros.select.pixel_gains import UNKNOWN_GAINS, spread_of_gains
 
 Array = NDArray[Any]
 
@@ -52,6 +53,7 @@ class Refinement:
         self._first_size = first_pattern_prior(masks)
         self._unsized = self._first_size != PATTERN_PRIOR
         self._edges_note: list[str] = []
+        self._gains_note: list[str] = []
         self._foreign: list[ForeignValues] = []
 
     def first(self, problem: Problem) -> Problem:
@@ -81,6 +83,7 @@ class Refinement:
                 scene=problem.scene,
                 variance_factors=problem.variance_factors,
                 pattern_prior=problem.pattern_prior,
+                pixel_gains=problem.pixel_gains,
                 correlated_error=problem.correlated_error,
             )
             fitted = fit(solved, fitted.camera, views=views, warm=fitted)
@@ -92,6 +95,11 @@ class Refinement:
         foreign = foreign_values(fitted) if self.may_hold_foreign else None
         if foreign is not None:
             return self.without(problem, foreign, fitted), "fewer values"
+        if problem.pixel_gains is None:
+            gains = spread_of_gains(fitted)
+            if gains is not None and gains.are_unknown:
+                self._gains_note.append(gains.note_of_shared())
+                return replace(problem, pixel_gains=UNKNOWN_GAINS), "unknown gains of pixels"
         inner = without_edges(fitted, self._masks, beside=self._beside) if self.edges else None
         if inner is not None:
             masks, self.edges_within, note = inner
@@ -141,7 +149,7 @@ class Refinement:
 
     def notes(self, problem: Problem, fitted: Fit) -> list[str]:
         """Return notes on the assumptions that were given up in a problem, whose solution is ``fitted``."""
-        result = [*exclusion_notes(self._foreign), *self._edges_note]
+        result = [*exclusion_notes(self._foreign), *self._edges_note, *self._gains_note]
         if problem.pattern_prior != PATTERN_PRIOR:
             result.append(pattern_prior_note(problem.pattern_prior))
         if problem.correlated_error:

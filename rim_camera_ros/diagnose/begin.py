@@ -54,7 +54,8 @@ class Inputs:
 
     ``against`` is a recording of the simulation. ``spare`` is how many poses may still be excluded (None: not
     decided), ``setups`` are those that were compared already, ``correlated_error`` [m] is the 1-sigma of
-    errors that neighbours share. ``foreign`` are the values that were excluded as they do not see the scene,
+    errors that neighbours share, ``pixel_gains`` that of the gains of pixels (relative; None: as the camera
+    file states). ``foreign`` are the values that were excluded as they do not see the scene,
     round by round.
     """
 
@@ -69,6 +70,7 @@ class Inputs:
     spare: int | None = None
     setups: list[Hypothesis] | None = None
     correlated_error: float = 0.0
+    pixel_gains: float | None = None
     foreign: tuple[ForeignValues, ...] = ()
 
     def decimated(self, step: int) -> Inputs:
@@ -159,6 +161,7 @@ def begun(inputs: Inputs) -> Begun:
         shifts=shifts,
         stray_light=max(light, scene.stray_light),
         correlated_error=inputs.correlated_error,
+        pixel_gains=inputs.pixel_gains,
         threads=inputs.threads,
     )
     if dataset.poses < _FEW_POSES:

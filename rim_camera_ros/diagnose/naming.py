@@ -13,7 +13,6 @@ from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import camera_numbers
 from rim_camera_ros.diagnose.codes import MissingCodes
 from rim_camera_ros.diagnose.menu import Proposal
-from rim_camera_ros.diagnose.pixel_gains import GainSpread
 from rim_camera_ros.diagnose.result import Missing, Ranked
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.effects import OF_SURFACES, SECTIONS, registry, vocabulary
@@ -23,6 +22,7 @@ from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.info.text import several
 from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.exploration import Exploration
+from rim_camera_ros.select.pixel_gains import GainSpread
 
 Array = NDArray[Any]
 

@@ -10,13 +10,13 @@ from scipy.special import chdtri
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.hypotheses import DEPTH, LEAST_GAIN
-from rim_camera_ros.diagnose.pixel_gains import GainSpread
 from rim_camera_ros.effects.light_curves import LOBE_PREFIX, TILES
 from rim_camera_ros.fit.design import BEYOND, COMMON_POSE, OPTICS, SENSOR
 from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.surface_shape import SHAPE
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.compare import NOT_IN_ALL_POSES, Result
+from rim_camera_ros.select.pixel_gains import GainSpread
 from rim_camera_ros.select.thresholds import ALARM_RATE
 
 #: Poses that a sentence names.
@@ -86,7 +86,7 @@ def nuisances_of(fitted: Fit, camera: Camera, gains: GainSpread | None = None) -
     units = {"emitted_power": "-", "pose_offset": "m", "pose_tilt": "rad", "stray_light": "counts"}
     result += [_of(name, values, units[name]) for name, values in pairs.items()]
     if gains is not None:
-        result.append(Nuisance(PIXEL_GAIN, gains.found, gains.stated))
+        result.append(Nuisance(PIXEL_GAIN, gains.found, camera.radiometry.pattern_sigma))
     return result
 
 

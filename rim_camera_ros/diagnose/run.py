@@ -25,8 +25,7 @@ from rim_camera_ros.diagnose.judged_setup import (
     surface_elsewhere,
 )
 from rim_camera_ros.diagnose.noise_verdict import only_background, only_rectified_noise
-from rim_camera_ros.diagnose.nuisances import PIXEL_GAIN, nuisances_of, optics_beyond
-from rim_camera_ros.diagnose.pixel_gains import UNKNOWN_GAINS, GainSpread, spread_of_gains
+from rim_camera_ros.diagnose.nuisances import nuisances_of, optics_beyond
 from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.setup import VERY_FEW
 from rim_camera_ros.diagnose.variance import moving
@@ -40,6 +39,7 @@ from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.at_rest import at_rest, note_on_smoothing
 from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.foreign_values import ForeignValues, exclusion_notes, foreign_values
+from rim_camera_ros.select.pixel_gains import UNKNOWN_GAINS, GainSpread, spread_of_gains
 from rim_camera_ros.select.trials import Workers, silent
 
 _SATURATED_ELSEWHERE = (
@@ -179,10 +179,9 @@ def _once_more(
             found.result.forget()
             shared = replace(inputs, dataset=dataset, spare=spare, setups=tried, correlated_error=size)
             return _with_correlated_error(shared)
-    stated = inputs.camera.radiometry.pattern_sigma < UNKNOWN_GAINS
-    may_share = bool(found.result.found) and stated and not begin.sees_second_camera
+    may_share = bool(found.result.found) and not begin.sees_second_camera
     gains = spread_of_gains(found.result.fit) if may_share else None
-    if gains is None or not gains.is_shared or gains.is_beyond:
+    if gains is None or not gains.are_unknown:
         return None
     found.result.forget()
     return _with_free_gains(inputs, gains, begin.problem.dataset, tried)
@@ -217,17 +216,8 @@ def _with_free_gains(
 ) -> Diagnosis:
     """Return the diagnosis with gains of pixels that are not assumed to be small."""
     inputs.say("once more with unknown gains of pixels")
-    camera = inputs.camera
-    free = replace(camera, radiometry=replace(camera.radiometry, pattern_sigma=UNKNOWN_GAINS))
     noted = replace(dataset, notes=[*dataset.notes, gains.note_of_shared()])
-    result = _diagnosed(replace(inputs, dataset=noted, camera=free, setups=setups))
-    # the file states what it stated
-    stated = camera.radiometry.pattern_sigma
-    nuisances = [
-        replace(each, stated=stated) if each.name == PIXEL_GAIN else each for each in result.nuisances
-    ]
-    radiometry = replace(result.camera.radiometry, pattern_sigma=stated)
-    return replace(result, camera=replace(result.camera, radiometry=radiometry), nuisances=nuisances)
+    return _diagnosed(replace(inputs, dataset=noted, setups=setups, pixel_gains=UNKNOWN_GAINS))
 
 
 def _said(inputs: Inputs, begin: Begun, found: FoundPhysics, judged: JudgedSetup) -> Diagnosis:

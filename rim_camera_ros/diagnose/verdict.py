@@ -28,7 +28,6 @@ from rim_camera_ros.diagnose.naming import (
     with_unknown,
 )
 from rim_camera_ros.diagnose.noise_verdict import OF_NOISE, separate_unknown, with_variance
-from rim_camera_ros.diagnose.pixel_gains import GainSpread
 from rim_camera_ros.diagnose.result import Diagnosis, Missing, Ranked
 from rim_camera_ros.diagnose.second_camera import second_camera, with_second_camera
 from rim_camera_ros.diagnose.smooth import UNKNOWN
@@ -47,6 +46,7 @@ from rim_camera_ros.fit.problem import Fit
 from rim_camera_ros.fit.variance_components import correlated_error_note
 from rim_camera_ros.select.candidates import change_of_forms
 from rim_camera_ros.select.compare import Result
+from rim_camera_ros.select.pixel_gains import GainSpread
 
 #: Chi-square per value of held-out poses above which a recording that nothing explains is not consistent:
 #: where nothing was missing it was 1.02 at most.

@@ -192,6 +192,7 @@ class GaussNewton:
             weigh=huber(self._pattern, self._nuisances) if robust else None,
             stray_light=problem.stray_light,
             pattern_prior=problem.pattern_prior,
+            pixel_gains=problem.pixel_gains,
         )
         if not any(fold.rows for fold in equations.folds):
             raise InputError(

@@ -187,6 +187,7 @@ def accumulate(
     weigh: Callable[[Prediction], tuple[Array, Array]] | None = None,
     stray_light: float = 0.0,
     pattern_prior: float = PATTERN_PRIOR,
+    pixel_gains: float | None = None,
     seen: NDArray[np.bool_] | None = None,
 ) -> NormalEquations:
     """Stream all stations into normal equations.
@@ -194,14 +195,16 @@ def accumulate(
     ``fold_of`` maps (recording, pose) to a fold number (default: all in fold 0); ``pattern`` estimates an
     offset per pixel; ``weigh`` returns factors on the weights of both channels (robust fitting);
     ``stray_light`` [counts] is the 1-sigma of light that all pixels of a station share (that of a second
-    camera), a random effect of every station; ``pattern_prior`` [m] that of the offsets of pixels. ``seen``
+    camera), a random effect of every station; ``pattern_prior`` [m] that of the offsets of pixels,
+    ``pixel_gains`` (relative) that of their gains (None: as the camera file states). ``seen``
     (H W,) are the pixels of which sums are kept (None: those that these stations saw); folds that are reduced
     together need the same. The threads of ``forward`` share the stations: the sums are the same with any
     number of them.
     """
     regressors = [regressor for block in blocks for regressor in block.regressors]
     camera = forward.camera
-    gain_prior = camera.radiometry.pattern_sigma if pattern else 0.0
+    stated = camera.radiometry.pattern_sigma if pixel_gains is None else pixel_gains
+    gain_prior = stated if pattern else 0.0
     ordered = [block for block in blocks if block.in_order]
 
     def taken() -> Iterator[tuple[Prediction, list[Sequence[Column]]]]:

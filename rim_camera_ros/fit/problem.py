@@ -62,7 +62,8 @@ class Problem:
     amplitude, ``shifts`` are the differences of another recording (all as in `Forward`);
     ``stray_light`` [counts] as in `accumulate`; ``reflectance`` estimates deviations of surfaces from
     Lambert's law, ``response`` a free curve in addition to the effect on the response.
-    ``pattern_prior`` [m] is the 1-sigma of an offset per pixel. ``correlated_error`` and
+    ``pattern_prior`` [m] is the 1-sigma of an offset per pixel, ``pixel_gains`` (relative) that of its gain
+    (None: as the camera file states). ``correlated_error`` and
     ``variance_factors`` as in `Forward`.
     The table over covariates is fitted only where ``effects`` names it. ``imperfections`` estimates
     quantities that scene and camera files do not state exactly, within their stated errors
@@ -88,6 +89,7 @@ class Problem:
     reflectance: bool = False
     response: FreeResponse | None = None
     pattern_prior: float = PATTERN_PRIOR
+    pixel_gains: float | None = None
     correlated_error: float = 0.0
     variance_factors: Mapping[tuple[int, int], float] = field(default_factory=dict)
     imperfections: bool = True

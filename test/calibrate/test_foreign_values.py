@@ -18,8 +18,10 @@ from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.scene import Scene
 from rim_camera_ros.select.compare import Result
+from rim_camera_ros.select.pixel_gains import UNKNOWN_GAINS
 
 from ..select.test_foreign_values import with_hand
+from ..select.test_pixel_gains import brighter, dust
 from ..select.test_unlike_regions import dimmed, region, wall
 from .helpers import camera, record, scene
 
@@ -80,6 +82,22 @@ def test_effects_are_searched_without_a_hand(tmp_path: Path, monkeypatch: pytest
     assert [effects for effects, holds in searches if holds] == [[]] * sum(holds for _, holds in searches)
     assert searches[0][1]
     assert not searches[-1][1]
+
+
+@pytest.mark.long
+def test_dust_on_the_window_is_no_effect(tmp_path: Path) -> None:
+    """Half the light is lost about a pixel, in all poses: distances and other effects are as without it."""
+    truth = camera(tmp_path, CyclicError((Harmonic(4, TRUE, 0.7),)))
+    data = record(truth, scene(tmp_path), poses=24, seed=4)
+    clean = calibrated(tmp_path, data, None)
+    found = calibrated(tmp_path, brighter(data, dust(truth.shape, 0.5, 6.0)), None)
+    assert [one.outcome.found for one in (clean, found)] == [["cyclic_error"]] * 2
+    assert any("dust on the window" in note for note in found.notes)
+    assert not any("dust on the window" in note for note in clean.notes)
+    assert found.problem.pixel_gains == UNKNOWN_GAINS
+    path = "effects.cyclic_error.harmonics.0.amplitude"
+    here, there = found.outcome.solution.fit, clean.outcome.solution.fit
+    assert abs(here.parameters[path] - there.parameters[path]) < here.sigma[path]
 
 
 def test_a_label_is_calibrated_by_the_light_that_it_reflects(tmp_path: Path) -> None:

@@ -52,6 +52,11 @@ class GainSpread:
         """Whether means of neighbours err by more than independent gains would make them, as by dust."""
         return self.shared > WIDER * max(self.found, self.stated, ORDINARY_GAINS) / PATCH
 
+    @property
+    def are_unknown(self) -> bool:
+        """Whether gains must be unknown, as neighbours share them, and are not beyond what is stated."""
+        return self.stated < UNKNOWN_GAINS and self.is_shared and not self.is_beyond
+
     def note_of_shared(self) -> str:
         """Return in words what gains that neighbours share are, and what was done."""
         return (
@@ -109,7 +114,7 @@ def spread_of_gains(fitted: Fit) -> GainSpread | None:
     found, least = (float(np.sqrt(max(pixel, 0.0) / _OF_DIFFERENCE)) for pixel in of_pixels)
     brighter, poses = _totals(images)
     brighter = np.where(poses > 1, brighter / np.maximum(poses, 1), np.nan)
-    stated = forward.camera.radiometry.pattern_sigma
+    stated = fitted.equations.pixels.gain
     lines = max(_of_lines(images, axis) for axis in (0, 1))
     return GainSpread(found, least, stated, brighter, lines, _shared(list(cells.values())))
 

@@ -13,7 +13,6 @@ import pytest
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose import verdict as verdict_steps
-from rim_camera_ros.diagnose.pixel_gains import GainSpread, _of_lines, spread_of_gains
 from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.effects.base import ComplexEffect
 from rim_camera_ros.effects.candidate import with_effect
@@ -23,6 +22,7 @@ from rim_camera_ros.fit.problem import Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.parameters import quantity
 from rim_camera_ros.reports.diagnosis.words import verdict
+from rim_camera_ros.select.pixel_gains import GainSpread, _of_lines, spread_of_gains
 
 from ..calibrate.helpers import camera, record, scene
 
