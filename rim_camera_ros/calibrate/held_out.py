@@ -131,7 +131,7 @@ def evaluate(
             continue
         poses.add(key)
         camera = cameras[number]
-        view = views.view(station)
+        view = views.view(station, dataset.measured[station.recording, station.placed])
         sums.add(station, view, valid, new.distance, first.distance, new.sigma, camera)
     return sums.accuracy(len(poses), held_out=held_out)
 
