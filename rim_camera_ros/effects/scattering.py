@@ -248,7 +248,7 @@ class Scattering(ComplexEffect):
         )
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=32)
 def _operator(effect: Scattering, shape: tuple[int, int], dtype: str) -> Spreading:
     ghost = effect.ghost
     return Spreading(

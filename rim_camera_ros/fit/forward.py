@@ -20,7 +20,7 @@ from rim_camera_ros.fit.light import Light, LightPath
 from rim_camera_ros.fit.pose_columns import PoseColumn
 from rim_camera_ros.fit.prediction import Prediction
 from rim_camera_ros.fit.views import NEAR, Margins, View, Views
-from rim_camera_ros.fit.windows import light_within, on_whole_array, surrounded, view_within, window_of
+from rim_camera_ros.fit.windows import light_within, on_whole_array, view_within, window_of
 from rim_camera_ros.frame import Settings
 from rim_camera_ros.noise import ROUNDING, rounding_of_mean, sigma_amplitude
 from rim_camera_ros.phasor import wrap_residual
@@ -77,9 +77,8 @@ class Forward:
         self._chain = Chain.of(camera.effects.values(), of_means=True)
         self._order = {name: i for i, name in enumerate(effects_of(camera))}
         self._path = LightPath(camera, scene, self._chain)
-        # what acts on neighbours, or moves while a frame is taken, needs the whole array
-        light = self._chain.light
-        others = [effect for effect in camera.effects.values() if effect not in light]
+        # terms that act on neighbours, and scenes that move while a frame is taken, need the whole array
+        others = [effect for effect in camera.effects.values() if effect not in self._chain.light]
         self._windows = all(effect.pointwise for effect in others) and not scene.camera_motion.moves
 
     def __getstate__(self) -> dict[str, Any]:
@@ -165,19 +164,15 @@ class Forward:
     def _predict(
         self, station: Station, memory: dict[str, Any], model: AmplitudeModel, slopes: bool
     ) -> Prediction:
-        camera, path, margin = self.camera, self._path, self._path.margin
+        camera, margin = self.camera, self._path.margin
         measured, window = self.dataset.measured[station.recording, station.placed], None
         view = self.views.view(station, measured)
         if self._windows and margin is not None:
             window = window_of(view, measured, margin=margin)
-        seen, there = view, station
-        if window is not None:
-            seen, there = view_within(view, window), station.part(*window)
         gain = model.gains.get((station.recording, station.pose), 1.0)
-        alone = path.pointwise or window is None
-        light = path.delivered(
-            there if alone else station,
-            seen if alone else view,
+        light = self._path.delivered(
+            station,
+            view,
             power=camera.radiometry.gain * camera.integration_time(station.settings) * gain,
             views=self.views,
             curves=self.light_curves,
@@ -185,14 +180,12 @@ class Forward:
             memory=memory,
             notes=self.notes,
         )
-        own = light if alone or window is None else light_within(light, seen, window)
-        predicted = self._compare(there, seen, own, model, slopes, gain)
         if window is None:
-            return predicted
-        if not alone:
-            return on_whole_array(predicted, station, view, light)
-        whole = on_whole_array(predicted, station, view)
-        return surrounded(whole, chain=self._chain, light=self._noise_amplitude, effects=path.spreading)
+            return self._compare(station, view, light, model, slopes, gain)
+        within = view_within(view, window)
+        own = light_within(light, within, window)
+        inner = self._compare(station.part(*window), within, own, model, slopes, gain)
+        return on_whole_array(inner, station, view, light)
 
     def _compare(
         self,
@@ -337,6 +330,8 @@ class Forward:
         by_light = (share_at(predicted * (1 + _SMALL)) - share) / _SMALL
         measured = self._expanded(station.amplitude / pixel_gain) * pixel_gain
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.log(np.where(measured > 0, measured / predicted, 1.0))
+            # a free response gives light also to the amplitude 0 of pixels without a measurement
+            seen = (measured > 0) & (station.amplitude > 0)
+            ratio = np.log(np.where(seen, measured / predicted, 1.0))
         ratio = np.clip(ratio, -3.0, 3.0)
         return predicted * np.exp(share * ratio), 1.0 - share + by_light * ratio, share

@@ -87,8 +87,7 @@ class LightPath:
         # where light spreads over the array, that of undescribed surfaces comes in as measured
         self._first = min(order[name] for name, effect in registry().items() if effect.spreads)
         self._emitting = [effect for effect in chain.light if order[effect.name] < self._first]
-        self.spreading = list(chain.light[len(self._emitting) :])
-        self.pointwise = all(effect.pointwise for effect in chain.light)
+        self._spreading = chain.light[len(self._emitting) :]
 
     def is_undescribed(self, geometry: Geometry) -> NDArray[np.bool_]:
         """Return the pixels (H, W) that see a surface of unknown reflectivity."""
@@ -116,14 +115,13 @@ class LightPath:
         memory: dict[str, Any],
         notes: set[str],
     ) -> Light:
-        """Return the light that reaches the pixels of a ``view``, of the whole array or of a window of it.
+        """Return the light that reaches the pixels of a ``view`` of the whole array.
 
         ``power`` [counts m^2] is that of the emitter; ``curves`` change the light in addition to the effects.
         ``measured`` returns the measured light (H, W) [counts] of a station, or what is given where there is
         none. ``memory`` is that of effects from station to station.
         """
         camera, geometry, motion = self._camera, view.geometry, self._scene.camera_motion
-        whole_view = view if view.whole is None else view.whole
         settings = replace(station.settings, integration_time=camera.integration_time(station.settings))
 
         def ideal_of(seen: Geometry) -> Array:
@@ -146,8 +144,8 @@ class LightPath:
 
         for name in self._of_geometry:
             memory.pop(name, None)
-            if name in whole_view.memory:
-                memory[name] = whole_view.memory[name]
+            if name in view.memory:
+                memory[name] = view.memory[name]
         context = Context(
             camera=camera,
             settings=settings,
@@ -155,10 +153,9 @@ class LightPath:
             time=station.time,
             geometry=geometry,
             geometry_at=geometry_at,
-            footprint=lambda cells: views.footprint(whole_view, cells, ambiguity=camera.sensor.ambiguity),
+            footprint=lambda cells: views.footprint(view, cells, ambiguity=camera.sensor.ambiguity),
             moving=motion.moves,
             incidence=geometry.incidence,
-            window=view.window,
             saturated=station.saturated > 0,
             memory=memory,
             light_tolerance=_SAME_LIGHT,
@@ -173,11 +170,11 @@ class LightPath:
             chain=self._chain,
             light=measured,
             nameless=nameless,
-            effects=self.spreading,
+            effects=self._spreading,
             place=self._first,
         )
-        signal = deliver(self.spreading, signal, context, before=before)
-        whole_view.memory.update({name: memory[name] for name in self._of_geometry if name in memory})
+        signal = deliver(self._spreading, signal, context, before=before)
+        view.memory.update({name: memory[name] for name in self._of_geometry if name in memory})
         if nameless.any():
             shown = measured(station, signal.amplitude)
             signal = Signal(signal.distance, np.where(nameless, shown, signal.amplitude))

@@ -70,6 +70,7 @@ def truth_columns(
 def free_columns(
     surface: Surface, pose: Pose, geometry: Geometry, mine: Array, rays: Array
 ) -> list[PoseColumn]:
+    """Return the changes by a free pose of the scene file: shifts along the axes, and turns about them."""
     assert isinstance(surface.pose, ScenePose)
     met, result = _Met.of(geometry, mine, rays), []
     for name in surface.pose.free:

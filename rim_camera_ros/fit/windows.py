@@ -1,27 +1,23 @@
 """The part of the array in which the scene was measured, where that is a small one.
 
-A board held by hand covers a twentieth of a large sensor. Outside of it there is nothing to compare, so that
-what acts on each pixel by itself is computed within the window around it alone. The numbers are the same.
-Light that spreads is computed of the whole array, its derivatives within the window: they are without light
-that changes where the scene has a surface but the camera measured nothing, and exact where it has none.
+A board held by hand covers a twentieth of a large sensor. Light is computed of the whole array, as it may
+spread; what is measured of it is compared within the window around the board alone. The numbers are the same,
+but for derivatives by light that spreads: they are without light that changes where the scene has a surface of
+which nothing was measured.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rim_camera_ros.chain import Chain
-from rim_camera_ros.effects.base import Effect
 from rim_camera_ros.effects.signal import Signal, Window
 from rim_camera_ros.fit.data import Station
 from rim_camera_ros.fit.light import Light
 from rim_camera_ros.fit.prediction import Prediction
-from rim_camera_ros.fit.undescribed import sees_nothing_described, with_measured_light
 from rim_camera_ros.fit.views import LARGEST_WINDOW, View
 from rim_camera_ros.geometry import Geometry
 
@@ -129,13 +125,13 @@ def light_within(light: Light, view: View, window: Window) -> Light:
     if undescribed is not None:
         images = {name: getattr(undescribed, name)[window] for name in ("image", "nameless", "outside")}
         undescribed = replace(undescribed, **images)
-    return Light(
-        context,
-        {name: _within(signal, window) for name, signal in light.before.items()},
-        _within(light.delivered, window),
-        light.nameless[window],
-        undescribed,
-        light.spread,
+    return replace(
+        light,
+        context=context,
+        before={name: _within(signal, window) for name, signal in light.before.items()},
+        delivered=_within(light.delivered, window),
+        nameless=light.nameless[window],
+        undescribed=undescribed,
     )
 
 
@@ -144,100 +140,38 @@ def _within(signal: Signal, window: Window) -> Signal:
     return replace(signal, **images)
 
 
-def put(values: Any, window: Window, shape: tuple[int, ...], nothing: float | bool = np.nan) -> Any:
-    """Return the images of a window as those of an array of a ``shape``, with ``nothing`` around it."""
-    if np.ndim(values) < 2:
-        return values
-    result = np.full(shape, nothing, np.asarray(values).dtype)
-    result[window] = values
-    return result
-
-
-def on_whole_array(
-    inner: Prediction, station: Station, view: View, around: Light | None = None
-) -> Prediction:
+def on_whole_array(inner: Prediction, station: Station, view: View, light: Light) -> Prediction:
     """Return the prediction of a window as one of all pixels, which keeps that of the window.
 
-    ``around`` is the light of the whole array (None: it was computed within the window alone). The columns of
-    the pose are those of the view, without waves of correlated errors: `Prediction.inner` has all of them.
+    ``light`` is that of the whole array. The columns of the pose are those of the view, without waves of
+    correlated errors: `Prediction.inner` has all of them.
     """
     window = inner.context.window
     assert window is not None
     shape = view.geometry.distance.shape
-    images = {name: put(getattr(inner, name), window, shape, _NOTHING.get(name, np.nan)) for name in _IMAGES}
-    if around is not None:
-        delivered = around.delivered
-        delivered = Signal(delivered.distance, delivered.amplitude.copy())
-        delivered.amplitude[window] = inner.delivered.amplitude
-        return replace(
-            inner,
-            **images,
-            station=station,
-            view=view,
-            context=around.context,
-            before=around.before,
-            delivered=delivered,
-            undescribed=around.undescribed,
-            pose_columns=view.pose_columns,
-            of_window=inner,
-            _images={},
-            _changes={},
-            _by_light=None,
-        )
 
-    def light(signal: Signal) -> Signal:
-        dark = (np.nan, 0.0, np.nan, 0.0)
-        parts = (signal.distance, signal.amplitude, signal.offset, signal.published)
-        return Signal(*(put(part, window, shape, none) for part, none in zip(parts, dark, strict=True)))
+    def put(name: str) -> Any:
+        values = getattr(inner, name)
+        if np.ndim(values) < 2:
+            return values
+        result = np.full(shape, _NOTHING.get(name, np.nan), np.asarray(values).dtype)
+        result[window] = values
+        return result
 
-    def geometry_at(seconds: float) -> tuple[Geometry, Array]:
-        # where there are windows nothing moves
-        assert inner.context.geometry_at is not None
-        return view.geometry, put(inner.context.geometry_at(seconds)[1], window, shape, 0.0)
-
-    context = replace(
-        inner.context,
-        geometry=view.geometry,
-        geometry_at=geometry_at,
-        incidence=put(inner.context.incidence, window, shape),
-        saturated=station.saturated > 0,
-        window=None,
-    )
+    delivered = Signal(light.delivered.distance, light.delivered.amplitude.copy())
+    delivered.amplitude[window] = inner.delivered.amplitude
     return replace(
         inner,
-        **images,
+        **{name: put(name) for name in _IMAGES},
         station=station,
         view=view,
-        context=context,
-        before={name: light(signal) for name, signal in inner.before.items()},
-        delivered=light(inner.delivered),
+        context=light.context,
+        before=light.before,
+        delivered=delivered,
+        undescribed=light.undescribed,
         pose_columns=view.pose_columns,
         of_window=inner,
         _images={},
         _changes={},
         _by_light=None,
     )
-
-
-def surrounded(
-    predicted: Prediction,
-    *,
-    chain: Chain,
-    light: Callable[[Station, Array], Array],
-    effects: Sequence[Effect],
-) -> Prediction:
-    """Return a prediction of a window with the measured light around it, which effects may spread.
-
-    ``light`` is as in `with_measured_light`; ``effects`` are those of the ``chain`` that act after light has
-    spread.
-    """
-    station, context = predicted.station, predicted.context
-    if not sees_nothing_described(station, context).any():
-        return predicted
-    none = np.zeros(station.count.shape, bool)
-
-    def around(signal: Signal) -> Signal:
-        return with_measured_light(signal, station, context, chain=chain, light=light, nameless=none)[0]
-
-    before = {effect.name: around(predicted.before[effect.name]) for effect in effects}
-    return replace(predicted, before=predicted.before | before, delivered=around(predicted.delivered))
