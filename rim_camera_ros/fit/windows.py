@@ -2,8 +2,8 @@
 
 A board held by hand covers a twentieth of a large sensor. Light is computed of the whole array, as it may
 spread; what is measured of it is compared within the window around the board alone. The numbers are the same,
-but for derivatives by light that spreads: they are without light that changes where the scene has a surface of
-which nothing was measured.
+but for derivatives by light that spreads: these are without light that changes where the scene has a surface
+of which nothing was measured.
 """
 
 from __future__ import annotations
