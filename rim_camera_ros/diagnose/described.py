@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import added, in_order
 from rim_camera_ros.diagnose.accuracy import LEAST_EXPLAINED
+from rim_camera_ros.diagnose.added_light import COVARIATES_OF_LIGHT, added_light, sentence_of_light
 from rim_camera_ros.diagnose.formula import closed_form, product_form
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN, pair_terms
@@ -24,7 +25,7 @@ from rim_camera_ros.diagnose.unknown import (
     with_table,
 )
 from rim_camera_ros.diagnose.where import Where, of_residuals, of_terms, of_values
-from rim_camera_ros.effects import CovariateTable
+from rim_camera_ros.effects import AdditionalLight, CovariateTable
 from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.fit.correlated_errors import correlated_error_of
 from rim_camera_ros.fit.problem import Fit
@@ -32,6 +33,7 @@ from rim_camera_ros.fit.residuals import after_nuisances
 from rim_camera_ros.fit.variance_components import correlated_error_note, correlated_error_rms
 from rim_camera_ros.select.at_rest import note_on_smoothing
 from rim_camera_ros.select.compare import Result, curve_of_forms
+from rim_camera_ros.select.effect_sizes import effect_size
 from rim_camera_ros.select.exploration import Exploration, explore
 from rim_camera_ros.select.thresholds import noise_limit
 
@@ -46,7 +48,8 @@ DOUBT = 0.15
 class Rest:
     """The best description outside the vocabulary: its gain over the baseline, covariates, and camera.
 
-    ``on_top`` is its gain conditional on the effects found, ``threshold`` its entry threshold.
+    ``on_top`` is its gain conditional on the effects found, ``threshold`` its entry threshold. ``model`` is
+    the effect of the camera that describes it (None: slopes per pixel, which no effect describes).
     """
 
     gain: float
@@ -54,11 +57,15 @@ class Rest:
     camera: Camera
     on_top: float
     threshold: float
+    model: str | None = CovariateTable.name
     fine: FineStructure | None = None
 
 
 def best_rest(result: Result, samples: Mapping[str, Array], seed: int) -> Rest | None:
-    """Find the best smooth term or fine structure, over the baseline and conditional on the effects named."""
+    """Find the best smooth term, fine structure or added light, conditional on the effects named.
+
+    Added light is tried where a smooth term gains: its errors vary over the array, light and distance.
+    """
     baseline, final = result.explorations[0], result.explorations[-1]
     options: list[Rest] = []
     best = final.best_further()
@@ -98,7 +105,21 @@ def best_rest(result: Result, samples: Mapping[str, Array], seed: int) -> Rest |
         fine = structures[0]
         table = fine_table(fine)
         camera = final.fit.camera if table is None else with_table(final.fit.camera, table)
-        options.append(Rest(fine.gain, fine.covariates, camera, fine.gain, least, fine))
+        model = None if table is None else CovariateTable.name
+        options.append(Rest(fine.gain, fine.covariates, camera, fine.gain, least, model, fine))
+    if best is not None and best[0] > float(final.thresholds[best[1]]):
+        light = added_light(result, seed)
+        if light is not None and light.on_top > max(least, 1.5 * light.threshold):
+            options.append(
+                Rest(
+                    light.gain,
+                    COVARIATES_OF_LIGHT,
+                    light.camera,
+                    light.on_top,
+                    light.threshold,
+                    AdditionalLight.name,
+                )
+            )
     return max(options, key=lambda rest: rest.on_top, default=None)
 
 
@@ -140,8 +161,10 @@ class Described:
 
 
 def describe(unknown: Rest, baseline: Exploration, result: Result, seed: int) -> Described:
-    """Fit the table in place of the named effects and describe it."""
+    """Fit the table or the light in place of the named effects and describe it."""
     start = baseline.fit.camera
+    if unknown.model == AdditionalLight.name:
+        return _describe_light(unknown, start, result, seed)
     table = effect_of(unknown.camera, CovariateTable)
     model = start
     where = of_residuals(baseline.fit)
@@ -187,9 +210,38 @@ def describe(unknown: Rest, baseline: Exploration, result: Result, seed: int) ->
         covariates=unknown.covariates,
         magnitude=magnitude,
         formula=formula,
-        modelled=modelled,
+        model=CovariateTable.name if modelled else None,
     )
     return Described(unknown.gain, model, fitted, where, missing)
+
+
+def _describe_light(unknown: Rest, start: Camera, result: Result, seed: int) -> Described:
+    """Fit light that does not come from the scene in place of the named effects, and describe it."""
+    light = effect_of(unknown.camera, AdditionalLight)
+    assert light is not None
+    step = explore(
+        replace(result.problem, geometry=(), reflectance=False, response=None),
+        added(start, light),
+        [],
+        result.folds,
+        views=result.fit.forward.views,
+        seed=seed,
+        replicates=0,
+    )
+    name = AdditionalLight.name
+    fitted = step.fit
+    magnitude = effect_size(fitted, [name], start)
+    missing = Missing(
+        UNKNOWN,
+        1.0,
+        {},
+        {},
+        sentence_of_light(fitted, magnitude),
+        covariates=COVARIATES_OF_LIGHT,
+        magnitude=magnitude,
+        model=name,
+    )
+    return Described(unknown.gain, fitted.camera, fitted, of_terms(fitted, [name], start), missing)
 
 
 def unexplained(fitted: Fit, chi_square: float) -> tuple[Missing, Where]:

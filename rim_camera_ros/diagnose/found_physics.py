@@ -69,9 +69,9 @@ class FoundPhysics:
 
     @property
     def names(self) -> list[str]:
-        """Names of the missing effects, or of the table of unknown physics."""
+        """Names of the missing effects, or of the effect that describes unknown physics."""
         if self.described is not None:
-            return [CovariateTable.name]
+            return [self.described.missing.model or CovariateTable.name]
         return [finding.effect for finding in self.result.found]
 
     @property
@@ -82,7 +82,7 @@ class FoundPhysics:
     @property
     def is_modelled(self) -> bool:
         """Whether the physics is part of a fit: otherwise its residuals would be errors of neighbours."""
-        return bool(self.result.found) if self.described is None else self.described.missing.modelled
+        return bool(self.result.found) if self.described is None else self.described.missing.model is not None
 
 
 def physics_of(inputs: Inputs, begin: Begun, result: Result) -> FoundPhysics:

@@ -12,7 +12,7 @@ from rim_camera_ros.diagnose.described import Rest
 from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
 from rim_camera_ros.diagnose.variance import Variance
-from rim_camera_ros.effects import CovariateTable, UnmodulatedLight, vocabulary
+from rim_camera_ros.effects import AdditionalLight, CovariateTable, UnmodulatedLight, vocabulary
 from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.effects.sections import NoiseSection
 from rim_camera_ros.select.compare import Result
@@ -70,8 +70,9 @@ def with_variance(
             model = added(model, UnmodulatedLight(level=level))
             if of_light:
                 missing, verdict = [], "missing_physics"
-                table = {CovariateTable.name} - known
-                model = with_effects(model, {n: e for n, e in model.effects.items() if n not in table})
+                described = {CovariateTable.name, AdditionalLight.name} - known
+                kept = {n: e for n, e in model.effects.items() if n not in described}
+                model = with_effects(model, kept)
         else:
             shot = f", {after.shot:.3g} m*sqrt(counts)" if after.shot else ""
             sentence = (

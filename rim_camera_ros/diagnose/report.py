@@ -14,7 +14,6 @@ from rim_camera_ros.camera_file import save_camera
 from rim_camera_ros.diagnose.files import MODEL, REPORT, WHERE
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
-from rim_camera_ros.effects import CovariateTable
 from rim_camera_ros.parameters import encode
 from rim_camera_ros.yaml_files import write_whole
 
@@ -99,9 +98,9 @@ def _missing(effect: Missing, result: Diagnosis) -> dict[str, Any]:
 
 def _parameters(named: Missing, result: Diagnosis) -> Any:
     """Return the parameters as in the camera file."""
-    if named.effect == UNKNOWN and not named.modelled:
+    if named.effect == UNKNOWN and named.model is None:
         return {}
-    effect = result.camera.effects.get(CovariateTable.name if named.effect == UNKNOWN else named.effect)
+    effect = result.camera.effects.get(named.model or named.effect)
     return encode(effect) if effect is not None else _nested(named.parameters)
 
 

@@ -22,8 +22,8 @@ class Missing:
 
     Parameters are by path relative to the effect. ``magnitude`` [m] is its size, ``distance_sigma`` [m] the
     1-sigma of the distances that it causes, apart from what offsets of pixels absorb. For unknown physics
-    there are covariates, the closed form ``formula``, and ``modelled``: whether a new table of the improved
-    camera models it.
+    there are covariates, the closed form ``formula``, and ``model``: the effect of the improved camera that
+    describes it (None: none does).
     """
 
     effect: str
@@ -34,7 +34,7 @@ class Missing:
     covariates: tuple[str, ...] = ()
     magnitude: float | None = None
     formula: str | None = None
-    modelled: bool = False
+    model: str | None = None
     distance_sigma: float | None = None
 
 

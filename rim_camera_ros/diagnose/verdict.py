@@ -36,6 +36,7 @@ from rim_camera_ros.diagnose.where import (
     nowhere,
     of_change,
     of_noise,
+    of_repeated_frames,
     of_residuals,
     of_scatter,
     of_terms,
@@ -311,7 +312,7 @@ def _first_frames(draft: _Draft, found: Findings) -> None:
     names = [effect.effect for effect in draft.missing if effect.effect != UNKNOWN]
     draft.verdict, draft.adjusted, draft.ties = "unknown_physics", [], []
     draft.missing, draft.model = [first_frames()], found.camera
-    draft.where = of_residuals(found.baseline.fit)
+    draft.where = of_repeated_frames(found.baseline.fit)
     if names:
         draft.notes.append(f"{_NOT_NAMED_GIVEN_FIRST_FRAMES}: {', '.join(names)}")
 

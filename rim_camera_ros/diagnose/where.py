@@ -172,7 +172,20 @@ def of_residuals(fitted: Fit) -> Where:
         rest, _ = after_nuisances(predicted, fitted.pattern, fitted.nuisances)
         return np.where(predicted.used, rest, np.nan)
 
-    return _locate(fitted, value, noisy=True)
+    return _locate(fitted, value, noise=lambda predicted: predicted.sigma**2)
+
+
+def of_repeated_frames(fitted: Fit) -> Where:
+    """Locate what differs between the frames of a pose: the variance of repeated frames beyond their noise.
+
+    Over which covariates it varies is not examined.
+    """
+
+    def value(predicted: Prediction) -> Array:
+        return np.sqrt(predicted.station.distance_variance)
+
+    found = _locate(fitted, value, noise=lambda predicted: _sigma(predicted) ** 2)
+    return replace(found, covariates=(), curves={})
 
 
 def nowhere(fitted: Fit) -> Where:
@@ -188,7 +201,10 @@ def _sigma(predicted: Prediction) -> Array:
     return np.asarray(np.hypot(noise, camera.sensor.lsb / np.sqrt(12)))
 
 
-def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = False) -> Where:
+def _locate(
+    fitted: Fit, value: Any, *, centred: bool = False, noise: Callable[[Prediction], Array] | None = None
+) -> Where:
+    """Return the location of values; ``noise`` returns by what noise raises their squares (H, W) [m^2]."""
     shape = fitted.camera.shape
     # sums of two halves of the poses: the width of the averaging is chosen by cross-validation
     total, count = np.zeros((2, *shape)), np.zeros((2, *shape))
@@ -222,13 +238,13 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
         valid &= np.isfinite(sigma) & (prediction.station.saturated == 0)
         if not valid.any():
             continue
-        noise = (prediction.sigma[valid] / sigma[valid]) ** 2 if noisy else np.zeros(1)
+        by_noise = np.zeros(1) if noise is None else noise(prediction)[valid] / sigma[valid] ** 2
         placed = (prediction.station.recording, prediction.station.placed)
         part, half_of = 1.0 / stations[placed], number[placed] % 2
-        total[half_of][valid] += part * ((image[valid] / sigma[valid]) ** 2 - noise)
+        total[half_of][valid] += part * ((image[valid] / sigma[valid]) ** 2 - by_noise)
         count[half_of][valid] += part
         half = prediction.station.duration / 2
-        mean_square = float(np.mean((image[valid] / sigma[valid]) ** 2) - noise.mean())
+        mean_square = float(np.mean((image[valid] / sigma[valid]) ** 2) - by_noise.mean())
         energy.append((prediction.station.time - half, prediction.station.time + half, mean_square))
         pixels = np.flatnonzero(valid.ravel())
         chosen = rng.choice(pixels, min(500, pixels.size), replace=False)
@@ -240,7 +256,7 @@ def _locate(fitted: Fit, value: Any, *, centred: bool = False, noisy: bool = Fal
                 missing.add(name)
                 continue
             covariates[name].append(np.broadcast_to(found, shape).ravel()[chosen].astype(float))
-    pixels_map = mean_of_halves(total, count, smooth=noisy)
+    pixels_map = mean_of_halves(total, count, smooth=noise is not None)
     if not samples:
         return nowhere(fitted)
     known = {

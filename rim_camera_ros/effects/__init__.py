@@ -10,6 +10,7 @@ from functools import cache
 from importlib.metadata import entry_points
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.effects.added_light import AddedLight
 from rim_camera_ros.effects.ambient_temperature import AmbientTemperature
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset
@@ -52,6 +53,7 @@ ORDER: tuple[type[Effect], ...] = (
     MixedPixels,
     Scattering,
     Interference,
+    AddedLight,
     CyclicError,
     BackgroundLight,
     AmplitudeOffset,
@@ -114,7 +116,7 @@ def without_poses() -> list[str]:
 #: which is a nuisance of every fit; an offset per setting; a smooth function of covariates, which stands for
 #: unknown physics; errors by position instead of physics; unmodulated light; light of a second camera; a
 #: reading of an internal path; sinusoids of the phase; light that is spread, and another way out, which a
-#: correction undoes fast.
+#: correction undoes fast; light that does not come from the scene.
 PixelMap = FixedPatternOffset
 SettingOffset = IntegrationTimeOffset
 CovariateTable = Empirical
@@ -125,6 +127,7 @@ InternalReference = ReferencePath
 HarmonicError = CyclicError
 StrayLight = Scattering
 EmitterPath = EmitterOffset
+AdditionalLight = AddedLight
 
 __all__ = [
     "OF_SURFACES",
@@ -132,6 +135,7 @@ __all__ = [
     "ORDER",
     "PARTICULAR",
     "SECTIONS",
+    "AdditionalLight",
     "ComplexEffect",
     "Context",
     "CovariateTable",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.diagnose.result import Diagnosis
 from rim_camera_ros.diagnose.smooth import values_of
-from rim_camera_ros.effects import OF_SURFACES, OPTICS, CovariateTable, vocabulary
+from rim_camera_ros.effects import OF_SURFACES, OPTICS, vocabulary
 from rim_camera_ros.effects.covariates import AXIS, COVARIATES
 from rim_camera_ros.fit.data import Station
 from rim_camera_ros.fit.decimation import full_covariate
@@ -198,7 +198,7 @@ def better_fit(result: Diagnosis) -> Fit:
 def changed_effects(result: Diagnosis) -> tuple[str, ...]:
     """Return the effects whose contribution is shown, by their names in the improved camera."""
     present = set(result.model.effects) | set(OPTICS) | OF_SURFACES
-    missing = [CovariateTable.name if effect.modelled else effect.effect for effect in result.missing]
+    missing = [effect.model or effect.effect for effect in result.missing]
     names = missing or [term.effect for term in result.adjusted]
     return tuple(name for name in names if name in present)
 

@@ -151,16 +151,25 @@ def recorded_and_simulated(image: SetupImage) -> bytes:
 
 
 def surface(
-    knots: Sequence[Sequence[float]], values: Array, labels: Sequence[str], *, log: Sequence[bool]
+    knots: Sequence[Sequence[float]],
+    values: Array,
+    labels: Sequence[str],
+    *,
+    log: Sequence[bool],
+    unit: str,
+    image: bool = False,
 ) -> bytes:
-    """Return a table over two covariates as a picture, multilinear between its knots; values in m."""
+    """Return a table over two covariates as a picture, multilinear between its knots.
+
+    As an ``image`` its values are 0 or more, and rows go downwards.
+    """
     from scipy.interpolate import RegularGridInterpolator
 
     fine = [
         np.geomspace(k[0], k[-1], 161) if scaled else np.linspace(k[0], k[-1], 161)
         for k, scaled in zip(knots, log, strict=True)
     ]
-    table = RegularGridInterpolator(tuple(np.asarray(k, float) for k in knots), values * 1e3)
+    table = RegularGridInterpolator(tuple(np.asarray(k, float) for k in knots), values)
     x, y = np.meshgrid(*fine, indexing="ij")
     shown = table(np.clip(np.stack([x, y], axis=-1), [k[0] for k in knots], [k[-1] for k in knots]))
 
@@ -169,13 +178,22 @@ def surface(
         axis.grid(False)
         limit = float(np.quantile(np.abs(shown), 0.995)) or 1.0
         picture = axis.pcolormesh(
-            *fine, shown.T, cmap="RdBu_r", vmin=-limit, vmax=limit, shading="nearest", rasterized=True
+            *fine,
+            shown.T,
+            cmap="viridis" if image else "RdBu_r",
+            vmin=0.0 if image else -limit,
+            vmax=limit,
+            shading="nearest",
+            rasterized=True,
         )
+        if image:
+            axis.invert_yaxis()
+            axis.set_aspect("equal")
         for scaled, side in zip(log, ("x", "y"), strict=True):
             if scaled:
                 axis.set(**{f"{side}scale": "log"})
         axis.set(xlabel=labels[0], ylabel=labels[1])
-        _bar(figure, picture, axis, "mm")
+        _bar(figure, picture, axis, unit)
 
     return svg((6.4, 3.2), draw)
 

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rim_camera_ros.diagnose.added_light import median_integration_time
 from rim_camera_ros.diagnose.files import PAGE
 from rim_camera_ros.diagnose.report import as_json
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
 from rim_camera_ros.diagnose.smooth import UNKNOWN
-from rim_camera_ros.effects import CovariateTable, vocabulary
+from rim_camera_ros.effects import AdditionalLight, CovariateTable, vocabulary
 from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.info.text import several
 from rim_camera_ros.reports.diagnosis import candidates, sections, setup, words
@@ -203,17 +204,21 @@ def _unknown(effect: Missing, result: Diagnosis) -> list[Part]:
                 "cannot be distinguished from the fixed pattern."
             )
         )
+    light = effect_of(result.camera, AdditionalLight)
+    if effect.model == AdditionalLight.name and light is not None:
+        return [*parts, _of_light(light, result)]
     known = effect_of(result.camera, CovariateTable)
-    table = known if effect.modelled else None
+    table = known if effect.model is not None else None
     if table is not None and len(table.covariates) == 2:
         from rim_camera_ros.reports.diagnosis.maps import surface
 
         drawn = [words.axis_of(n, np.asarray(k)) for n, k in zip(table.covariates, table.knots, strict=True)]
         picture = surface(
             [[factor * x for x in k] for (_, factor, _), k in zip(drawn, table.knots, strict=True)],
-            np.asarray(table.values.values, float),
+            np.asarray(table.values.values, float) * 1e3,
             [label for label, _, _ in drawn],
             log=[log for _, _, log in drawn],
+            unit="mm",
         )
         caption = f"What it adds to distances over its two covariates: {CovariateTable.name} of camera.yaml."
         alt = f"Map of what it adds to distances over {joined([label for label, _, _ in drawn])}"
@@ -224,6 +229,30 @@ def _unknown(effect: Missing, result: Diagnosis) -> list[Part]:
             why = f"a camera file has one table, and this one's is of {' and '.join(known.covariates)}"
         parts.append(Text(f"camera.yaml does not model it: {why}."))
     return parts
+
+
+def _of_light(light: AdditionalLight, result: Diagnosis) -> Figure:
+    from rim_camera_ros.reports.diagnosis.maps import surface
+
+    time = median_integration_time(result.baseline.fit)
+    sensor = result.camera.sensor
+    picture = surface(
+        [
+            np.linspace(-0.5, size - 0.5, number).tolist()
+            for size, number in zip((sensor.width, sensor.height), light.strength.T.shape, strict=True)
+        ],
+        light.strength.T * result.camera.radiometry.gain * time,
+        ["column [px]", "row [px]"],
+        log=(False, False),
+        unit="counts",
+        image=True,
+    )
+    return Figure(
+        picture,
+        "Map of the light that is added, over columns and rows",
+        f"The light that is added to that of the scene, at an integration time of {time:g}: {light.name} of "
+        "camera.yaml.",
+    )
 
 
 def _proof(result: Diagnosis) -> list[Part]:

@@ -92,7 +92,7 @@ def verdict(result: Diagnosis) -> str:
             return f"No physics is missing, but the camera file has wrong parameters: {names}."
         case "unknown_physics":
             found = [effect for effect in result.missing if effect.effect == UNKNOWN]
-            functions = [effect for effect in found if effect.formula or effect.modelled]
+            functions = [e for e in found if e.formula or e.model == CovariateTable.name]
             names = joined([plain_name(c) for effect in functions for c in effect.covariates])
             if found and not functions and found[0].covariates:
                 # it is not described by a function of these: its sentence describes it

@@ -1,0 +1,113 @@
+"""Light that does not come from the scene, as a description of unknown physics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rim_camera_ros.camera import Camera
+from rim_camera_ros.camera_file import in_order
+from rim_camera_ros.diagnose.smooth import UNKNOWN
+from rim_camera_ros.effects import AdditionalLight
+from rim_camera_ros.effects.base import effect_of
+from rim_camera_ros.effects.candidate import Candidate, linear
+from rim_camera_ros.fit.problem import Fit
+from rim_camera_ros.select.compare import Result
+from rim_camera_ros.select.exploration import Exploration, explore
+
+#: Covariates over which the errors by such light vary.
+COVARIATES_OF_LIGHT = ("column", "row", "amplitude", "distance")
+#: Number of knots over the array, about.
+_KNOTS = 64
+_REPLICATES = 60
+#: Resultant length of the phases, weighted by the light, above which it has come by one way.
+_ONE_WAY = 0.9
+
+
+@dataclass(frozen=True)
+class LightFound:
+    """Added light: its gain over the camera file and ``on_top`` of the effects found, and the camera with it.
+
+    Gains and the ``threshold`` are in nats on held-out poses.
+    """
+
+    gain: float
+    on_top: float
+    threshold: float
+    camera: Camera
+
+
+def light_candidate(camera: Camera) -> Candidate:
+    """Return the candidate: values at knots that are spaced evenly over columns and rows."""
+    width, height = camera.sensor.width, camera.sensor.height
+    spacing = np.sqrt(width * height / _KNOTS)
+    across, down = (max(2, round(size / spacing) + 1) for size in (width, height))
+    nothing = ((0.0,) * across,) * down
+    light = AdditionalLight(real=nothing, imaginary=nothing)
+    return replace(linear(light, light.priors()), effect=UNKNOWN)
+
+
+def added_light(result: Result, seed: int) -> LightFound | None:
+    """Score light that does not come from the scene after a search; None where the camera file has some."""
+    baseline, final = result.explorations[0], result.explorations[-1]
+    if effect_of(final.fit.camera, AdditionalLight) is not None:
+        return None
+    candidate = light_candidate(final.fit.camera)
+
+    def scored(exploration: Exploration, *, named: bool) -> Exploration:
+        problem = result.problem
+        return explore(
+            problem if named else replace(problem, geometry=(), reflectance=False, response=None),
+            exploration.fit.camera,
+            [],
+            result.folds,
+            further=[candidate],
+            views=final.fit.forward.views,
+            seed=seed,
+            replicates=_REPLICATES,
+            iterations=1,
+        )
+
+    step = scored(final, named=True)
+    over = step if not result.found else scored(baseline, named=False)
+    return LightFound(
+        gain=float(over.gains[0]),
+        on_top=float(step.gains[0]),
+        threshold=float(step.thresholds[0]),
+        camera=in_order(candidate.build(step.fit.camera, step.scores.values(step.spans[0]))),
+    )
+
+
+def median_integration_time(fitted: Fit) -> float:
+    """Return the median integration time of a fit's stations, which is that of one of them."""
+    stations = fitted.forward.dataset.stations
+    times = sorted(fitted.camera.integration_time(station.settings) for station in stations)
+    return times[len(times) // 2]
+
+
+def sentence_of_light(fitted: Fit, size: float) -> str:
+    """Describe the added light of a fitted camera; ``size`` [m] is how far it moves distances."""
+    light = effect_of(fitted.camera, AdditionalLight)
+    assert light is not None
+    camera, time = fitted.camera, median_integration_time(fitted)
+    prediction = next(
+        prediction
+        for prediction in fitted.forward.predictions(slopes=False)
+        if camera.integration_time(prediction.station.settings) == time
+    )
+    added = np.broadcast_to(light.light(prediction.context), camera.shape)
+    strength = np.abs(added)
+    row, column = np.unravel_index(int(strength.argmax()), strength.shape)
+    sentence = (
+        f"unknown physics: light of the emitter that does not come from the scene reaches the pixels: up to "
+        f"{strength.max():.3g} counts at an integration time of {time:g}, most at column {column}, row {row}"
+    )
+    resultant = np.sum(added * strength) / np.sum(strength**2)
+    if abs(resultant) > _ONE_WAY:
+        away = float(np.angle(resultant) % (2 * np.pi)) / (2 * np.pi) * camera.sensor.ambiguity
+        sentence += f", as from {away:.2f} m (modulo {camera.sensor.ambiguity:.2f} m)"
+    return sentence + (
+        f"; it moves the distances of the darkest surfaces there by about {size * 1e3:.3g} mm; a leak, a "
+        "reflection within the housing or a bright object that the scene file lacks would do so"
+    )
