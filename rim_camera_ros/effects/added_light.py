@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -59,20 +60,8 @@ class AddedLight(Effect):
 
     def light(self, context: Context) -> Image:
         """Return the complex image [counts] that is added, (H, W) of the context's part of the array."""
-        down, across = self._shares(context)
-        real, imaginary = (down.T @ np.array(values) @ across for values in (self.real, self.imaginary))
-        light: Image = _unit(context) * (real + 1j * imaginary)
-        return light
-
-    def _shares(self, context: Context) -> tuple[Image, Image]:
-        """Return the shares of the knots in the rows (V, H) and in the columns (U, W) of the array's part."""
         sensor = context.camera.sensor
-        sides = ((context.row, sensor.height), (context.column, sensor.width))
-        down, across = (
-            np.stack([np.interp((at.ravel() + 0.5) / size, np.linspace(0, 1, n), k) for k in np.eye(n)])
-            for (at, size), n in zip(sides, np.shape(self.real), strict=True)
-        )
-        return down, across
+        return _unit(context) * context.inside(_image(self, sensor.width, sensor.height))
 
     def simulate(self, signal: Signal, context: Context) -> Signal:
         return self._changed(signal, context, np.add)
@@ -88,7 +77,10 @@ class AddedLight(Effect):
     def columns(self, signal: Signal, context: Context) -> dict[str, Column]:
         phasor = to_phasor(signal.distance, signal.amplitude, context.ambiguity)
         after = np.where(phasor == 0, phasor, phasor + self.light(context))
-        down, across = self._shares(context)
+        sensor = context.camera.sensor
+        rows, columns = np.shape(self.real)
+        down = _shares(context.row, sensor.height, rows)
+        across = _shares(context.column, sensor.width, columns)
         result: dict[str, Column] = {}
         for part, change in (("real", _unit(context)), ("imaginary", 1j * _unit(context))):
             distance, amplitude = phasor_derivative(after, np.asarray(change), context.ambiguity)
@@ -109,6 +101,21 @@ class AddedLight(Effect):
             real=((0.001, 0.003), (-0.002, 0.005), (0.0, 0.002)),
             imaginary=((0.002, 0.0), (0.004, -0.001), (0.003, 0.001)),
         )
+
+
+def _shares(at: Image, size: int, number: int) -> Image:
+    """Return the shares of evenly spaced knots in pixels at places along a side of the array, (knots, N)."""
+    places, knots = (at.ravel() + 0.5) / size, np.linspace(0.0, 1.0, number)
+    return np.stack([np.interp(places, knots, own) for own in np.eye(number)])
+
+
+@lru_cache(maxsize=4)
+def _image(effect: AddedLight, width: int, height: int) -> Image:
+    rows, columns = np.shape(effect.real)
+    down = _shares(np.arange(height), height, rows)
+    across = _shares(np.arange(width), width, columns)
+    light: Image = down.T @ (np.array(effect.real) + 1j * np.array(effect.imaginary)) @ across
+    return light
 
 
 def _unit(context: Context) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.chain import Chain
-from rim_camera_ros.effects import EmitterPath, InternalReference, StrayLight
+from rim_camera_ros.effects import AdditionalLight, EmitterPath, InternalReference, StrayLight
 from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.effects.signal import Context, Signal
 from rim_camera_ros.pipeline import kernels
@@ -38,12 +38,17 @@ class OpticsUndo:
 
     def __init__(self, camera: Camera, dtype: Any) -> None:
         scattering, emitter = effect_of(camera, StrayLight), effect_of(camera, EmitterPath)
-        fast = StrayLight | EmitterPath | InternalReference
+        fast = [StrayLight, EmitterPath, InternalReference]
+        #: light to subtract from the complex image in which stray light is undone
+        self._added = None if scattering is None else effect_of(camera, AdditionalLight)
+        self._added_image, self._added_at = np.zeros(0), np.nan
+        if self._added is not None:
+            fast.append(AdditionalLight)
         #: the nearest to the sensor first
         self._others = [
             effect
             for effect in reversed(Chain.of(camera.effects.values()).light)
-            if effect.undo != "none" and effect.shows_in == "distance" and not isinstance(effect, fast)
+            if effect.undo != "none" and effect.shows_in == "distance" and not isinstance(effect, tuple(fast))
         ]
         self._dtype = np.dtype(dtype)
         number = self._dtype.type
@@ -85,10 +90,10 @@ class OpticsUndo:
             delivered[...], amplitude = found.distance, found.amplitude.astype(amplitude.dtype, copy=False)
         light = Light(delivered, amplitude)
         if self._spreading is not None and self._dtype == np.float32 and kernels.LIBRARY is not None:
-            self._undo_all(light, guess, quick=quick)
+            self._undo_all(light, context, guess, quick=quick)
             return light
         if self._spreading is not None:
-            self._undo_spreading(light, guess, quick=quick)
+            self._undo_spreading(light, context, guess, quick=quick)
         if self._wraps:
             self._fold(light.distance)
         if self._emitter is not None:
@@ -114,12 +119,26 @@ class OpticsUndo:
             return self._spreading.first_order(self._image)
         return self._spreading.solve(self._image, guess=guess)
 
-    def _undo_all(self, light: Light, guess: Image | None, *, quick: bool) -> None:
+    def _subtract_added(self, distance: Image, context: Context) -> None:
+        """Subtract the light that does not come from the scene from `_image`, where there is a distance."""
+        if self._added is None:
+            return
+        if self._added_at != context.integration_time:
+            light = self._added.light(context)
+            self._added_image = np.stack([light.real, light.imag], axis=1).astype(self._dtype)
+            self._added_at = context.integration_time
+        self._image -= self._added_image
+        dark = ~np.isfinite(distance)
+        if dark.any():
+            self._image[:, 0][dark] = self._image[:, 1][dark] = 0
+
+    def _undo_all(self, light: Light, context: Context, guess: Image | None, *, quick: bool) -> None:
         """Do what `undo` does, in two passes over the pixels."""
         assert self._spreading is not None
         ambiguity = float(self._ambiguity)
         before = light.amplitude
         kernels.to_image(light.distance, before, ambiguity=ambiguity, image=self._image)
+        self._subtract_added(light.distance, context)
         light.image = self._solved(guess, quick=quick)
         light.amplitude, light.gain = kernels.from_image(
             light.image,
@@ -132,7 +151,7 @@ class OpticsUndo:
             square=float(self._square),
         )
 
-    def _undo_spreading(self, light: Light, guess: Image | None, *, quick: bool) -> None:
+    def _undo_spreading(self, light: Light, context: Context, guess: Image | None, *, quick: bool) -> None:
         assert self._spreading is not None
         amplitude = light.amplitude
         phase = np.multiply(light.distance, self._wave, out=self._work)
@@ -144,6 +163,7 @@ class OpticsUndo:
             amplitude = amplitude.copy()
             amplitude[dark] = 0
         cv2.polarToCart(amplitude, phase, self._image[:, 0], self._image[:, 1])
+        self._subtract_added(light.distance, context)
         light.image = solved = self._solved(guess, quick=quick)
         real, imaginary = solved[:, 0], solved[:, 1]
         direct = np.arctan2(imaginary, real)
