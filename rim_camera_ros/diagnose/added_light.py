@@ -38,8 +38,13 @@ class LightFound:
     camera: Camera
 
 
-def light_candidate(camera: Camera) -> Candidate:
-    """Return the candidate: values at knots that are spaced evenly over columns and rows."""
+def light_candidate(camera: Camera) -> Candidate | None:
+    """Return the candidate: values at knots that are spaced evenly over the array.
+
+    None where the camera file already has such light.
+    """
+    if effect_of(camera, AdditionalLight) is not None:
+        return None
     width, height = camera.sensor.width, camera.sensor.height
     spacing = np.sqrt(width * height / _KNOTS)
     across, down = (max(2, round(size / spacing) + 1) for size in (width, height))
@@ -51,9 +56,9 @@ def light_candidate(camera: Camera) -> Candidate:
 def added_light(result: Result, seed: int) -> LightFound | None:
     """Score light that does not come from the scene after a search; None where the camera file has some."""
     baseline, final = result.explorations[0], result.explorations[-1]
-    if effect_of(final.fit.camera, AdditionalLight) is not None:
-        return None
     candidate = light_candidate(final.fit.camera)
+    if candidate is None:
+        return None
 
     def scored(exploration: Exploration, *, named: bool) -> Exploration:
         problem = result.problem

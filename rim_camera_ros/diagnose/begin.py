@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.added_light import light_candidate
 from rim_camera_ros.diagnose.compare_setups import compare_setups
 from rim_camera_ros.diagnose.hypotheses import Files, Hypothesis, leaving_nothing
 from rim_camera_ros.diagnose.setup import few_of
@@ -182,6 +183,7 @@ def searched(inputs: Inputs, begin: Begun) -> Result | None:
             effects=without_poses() if begin.one_pose else None,
             most=0 if nothing else MOST_EFFECTS,
             further=smooth,
+            image=light_candidate(inputs.camera) if smooth else None,
             may_have_moved=begin.may_have_moved(inputs),
             may_hold_foreign=begin.may_hold_foreign(inputs),
             seed=inputs.seed,

@@ -106,9 +106,32 @@ def smooth_says_more(step: Exploration) -> bool:
     smooth = step.best_further()
     if smooth is None or smooth[0] <= SMOOTHER * float(step.thresholds[smooth[1]]):
         return False
+    return smooth[0] > _far_more_than_named(step)
+
+
+def image_says_more(
+    step: Exploration, image: Candidate | None, problem: Problem, folds: Mapping[tuple[int, int], int]
+) -> bool:
+    """Return whether a term with many values over the array, if there is one, explains so much more.
+
+    It is scored where a smooth function gains and the misfit is as large as the term would have to gain.
+    """
+    smooth, need = step.best_further(), _far_more_than_named(step)
+    if smooth is None or image is None or smooth[0] <= float(step.thresholds[smooth[1]]):
+        return False
+    chi_square, rows = step.scores.chi_square(held_out=True)
+    if (chi_square - rows) / 2 <= need:
+        return False
+    equations = further_equations(step.fit, [image.block], folds, problem)
+    scored = explored(equations, [], further=[image], replicates=0)
+    return float(scored.gains[0]) > max(need, SMOOTHER * float(scored.thresholds[0]))
+
+
+def _far_more_than_named(step: Exploration) -> float:
+    """Return what a term outside the vocabulary must gain to be a sign of unknown physics [nats]."""
     pair = step.best_pair()
     leader = float(step.gains[: step.named].max()) if step.named else 0.0
-    return smooth[0] > SMOOTHER * max(leader, 0.0 if pair is None else pair[0])
+    return SMOOTHER * max(leader, 0.0 if pair is None else pair[0])
 
 
 def discrepancy(step: Exploration, found: Sequence[Found], failed: Set[str]) -> int | None:

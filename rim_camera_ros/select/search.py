@@ -17,7 +17,13 @@ from rim_camera_ros.fit.problem import FreeResponse, Problem
 from rim_camera_ros.fit.solver import fit
 from rim_camera_ros.fit.views import Views
 from rim_camera_ros.select.candidates import candidates
-from rim_camera_ros.select.compare import Result, leading_variants, refused, smooth_says_more
+from rim_camera_ros.select.compare import (
+    Result,
+    image_says_more,
+    leading_variants,
+    refused,
+    smooth_says_more,
+)
 from rim_camera_ros.select.evidence import folds_of
 from rim_camera_ros.select.exploration import explore
 from rim_camera_ros.select.foreign_values import foreign_values
@@ -37,6 +43,7 @@ def search(
     seed: int = 0,
     most: int = MOST_EFFECTS,
     further: Sequence[Candidate] = (),
+    image: Candidate | None = None,
     begin: Result | None = None,
     may_have_moved: MayHaveMoved | None = None,
     may_hold_foreign: bool = False,
@@ -47,12 +54,13 @@ def search(
     """Add effects to a camera one after the other as long as they improve the prediction of held-out poses.
 
     ``effects`` restricts the candidates. ``further`` candidates (smooth terms) are scored with the others but
-    are never named; where one of them explains far more than any effects, no effect enters. ``begin`` is the
-    result of a search of fewer stations, from which this one goes on: its effects count among the ``most``
-    that may enter, and are tested again. ``views`` are those of the same scene by the same rays, if there are
-    any. Where displaced surfaces in a few poses, within ``may_have_moved``, explain more than any effect, no
-    effect enters either; nor does one where there are values that do not see the scene, which are looked for
-    if it ``may_hold_foreign`` ones. ``workers`` fit candidates, as `cluster.on_workers` does.
+    are never named; where one of them, or the ``image``, a term with many values over the array, explains far
+    more than any effects, no effect enters. ``begin`` is the result of a search of fewer stations, from which
+    this one goes on: its effects count among the ``most`` that may enter, and are tested again. ``views`` are
+    those of the same scene by the same rays, if there are any. Where displaced surfaces in a few poses, within
+    ``may_have_moved``, explain more than any effect, no effect enters either; nor does one where there are
+    values that do not see the scene, which are looked for if it ``may_hold_foreign`` ones. ``workers`` fit
+    candidates, as `cluster.on_workers` does.
     """
     say = progress if progress is not None else silent
     folds = folds_of(problem.dataset)
@@ -112,7 +120,8 @@ def search(
     moved: list[MovedPose] = []
     if foreign is None and may_have_moved is not None:
         moved = moved_before_physics(state.step, may_have_moved)
-    if foreign is not None or moved or smooth_says_more(state.step):
+    outside = smooth_says_more(state.step) or image_says_more(state.step, image, state.problem, folds)
+    if foreign is not None or moved or outside:
         most = 0
     state.add(most)
     if state.narrowed is not None:

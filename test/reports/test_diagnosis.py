@@ -413,7 +413,9 @@ def test_ranking_takes_gains_of_all_sizes() -> None:
 def test_surface_of_a_table_over_column_and_amplitude() -> None:
     knots = [list(range(24)), [50.0, 400.0, 3000.0]]
     values = np.outer(np.sin(np.arange(24.0)), [0.001, 0.0, -0.002])
-    picture = page_maps.surface(knots, values, ["column [px]", "amplitude [counts]"], log=[False, True])
+    picture = page_maps.surface(
+        knots, values, ["column [px]", "amplitude [counts]"], log=[False, True], unit="mm"
+    )
     assert ElementTree.fromstring(picture).tag.endswith("svg")
 
 
