@@ -57,10 +57,10 @@ def search(
     are never named; where one of them, or the ``image``, a term with many values over the array, explains far
     more than any effects, no effect enters. ``begin`` is the result of a search of fewer stations, from which
     this one goes on: its effects count among the ``most`` that may enter, and are tested again. ``views`` are
-    those of the same scene by the same rays, if there are any. Where displaced surfaces in a few poses, within
-    ``may_have_moved``, explain more than any effect, no effect enters either; nor does one where there are
-    values that do not see the scene, which are looked for if it ``may_hold_foreign`` ones. ``workers`` fit
-    candidates, as `cluster.on_workers` does.
+    those of the same scene by the same rays, if there are any. Where displaced surfaces in a few poses,
+    within ``may_have_moved``, explain more than any effect, no effect enters either; nor does one where there
+    are values that do not see the scene, which are looked for if it ``may_hold_foreign`` ones. ``workers``
+    fit candidates, as `cluster.on_workers` does.
     """
     say = progress if progress is not None else silent
     folds = folds_of(problem.dataset)
