@@ -105,15 +105,15 @@ def _diagnosed(inputs: Inputs) -> Diagnosis:
     if result.foreign is not None:
         result.forget()
         return _without_foreign(inputs, result.foreign, problem.dataset, setups)
+    found = _physics_or_none(inputs, begin, result) if result.by_image else None
     # missing physics moves the optics, too: they are compared with the file given the physics found
     beyond = None
     if not result.moved and camera.covariance is not None:
-        beyond = optics_beyond(result.explorations[-1].fit)
+        beyond = optics_beyond(result.explorations[-1].fit if found is None else found.best_fit)
     if beyond is not None:
         return _without_stated_optics(inputs, begin, result, setups, beyond)
-    try:
-        found = physics_of(inputs, begin, result)
-    except (RimError, np.linalg.LinAlgError):
+    found = _physics_or_none(inputs, begin, result) if found is None else found
+    if found is None:
         return with_setups(hopeless(problem, camera, variance, seed), setups)
     judged = judged_setup(inputs, begin, found, setups)
     again = _once_more(inputs, begin, found, judged, tried)
@@ -125,6 +125,14 @@ def _diagnosed(inputs: Inputs) -> Diagnosis:
         other = judged.winner
         return with_setups(of_another_setup(other, problem, camera, found.variance, seed), judged.setups)
     return _said(inputs, begin, found, judged)
+
+
+def _physics_or_none(inputs: Inputs, begin: Begun, result: Result) -> FoundPhysics | None:
+    """Return the physics found; None where unknown physics cannot be described."""
+    try:
+        return physics_of(inputs, begin, result)
+    except (RimError, np.linalg.LinAlgError):
+        return None
 
 
 def _without_stated_optics(

@@ -297,7 +297,8 @@ class Result:
     ``refused`` are effects that gain conditional on those found and were not added. Explorations from number
     ``beside_edges`` on include pixels beside edges. ``moved`` are surfaces that are displaced in a few poses,
     where no physics explains as much; ``foreign`` are values that do not see the scene, without which the
-    search is to be repeated.
+    search is to be repeated. ``by_image`` says that a term with many values over the array
+    explains far more than any effects.
     """
 
     camera: Camera
@@ -311,6 +312,7 @@ class Result:
     beside_edges: int | None = None
     moved: list[MovedPose] = field(default_factory=list)
     foreign: ForeignValues | None = None
+    by_image: bool = False
 
     @property
     def fit(self) -> Fit:

@@ -120,8 +120,8 @@ def search(
     moved: list[MovedPose] = []
     if foreign is None and may_have_moved is not None:
         moved = moved_before_physics(state.step, may_have_moved)
-    outside = smooth_says_more(state.step) or image_says_more(state.step, image, state.problem, folds)
-    if foreign is not None or moved or outside:
+    by_image = image_says_more(state.step, image, state.problem, folds)
+    if foreign is not None or moved or by_image or smooth_says_more(state.step):
         most = 0
     state.add(most)
     if state.narrowed is not None:
@@ -153,4 +153,5 @@ def search(
         beside_edges=state.beside_edges,
         moved=moved,
         foreign=foreign,
+        by_image=by_image,
     )
