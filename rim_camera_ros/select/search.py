@@ -120,8 +120,10 @@ def search(
     moved: list[MovedPose] = []
     if foreign is None and may_have_moved is not None:
         moved = moved_before_physics(state.step, may_have_moved)
-    by_image = image_says_more(state.step, image, state.problem, folds)
-    if foreign is not None or moved or by_image or smooth_says_more(state.step):
+    # furniture before a wall looks like light that does not move: objects are excluded before
+    seen = foreign is None and not moved
+    by_image = seen and image_says_more(state.step, image, state.problem, folds)
+    if not seen or by_image or smooth_says_more(state.step):
         most = 0
     state.add(most)
     if state.narrowed is not None:
