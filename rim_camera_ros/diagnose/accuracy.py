@@ -35,8 +35,6 @@ _NO_BETTER = (
 _GROSS = 50.0
 #: Chi-square per value of held-out poses above which something remains unexplained.
 LEFT = 1.1
-#: Share of the misfit that parameters, or another set-up, must explain to count as its cause.
-LEAST_EXPLAINED = 0.5
 #: Most values of a table that is estimated again without each fold of the poses.
 _MOST_VALUES = 150
 _OF_ALL = (

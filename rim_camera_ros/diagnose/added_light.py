@@ -13,8 +13,9 @@ from rim_camera_ros.effects import AdditionalLight
 from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.effects.candidate import Candidate, linear
 from rim_camera_ros.fit.problem import Fit
-from rim_camera_ros.select.compare import Result
+from rim_camera_ros.select.compare import Result, misfit
 from rim_camera_ros.select.exploration import Exploration, explore
+from rim_camera_ros.select.thresholds import LEAST_EXPLAINED
 
 #: Covariates over which the errors by such light vary.
 COVARIATES_OF_LIGHT = ("column", "row", "amplitude", "distance")
@@ -54,7 +55,10 @@ def light_candidate(camera: Camera) -> Candidate | None:
 
 
 def added_light(result: Result, seed: int) -> LightFound | None:
-    """Score light that does not come from the scene after a search; None where the camera file has some."""
+    """Score light that does not come from the scene after a search.
+
+    None where the camera file has some, or where it explains less than half of what the search left.
+    """
     baseline, final = result.explorations[0], result.explorations[-1]
     candidate = light_candidate(final.fit.camera)
     if candidate is None:
@@ -75,6 +79,8 @@ def added_light(result: Result, seed: int) -> LightFound | None:
         )
 
     step = scored(final, named=True)
+    if float(step.gains[0]) < LEAST_EXPLAINED * misfit(final):
+        return None
     over = step if not result.found else scored(baseline, named=False)
     return LightFound(
         gain=float(over.gains[0]),

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import added, in_order
-from rim_camera_ros.diagnose.accuracy import LEAST_EXPLAINED
 from rim_camera_ros.diagnose.added_light import COVARIATES_OF_LIGHT, added_light, sentence_of_light
 from rim_camera_ros.diagnose.formula import closed_form, product_form
 from rim_camera_ros.diagnose.result import Missing
@@ -35,7 +34,7 @@ from rim_camera_ros.select.at_rest import note_on_smoothing
 from rim_camera_ros.select.compare import Result, curve_of_forms
 from rim_camera_ros.select.effect_sizes import effect_size
 from rim_camera_ros.select.exploration import Exploration, explore
-from rim_camera_ros.select.thresholds import noise_limit
+from rim_camera_ros.select.thresholds import LEAST_EXPLAINED, noise_limit
 
 Array = NDArray[Any]
 

@@ -11,11 +11,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.accuracy import LEAST_EXPLAINED
 from rim_camera_ros.errors import RimError
 from rim_camera_ros.fit.data import Dataset
 from rim_camera_ros.scene import Scene
-from rim_camera_ros.select.thresholds import STANDARD_ERRORS
+from rim_camera_ros.select.thresholds import LEAST_EXPLAINED, STANDARD_ERRORS
 
 AS_GIVEN = "as_given"
 #: Poses of a surface with another sign of an angle, or poses in which a surface is displaced.

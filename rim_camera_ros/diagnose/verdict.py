@@ -9,7 +9,7 @@ import numpy as np
 
 from rim_camera_ros.calibrate.plan import shipped_experiments
 from rim_camera_ros.camera import Camera
-from rim_camera_ros.diagnose.accuracy import LEAST_EXPLAINED, Accuracy, accuracy, judged_by_all_errors
+from rim_camera_ros.diagnose.accuracy import Accuracy, accuracy, judged_by_all_errors
 from rim_camera_ros.diagnose.adjusted import Adjusted, adjusted_terms, beyond_file, parameters_matter
 from rim_camera_ros.diagnose.described import of_correlated_errors, unexplained
 from rim_camera_ros.diagnose.found_physics import FoundPhysics
@@ -48,6 +48,7 @@ from rim_camera_ros.fit.variance_components import correlated_error_note
 from rim_camera_ros.select.candidates import change_of_forms
 from rim_camera_ros.select.compare import Result
 from rim_camera_ros.select.pixel_gains import GainSpread
+from rim_camera_ros.select.thresholds import LEAST_EXPLAINED
 
 #: Chi-square per value of held-out poses above which a recording that nothing explains is not consistent:
 #: where nothing was missing it was 1.02 at most.

@@ -21,7 +21,7 @@ from rim_camera_ros.select.effect_sizes import effect_size
 from rim_camera_ros.select.exploration import Exploration, explored, further_equations
 from rim_camera_ros.select.foreign_values import ForeignValues
 from rim_camera_ros.select.moved_poses import MovedPose
-from rim_camera_ros.select.thresholds import STANDARD_ERRORS, WITHOUT_REPLICATES
+from rim_camera_ros.select.thresholds import LEAST_EXPLAINED, STANDARD_ERRORS, WITHOUT_REPLICATES
 
 #: An effect must gain `STANDARD_ERRORS`, paired over poses, conditional on those found before it: the null
 #: replicates give the threshold of the first effect; they do not contain residuals of inexact forms. Or this
@@ -114,17 +114,24 @@ def image_says_more(
 ) -> bool:
     """Return whether a term with many values over the array, if there is one, explains so much more.
 
-    It is scored where a smooth function gains and the misfit is as large as the term would have to gain.
+    That is half of the misfit at least. It is scored where a smooth function gains and the misfit is as large as the term would have to gain.
     """
     smooth, need = step.best_further(), _far_more_than_named(step)
     if smooth is None or image is None or smooth[0] <= float(step.thresholds[smooth[1]]):
         return False
-    chi_square, rows = step.scores.chi_square(held_out=True)
-    if (chi_square - rows) / 2 <= need:
+    left = misfit(step)
+    if left <= need:
         return False
     equations = further_equations(step.fit, [image.block], folds, problem)
     scored = explored(equations, [], further=[image], replicates=0)
-    return float(scored.gains[0]) > max(need, SMOOTHER * float(scored.thresholds[0]))
+    least = SMOOTHER * float(scored.thresholds[0])
+    return float(scored.gains[0]) > max(need, least, LEAST_EXPLAINED * left)
+
+
+def misfit(step: Exploration) -> float:
+    """Return what a perfect model would gain [nats] over an exploration's, by its held-out poses."""
+    chi_square, rows = step.scores.chi_square(held_out=True)
+    return (chi_square - rows) / 2
 
 
 def _far_more_than_named(step: Exploration) -> float:

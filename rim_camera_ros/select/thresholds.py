@@ -23,6 +23,8 @@ ALARM_RATE = 0.02
 FEW = 0.15
 #: Standard errors up to which a difference may be due to chance (95 %).
 STANDARD_ERRORS = 2.0
+#: Share of the misfit that parameters, another set-up or added light must explain to count as its cause.
+LEAST_EXPLAINED = 0.5
 #: Relative 1-sigma of a stated noise variance: a noise model is fitted to frames of another day, with a form
 #: of three terms. It is wrong where it deviates by more than `fit.design.BEYOND` of these, ...
 NOISE_SIGMA = 0.02
