@@ -114,7 +114,8 @@ def image_says_more(
 ) -> bool:
     """Return whether a term with many values over the array, if there is one, explains so much more.
 
-    That is half of the misfit at least. It is scored where a smooth function gains and the misfit is as large as the term would have to gain.
+    That is half of the misfit at least. It is scored where a smooth function gains and the misfit is as large
+    as the term would have to gain.
     """
     smooth, need = step.best_further(), _far_more_than_named(step)
     if smooth is None or image is None or smooth[0] <= float(step.thresholds[smooth[1]]):
