@@ -13,7 +13,14 @@ import pytest
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import with_effects
 from rim_camera_ros.diagnose.formula import closed_form, formula_curve
-from rim_camera_ros.diagnose.where import _shares, _times, mean_of_halves, of_residuals, of_terms
+from rim_camera_ros.diagnose.where import (
+    _shares,
+    _times,
+    mean_of_halves,
+    of_repeated_frames,
+    of_residuals,
+    of_terms,
+)
 from rim_camera_ros.effects.amplitude_nonlinearity import AmplitudeNonlinearity
 from rim_camera_ros.effects.amplitude_offset import AmplitudeOffset, Hyperbola
 from rim_camera_ros.effects.base import Effect
@@ -273,6 +280,26 @@ def test_noise_alone_is_left_at_no_time(tmp_path: Path) -> None:
     assert np.median(found.pixels) < 0.01
     energies = [np.mean((one.residual / one.sigma)[one.used] ** 2) for one in forward.predictions()]
     assert energies == pytest.approx(np.ones(14), abs=0.15)
+
+
+def test_frames_that_differ_are_where_they_scatter_beyond_their_noise(tmp_path: Path) -> None:
+    """The upper left quarter scatters by twice its noise: three times its variance is left, elsewhere none."""
+    forward, fitted = forward_of(tmp_path, AmplitudeOffset({16: Hyperbola(2.0, 1.0)}))
+    corner = np.zeros(forward.camera.shape, bool)
+    corner[: corner.shape[0] // 2, : corner.shape[1] // 2] = True
+    predictions = list(forward.predictions())
+    for k, one in enumerate(predictions):
+        own = sigma(forward.camera, one.amplitude)
+        variance = (np.where(corner, 2.0, 1.0) * own) ** 2
+        forward.dataset.stations[k] = replace(one.station, distance_variance=variance)
+    found = of_repeated_frames(fitted)
+    seen = expected(forward, lambda one: np.zeros(corner.shape))[1]
+    # widths of averaging reach across the border
+    inner = np.zeros_like(corner)
+    inner[2:6, 2:6] = True
+    np.testing.assert_allclose(found.pixels[inner & seen], 3.0, rtol=0.02)
+    np.testing.assert_allclose(found.pixels[-6:, -6:][seen[-6:, -6:]], 0.0, atol=0.02)
+    assert found.covariates == ()
 
 
 def test_times_are_from_the_first_to_the_last_frame_of_the_poses() -> None:
