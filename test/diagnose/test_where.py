@@ -283,7 +283,7 @@ def test_noise_alone_is_left_at_no_time(tmp_path: Path) -> None:
 
 
 def test_frames_that_differ_are_where_they_scatter_beyond_their_noise(tmp_path: Path) -> None:
-    """The upper left quarter scatters by twice its noise: three times its variance is left, elsewhere none."""
+    """The upper left quarter scatters by twice its noise: three times its variance is left, else none."""
     forward, fitted = forward_of(tmp_path, AmplitudeOffset({16: Hyperbola(2.0, 1.0)}))
     corner = np.zeros(forward.camera.shape, bool)
     corner[: corner.shape[0] // 2, : corner.shape[1] // 2] = True
