@@ -13,16 +13,15 @@ from rim_camera_ros.effects import AdditionalLight
 from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.effects.candidate import Candidate, linear
 from rim_camera_ros.fit.problem import Fit
-from rim_camera_ros.select.compare import Result, misfit
-from rim_camera_ros.select.exploration import Exploration, explore
+from rim_camera_ros.select.compare import Result, in_addition, misfit
+from rim_camera_ros.select.exploration import explore
 from rim_camera_ros.select.thresholds import LEAST_EXPLAINED
 
 #: Covariates over which the errors by such light vary.
 COVARIATES_OF_LIGHT = ("column", "row", "amplitude", "distance")
 #: Number of knots over the array, about.
 _KNOTS = 64
-_REPLICATES = 60
-#: Resultant length of the phases, weighted by the light, above which it has come by one way.
+#: Resultant length of the phases, weighted by the square of the light, above which it has come by one way.
 _ONE_WAY = 0.9
 
 
@@ -63,25 +62,21 @@ def added_light(result: Result, seed: int) -> LightFound | None:
     candidate = light_candidate(final.fit.camera)
     if candidate is None:
         return None
-
-    def scored(exploration: Exploration, *, named: bool) -> Exploration:
-        problem = result.problem
-        return explore(
-            problem if named else replace(problem, geometry=(), reflectance=False, response=None),
-            exploration.fit.camera,
+    over = step = in_addition(final.fit, candidate, result.problem, result.folds)
+    if float(step.gains[0]) < LEAST_EXPLAINED * misfit(final):
+        return None
+    if result.found:
+        over = explore(
+            replace(result.problem, geometry=(), reflectance=False, response=None),
+            baseline.fit.camera,
             [],
             result.folds,
             further=[candidate],
             views=final.fit.forward.views,
             seed=seed,
-            replicates=_REPLICATES,
+            replicates=0,
             iterations=1,
         )
-
-    step = scored(final, named=True)
-    if float(step.gains[0]) < LEAST_EXPLAINED * misfit(final):
-        return None
-    over = step if not result.found else scored(baseline, named=False)
     return LightFound(
         gain=float(over.gains[0]),
         on_top=float(step.gains[0]),
@@ -97,28 +92,31 @@ def median_integration_time(fitted: Fit) -> float:
     return times[len(times) // 2]
 
 
+def place_of_light(camera: Camera) -> str:
+    """Return in words where the added light of a camera is strongest, in its own pixels."""
+    light = effect_of(camera, AdditionalLight)
+    assert light is not None
+    strength = np.abs(light.image(camera.shape))
+    row, column = np.unravel_index(int(strength.argmax()), strength.shape)
+    return f"column {column}, row {row}"
+
+
 def sentence_of_light(fitted: Fit, size: float) -> str:
     """Describe the added light of a fitted camera; ``size`` [m] is how far it moves distances."""
     light = effect_of(fitted.camera, AdditionalLight)
     assert light is not None
     camera, time = fitted.camera, median_integration_time(fitted)
-    prediction = next(
-        prediction
-        for prediction in fitted.forward.predictions(slopes=False)
-        if camera.integration_time(prediction.station.settings) == time
-    )
-    added = np.broadcast_to(light.light(prediction.context), camera.shape)
+    added = camera.radiometry.gain * time * light.image(camera.shape)
     strength = np.abs(added)
-    row, column = np.unravel_index(int(strength.argmax()), strength.shape)
     sentence = (
         f"unknown physics: light of the emitter that does not come from the scene reaches the pixels: up to "
-        f"{strength.max():.3g} counts at an integration time of {time:g}, most at column {column}, row {row}"
+        f"{strength.max():.3g} counts at an integration time of {time:g}, most at {place_of_light(camera)}"
     )
     resultant = np.sum(added * strength) / np.sum(strength**2)
     if abs(resultant) > _ONE_WAY:
         away = float(np.angle(resultant) % (2 * np.pi)) / (2 * np.pi) * camera.sensor.ambiguity
         sentence += f", as from {away:.2f} m (modulo {camera.sensor.ambiguity:.2f} m)"
     return sentence + (
-        f"; it moves the distances of the darkest surfaces there by about {size * 1e3:.3g} mm; a leak, a "
+        f"; the 5 % of the distances that it moves most are moved by {size * 1e3:.3g} mm (RMS); a leak, a "
         "reflection within the housing or a bright object that the scene file lacks would do so"
     )

@@ -183,7 +183,7 @@ def searched(inputs: Inputs, begin: Begun) -> Result | None:
             effects=without_poses() if begin.one_pose else None,
             most=0 if nothing else MOST_EFFECTS,
             further=smooth,
-            image=light_candidate(inputs.camera) if smooth else None,
+            image=None if nothing or not smooth else light_candidate(inputs.camera),
             may_have_moved=begin.may_have_moved(inputs),
             may_hold_foreign=begin.may_hold_foreign(inputs),
             seed=inputs.seed,

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from rim_camera_ros.camera import Camera
+from rim_camera_ros.diagnose.added_light import place_of_light
 from rim_camera_ros.diagnose.adjusted import Adjusted
 from rim_camera_ros.diagnose.formula import closed_form, formula_curve
 from rim_camera_ros.diagnose.result import Diagnosis, Missing
-from rim_camera_ros.effects import CovariateTable
+from rim_camera_ros.effects import AdditionalLight, CovariateTable
 from rim_camera_ros.effects.base import effect_of
 from rim_camera_ros.fit.decimation import full_camera, full_image, full_number
 
@@ -47,6 +48,8 @@ def restated(effect: Missing, small: Camera, full: Camera, step: int) -> Missing
         sentence = sentence.replace(
             small.effects[effect.effect].sentence(), full.effects[effect.effect].sentence()
         )
+    if effect.model == AdditionalLight.name:
+        sentence = sentence.replace(place_of_light(small), place_of_light(full))
     if effect.formula is not None and formula is not None:
         sentence = sentence.replace(effect.formula, formula)
     return replace(effect, parameters=values, interval=low_and_high, sentence=sentence, formula=formula)

@@ -60,8 +60,11 @@ class AddedLight(Effect):
 
     def light(self, context: Context) -> Image:
         """Return the complex image [counts] that is added, (H, W) of the context's part of the array."""
-        sensor = context.camera.sensor
-        return _unit(context) * context.inside(_image(self, sensor.width, sensor.height))
+        return _unit(context) * context.inside(_image(self, context.camera.shape))
+
+    def image(self, shape: tuple[int, int]) -> Image:
+        """Return the complex image over an array of a ``shape`` (H, W), in the unit of ``real``."""
+        return _image(self, shape).copy()
 
     def simulate(self, signal: Signal, context: Context) -> Signal:
         return self._changed(signal, context, np.add)
@@ -110,10 +113,11 @@ def _shares(at: Image, size: int, number: int) -> Image:
 
 
 @lru_cache(maxsize=4)
-def _image(effect: AddedLight, width: int, height: int) -> Image:
-    rows, columns = np.shape(effect.real)
-    down = _shares(np.arange(height), height, rows)
-    across = _shares(np.arange(width), width, columns)
+def _image(effect: AddedLight, shape: tuple[int, int]) -> Image:
+    down, across = (
+        _shares(np.arange(size), size, number)
+        for size, number in zip(shape, np.shape(effect.real), strict=True)
+    )
     light: Image = down.T @ (np.array(effect.real) + 1j * np.array(effect.imaginary)) @ across
     return light
 

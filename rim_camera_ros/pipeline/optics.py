@@ -119,16 +119,16 @@ class OpticsUndo:
             return self._spreading.first_order(self._image)
         return self._spreading.solve(self._image, guess=guess)
 
-    def _subtract_added(self, distance: Image, context: Context) -> None:
-        """Subtract the light that does not come from the scene from `_image`, where there is a distance."""
+    def _subtract_added(self, context: Context) -> None:
+        """Subtract the light that does not come from the scene from `_image`, where that is not dark."""
         if self._added is None:
             return
         if self._added_at != context.integration_time:
             light = self._added.light(context)
             self._added_image = np.stack([light.real, light.imag], axis=1).astype(self._dtype)
             self._added_at = context.integration_time
+        dark = ~self._image.any(axis=1)
         self._image -= self._added_image
-        dark = ~np.isfinite(distance)
         if dark.any():
             self._image[:, 0][dark] = self._image[:, 1][dark] = 0
 
@@ -138,7 +138,7 @@ class OpticsUndo:
         ambiguity = float(self._ambiguity)
         before = light.amplitude
         kernels.to_image(light.distance, before, ambiguity=ambiguity, image=self._image)
-        self._subtract_added(light.distance, context)
+        self._subtract_added(context)
         light.image = self._solved(guess, quick=quick)
         light.amplitude, light.gain = kernels.from_image(
             light.image,
@@ -163,7 +163,7 @@ class OpticsUndo:
             amplitude = amplitude.copy()
             amplitude[dark] = 0
         cv2.polarToCart(amplitude, phase, self._image[:, 0], self._image[:, 1])
-        self._subtract_added(light.distance, context)
+        self._subtract_added(context)
         light.image = solved = self._solved(guess, quick=quick)
         real, imaginary = solved[:, 0], solved[:, 1]
         direct = np.arctan2(imaginary, real)

@@ -123,10 +123,17 @@ def image_says_more(
     left = misfit(step)
     if left <= need:
         return False
-    equations = further_equations(step.fit, [image.block], folds, problem)
-    scored = explored(equations, [], further=[image], replicates=0)
+    scored = in_addition(step.fit, image, problem, folds)
     least = SMOOTHER * float(scored.thresholds[0])
     return float(scored.gains[0]) > max(need, least, LEAST_EXPLAINED * left)
+
+
+def in_addition(
+    fitted: Fit, candidate: Candidate, problem: Problem, folds: Mapping[tuple[int, int], int]
+) -> Exploration:
+    """Score a term outside the vocabulary in addition to a fit, without replicates."""
+    equations = further_equations(fitted, [candidate.block], folds, problem)
+    return explored(equations, [], further=[candidate], replicates=0)
 
 
 def misfit(step: Exploration) -> float:
@@ -305,8 +312,8 @@ class Result:
     ``refused`` are effects that gain conditional on those found and were not added. Explorations from number
     ``beside_edges`` on include pixels beside edges. ``moved`` are surfaces that are displaced in a few poses,
     where no physics explains as much; ``foreign`` are values that do not see the scene, without which the
-    search is to be repeated. ``by_image`` says that a term with many values over the array
-    explains far more than any effects.
+    search is to be repeated. ``by_image`` says that a term with many values over the array explains far more
+    than any effects.
     """
 
     camera: Camera

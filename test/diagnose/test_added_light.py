@@ -11,11 +11,15 @@ import pytest
 
 from rim_camera_ros.camera import Camera
 from rim_camera_ros.camera_file import load_camera, save_camera
+from rim_camera_ros.diagnose.added_light import place_of_light
+from rim_camera_ros.diagnose.full_grid import restated
+from rim_camera_ros.diagnose.result import Missing
 from rim_camera_ros.diagnose.run import diagnose
 from rim_camera_ros.effects.added_light import AddedLight
 from rim_camera_ros.effects.cyclic_error import CyclicError, Harmonic
 from rim_camera_ros.effects.emission_pattern import EmissionPattern
 from rim_camera_ros.fit.data import Dataset
+from rim_camera_ros.fit.decimation import decimated_camera
 from rim_camera_ros.reports.diagnosis.page import page
 
 from ..calibrate.helpers import camera, record, scene
@@ -43,6 +47,20 @@ def with_light(data: Dataset, cam: Camera, light: np.ndarray) -> Dataset:
         moved = np.angle(phasor * np.conj(own)) / wave
         data.stations[k] = replace(one, distance=one.distance + moved, amplitude=np.abs(phasor))
     return data
+
+
+def test_the_place_is_in_pixels_of_the_whole_sensor(tmp_path: Path) -> None:
+    """The strongest of three knots is in the middle of both sides; every third pixel is used."""
+    light = AddedLight(
+        real=((0.0, 0.0, 0.0), (0.0, -0.004, 0.001), (0.0, 0.0, 0.0)), imaginary=((0.0, 0.0, 0.0),) * 3
+    )
+    full = camera(tmp_path, light)
+    small = decimated_camera(full, 3)
+    found = Missing("unknown", 1.0, {}, {}, f"most at {place_of_light(small)}", model=light.name)
+    words = restated(found, small, full, 3).sentence
+    column, row = (int(number) for number in re.findall(r"\d+", words))
+    assert abs(column - full.sensor.width / 2) <= 1
+    assert abs(row - full.sensor.height / 2) <= 1
 
 
 @pytest.mark.long
